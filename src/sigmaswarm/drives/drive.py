@@ -1,0 +1,141 @@
+"""The Drive: one recorded or simulated journey, as frozen arrays."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.errors import DriveError
+
+Array = NDArray[np.float64]
+
+
+class _Table:
+    """Columns of equal length, made read-only float64 when the record is built."""
+
+    time: Array
+
+    def __post_init__(self) -> None:
+        length = np.size(self.time)
+        for f in fields(self):  # pyright: ignore[reportArgumentType]
+            values = getattr(self, f.name)
+            if values is None:
+                continue
+            column = np.array(values, dtype=np.float64)
+            if column.shape != (length,):
+                name = type(self).__name__
+                raise DriveError(f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values")
+            column.setflags(write=False)
+            object.__setattr__(self, f.name, column)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def select(self, rows: NDArray[np.bool_] | slice) -> Any:
+        """The same table with only some of its rows (a mask or a slice)."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
+        return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Imu(_Table):
+    """Inertial samples, each column of shape (n,), in the body frame (x forward, y left, z up).
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    ax, ay, az : specific force, m/s2 (az is about +9.8 at rest)
+    gx, gy, gz : angular rate, rad/s
+    """
+
+    time: Array
+    ax: Array
+    ay: Array
+    gz: Array
+    az: Array | None = None
+    gx: Array | None = None
+    gy: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Gps(_Table):
+    """Position fixes, each column of shape (n,).
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    x, y : m east and north of the drive's origin
+    lat, lon, alt : deg, deg, m: the fixes as recorded, where the log has them in WGS-84
+    std_x, std_y : m, the receiver's stated standard deviation
+    speed, course : m/s; rad, counter-clockwise from east
+    """
+
+    time: Array
+    x: Array
+    y: Array
+    lat: Array | None = None
+    lon: Array | None = None
+    alt: Array | None = None
+    std_x: Array | None = None
+    std_y: Array | None = None
+    speed: Array | None = None
+    course: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Truth(_Table):
+    """The vehicle's true motion at the IMU's place, each column of shape (n,). Never shown to a filter.
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    x, y : m east and north of the drive's origin
+    vx, vy : m/s east and north
+    theta : rad, heading counter-clockwise from east; may be unwrapped
+    """
+
+    time: Array
+    x: Array
+    y: Array
+    vx: Array
+    vy: Array
+    theta: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One journey: what the sensors said and, where known, what was true.
+
+    Attributes
+    ----------
+    name : str
+    imu : Imu
+    gps : Gps
+    truth : Truth or None
+    frame : {"enu", "wgs84"}
+        In which form the fixes were recorded; ``gps.x`` and ``gps.y`` are always metres.
+    origin : (latitude deg, longitude deg, altitude m) or None
+        Where the local frame touches the earth. Always known when ``frame`` is "wgs84".
+    metadata : mapping
+        Every other key of drive.toml, kept as it was.
+    """
+
+    name: str
+    imu: Imu
+    gps: Gps
+    truth: Truth | None = None
+    frame: Literal["enu", "wgs84"] = "enu"
+    origin: tuple[float, float, float] | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def nominal_interval(self) -> float:
+        """The median time between IMU samples, s: the step that process noise refers to."""
+        return float(np.median(np.diff(self.imu.time)))
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last IMU sample, s."""
+        return float(self.imu.time[-1] - self.imu.time[0])
