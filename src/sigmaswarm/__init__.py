@@ -1,1 +1,117 @@
-"""sigmaswarm."""
+"""sigmaswarm tunes the Kalman filter that fuses a vehicle's IMU and GPS.
+
+The road of the data
+--------------------
+A `Drive` is read, recorded or simulated; filters run over it; scores say how wrong they were; an objective
+turns scores into a cost; a swarm searches the parameters with the lowest cost; a `Tuning` holds what it found.
+
+Conventions
+-----------
+- SI units and radians inside; degrees only where a person reads or a file's column says so.
+- Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
+- Body frame: x forward, y left, z up (REP-103). The IMU gives specific force and angular rate in it.
+- Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
+- State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad). ``process_noise`` is the diagonal of Q, the variance
+  added per nominal IMU step; ``measurement_noise`` the diagonal of R.
+- A filter never sees truth. error = estimate - truth. Costs: lower wins, a failed filter costs ``inf``.
+
+Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point
+scaling (Merwe); z, nu, S, K measurement, innovation, its covariance, gain; w, c1, c2 inertia, cognitive and
+social acceleration of the swarm.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from sigmaswarm.drives.alignment import InitialState, initial_state
+    from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+    from sigmaswarm.drives.reader import read_drive
+    from sigmaswarm.drives.split import clip, split_drives, split_time
+    from sigmaswarm.drives.writer import write_drive
+    from sigmaswarm.errors import (
+        AlignmentError,
+        DriveError,
+        InputError,
+        SigmaswarmError,
+        SigmaswarmWarning,
+    )
+    from sigmaswarm.filters.parameters import FilterParameters
+    from sigmaswarm.filters.presets import datasheet, preset
+    from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
+    from sigmaswarm.filters.run import Estimate, run_filter, run_reference
+    from sigmaswarm.scoring.evaluation import Evaluation, evaluate
+    from sigmaswarm.scoring.score import Score
+    from sigmaswarm.simulation.kinematic import simulate
+    from sigmaswarm.tuning.batch import BatchResult, run_batch
+    from sigmaswarm.tuning.tune import TuneConfig, Tuning, tune
+
+_HOMES = {
+    "drives.alignment": ("InitialState", "initial_state"),
+    "drives.drive": ("Drive", "Gps", "Imu", "Truth"),
+    "drives.reader": ("read_drive",),
+    "drives.split": ("clip", "split_drives", "split_time"),
+    "drives.writer": ("write_drive",),
+    "errors": ("AlignmentError", "DriveError", "InputError", "SigmaswarmError", "SigmaswarmWarning"),
+    "filters.parameters": ("FilterParameters",),
+    "filters.presets": ("datasheet", "preset"),
+    "filters.reference": ("SigmaPoints", "UnscentedKalmanFilter"),
+    "filters.run": ("Estimate", "run_filter", "run_reference"),
+    "scoring.evaluation": ("Evaluation", "evaluate"),
+    "scoring.score": ("Score",),
+    "simulation.kinematic": ("simulate",),
+    "tuning.batch": ("BatchResult", "run_batch"),
+    "tuning.tune": ("TuneConfig", "Tuning", "tune"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "AlignmentError",
+    "BatchResult",
+    "Drive",
+    "DriveError",
+    "Estimate",
+    "Evaluation",
+    "FilterParameters",
+    "Gps",
+    "Imu",
+    "InitialState",
+    "InputError",
+    "Score",
+    "SigmaPoints",
+    "SigmaswarmError",
+    "SigmaswarmWarning",
+    "Truth",
+    "TuneConfig",
+    "Tuning",
+    "UnscentedKalmanFilter",
+    "clip",
+    "datasheet",
+    "evaluate",
+    "initial_state",
+    "preset",
+    "read_drive",
+    "run_batch",
+    "run_filter",
+    "run_reference",
+    "simulate",
+    "split_drives",
+    "split_time",
+    "tune",
+    "write_drive",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: `sigmaswarm --help` must not wait for Numba."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'sigmaswarm' has no attribute {name!r}")
+    value = getattr(import_module(f"sigmaswarm.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,185 @@
+"""Where and how a filter starts: an initial state taken from the drive alone, causally, without truth.
+
+A car's heading can't be seen at standstill, and a GPS fix has none. Once the car has driven some metres,
+its course over ground shows the heading; the gyro takes out the turns and the accelerometer the speed
+changes in between. `initial_state` looks back over the last seconds of fixes and fits, by least squares,
+
+    p(t) = p_i - exp(i theta_i) * integral_t^t_i  v(s) exp(i (psi(s) - psi_i)) ds
+    v(s) = v_i + integral_t_i^s a_x + b (s - t_i)
+
+with positions as complex numbers east + i north, psi the integrated gyro, a_x the forward specific force and
+b what tilt and bias add to it. The unknowns are position p_i, heading theta_i, speed v_i and b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import AlignmentError
+from sigmaswarm.geodesy import wrap_angle
+
+Array = NDArray[np.float64]
+
+MIN_DURATION = 4.0
+"""s of forward travel behind the first usable fix."""
+MAX_DURATION = 6.0
+"""s: older fixes tell little about the heading now, since the gyro's bias adds up."""
+MIN_TRAVEL = 20.0
+"""m of forward travel behind the first usable fix."""
+MAX_HEADING_STD = np.radians(6.0)
+"""rad: a worse fit is not travel but scattered fixes; the next fix is tried."""
+SLIP_STD = np.radians(1.0)
+"""rad: at the IMU a car's course differs from its heading by about this much in ordinary driving."""
+ACCELERATION_BIAS_STD = 0.5
+"""m/s2: tilt and bias of the forward accelerometer, the prior of b."""
+MIN_POSITION_STD = 0.05
+"""m per axis: no fit is believed to be better than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """Where a filter starts.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (5,)
+        x, y (m), vx, vy (m/s), theta (rad).
+    covariance : ndarray, shape (5, 5)
+        Positive definite, of ``mean``.
+    time : float
+        s: the time of the fix that was absorbed last. Filters and scores start here.
+    """
+
+    mean: Array
+    covariance: Array
+    time: float
+
+
+def initial_state(drive: Drive) -> InitialState:
+    """The first moment at which the drive itself tells position, speed and heading.
+
+    The start is the first fix with at least 4 s and 20 m of forward travel behind it. It is found from
+    earlier samples only, so a filter on board could have started at the same moment with the same state.
+
+    Parameters
+    ----------
+    drive : Drive
+        Its truth, if any, is not looked at.
+
+    Raises
+    ------
+    AlignmentError
+        If the car never travels 20 m within 6 s.
+    """
+    # Later code may start a filter only where IMU samples follow.
+    fixes = np.flatnonzero((drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1]))
+    position = drive.gps.x + 1j * drive.gps.y
+    time = drive.gps.time
+    turned, sped = _integrated(drive)
+    for i in fixes:
+        window = fixes[(time[fixes] >= time[i] - MAX_DURATION) & (fixes <= i)]
+        if time[i] - time[window[0]] < MIN_DURATION or len(window) < 4:
+            continue
+        if abs(position[i] - position[window[0]]) < 0.5 * MIN_TRAVEL:  # a cheap look before the fit
+            continue
+        fit = _Fit.of(drive.imu.time, turned, sped, time[window], position[window])
+        if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD:
+            return fit.state()
+    raise AlignmentError(
+        f"{drive.name}: never travels {MIN_TRAVEL:g} m within {MAX_DURATION:g} s, so the heading can't be found; "
+        "use a longer drive, or one that gets up to speed"
+    )
+
+
+def _integrated(drive: Drive) -> tuple[Array, Array]:
+    """Heading change (rad) and speed change (m/s) since the first IMU sample, at the IMU's times."""
+    dt = np.diff(drive.imu.time)
+    turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * dt)])
+    sped = np.concatenate([[0.0], np.cumsum(drive.imu.ax[1:] * dt)])
+    return turned, sped
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``."""
+
+    time: float
+    solution: Array
+    covariance: Array
+    travel: float
+
+    @property
+    def heading_std(self) -> float:
+        return float(np.sqrt(self.covariance[2, 2]))
+
+    @classmethod
+    def of(cls, imu_time: Array, turned: Array, sped: Array, time: Array, position: Array) -> "_Fit":
+        end = time[-1]
+        # The IMU's grid between the first and the last fix, both included.
+        inside = imu_time[(imu_time > time[0]) & (imu_time < end)]
+        grid = np.concatenate([[time[0]], inside, [end]])
+        psi = np.interp(grid, imu_time, turned)
+        gained = np.interp(grid, imu_time, sped)
+        direction = np.exp(1j * (psi - psi[-1]))
+
+        def until_end(integrand: Array) -> Array:
+            """The integral from each fix to the last one (trapezoids)."""
+            pieces = 0.5 * (integrand[1:] + integrand[:-1]) * np.diff(grid)
+            since_start = np.concatenate([[0.0], np.cumsum(pieces)])
+            return since_start[-1] - np.interp(time, grid, since_start)
+
+        g = until_end(direction)  # a metre per second for the whole way
+        t = until_end(direction * (grid - end))  # per unit of b
+        m = until_end(direction * (gained - gained[-1]))  # what the accelerometer saw
+        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, what the speed changes alone add
+        return cls._solve(end, position, g, t, m, float(end - time[0]), coasting)
+
+    @classmethod
+    def _solve(cls, end: float, position: Array, g: Array, t: Array, m: Array, span: float, coasting: float) -> "_Fit":
+        """Gauss-Newton on east, north, theta, v, b."""
+        chord = position[-1] - position[0]
+        theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
+        prior = 1.0 / ACCELERATION_BIAS_STD
+        jacobian, residual = np.empty((2 * len(g) + 1, 5)), np.empty(2 * len(g) + 1)
+        variance = 1.0
+        for _ in range(12):
+            turn = np.exp(1j * theta)
+            way = turn * (v * g + b * t + m)
+            columns = [np.ones_like(g), 1j * np.ones_like(g), -1j * way, -turn * g, -turn * t]
+            for k, column in enumerate(columns):
+                jacobian[:-1, k] = np.concatenate([column.real, column.imag])
+            misfit = position - (p - way)
+            residual[:-1] = np.concatenate([misfit.real, misfit.imag])
+            variance = max(float(residual[:-1] @ residual[:-1]) / (2 * len(g) - 4), MIN_POSITION_STD**2)
+            jacobian[-1] = [0, 0, 0, 0, prior * np.sqrt(variance)]
+            residual[-1] = -b * prior * np.sqrt(variance)
+            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            p, theta, v, b = p + step[0] + 1j * step[1], theta + step[2], v + step[3], b + step[4]
+            if np.max(np.abs(step)) < 1e-10:
+                break
+        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+        travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
+        return cls(end, np.array([p.real, p.imag, theta, v, b]), covariance, float(travel) if v > 0 else 0.0)
+
+    def state(self) -> InitialState:
+        east, north, theta, v, _ = self.solution
+        c, s = np.cos(theta), np.sin(theta)
+        # (east, north, theta, v) and a slip angle of its own -> (x, y, vx, vy, theta)
+        jacobian = np.array(
+            [
+                [1, 0, 0, 0, 0],
+                [0, 1, 0, 0, 0],
+                [0, 0, -v * s, c, 0],
+                [0, 0, v * c, s, 0],
+                [0, 0, 1, 0, -1],
+            ]
+        )
+        inner = np.zeros((5, 5))
+        inner[:4, :4] = self.covariance[:4, :4]
+        inner[[0, 1], [0, 1]] += MIN_POSITION_STD**2
+        inner[4, 4] = SLIP_STD**2
+        covariance = jacobian @ inner @ jacobian.T
+        mean = np.array([east, north, v * c, v * s, wrap_angle(float(theta))])
+        return InitialState(mean, 0.5 * (covariance + covariance.T), self.time)

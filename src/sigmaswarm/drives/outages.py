@@ -1,0 +1,140 @@
+"""Artificial GPS outages: windows of time whose fixes a filter does not get to see.
+
+Windows are arrays of shape (k, 2): the start and end of each in s.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import InputError
+
+SECONDS_PER_OUTAGE = 15.0
+"""s of driving for which ``random_windows`` draws one window, unless told a count."""
+
+
+def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
+    """Which fixes fall into an outage, both ends included.
+
+    Drift is judged at a window's end, and before any new fix: hence a fix right there is hidden too.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        s, of the fixes.
+    windows : array_like, shape (k, 2)
+        s.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    t = np.asarray(time, dtype=np.float64)[:, None]
+    w = _checked(windows)
+    return np.any((t >= w[:, 0]) & (t <= w[:, 1]), axis=1)
+
+
+def hide_fixes(drive: Drive, windows: ArrayLike) -> Drive:
+    """The same drive without the fixes inside the windows (k, 2), s."""
+    return replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
+
+
+def random_windows(
+    start: float,
+    end: float,
+    rng: np.random.Generator,
+    *,
+    length: float | tuple[float, float] = (3.0, 5.0),
+    first_after: float = 10.0,
+    apart: float = 5.0,
+    count: int | None = None,
+) -> Array:
+    """Draw outages between ``start`` and ``end``, uniformly among all placements that keep the distances.
+
+    Parameters
+    ----------
+    start, end : float
+        s.
+    rng : numpy.random.Generator
+        Draws lengths, then places.
+    length : float or (float, float)
+        s, of each window, or the range from which each draws its own.
+    first_after : float
+        s from ``start`` to the first window at least.
+    apart : float
+        s from one window's end to the next one's start at least.
+    count : int, optional
+        How many at most: as many as fit. By default one per 15 s of what is available, at least one.
+
+    Returns
+    -------
+    ndarray, shape (k, 2)
+        s, in order of time; shape (0, 2) where not one fits.
+    """
+    shortest, longest = length if isinstance(length, tuple) else (length, length)
+    if not (0 < shortest <= longest and first_after >= 0 and apart >= 0):
+        raise InputError(
+            f"outages of length {length} s, first_after {first_after:g} s, apart {apart:g} s can't be drawn; "
+            "use a positive length (shortest first) and distances of 0 or more"
+        )
+    available = end - start - first_after
+    wanted = max(round(available / SECONDS_PER_OUTAGE), 1) if count is None else count
+    lengths = rng.uniform(shortest, longest, max(wanted, 0))
+    # packed as tightly as allowed, each window starts and ends so long after the earliest moment
+    ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
+    fitting = int(np.count_nonzero(ends <= available))
+    ends, lengths = ends[:fitting], lengths[:fitting]
+    # what time remains is dealt out by sorted uniforms: every division of it is equally likely
+    slack = np.sort(rng.uniform(0.0, available - ends[-1], fitting)) if fitting else ends
+    ends = np.minimum(start + first_after + slack + ends, end)
+    return np.stack([ends - lengths, ends], axis=1)
+
+
+def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
+    """Shift windows so that each ends exactly on an IMU sample, where a filter's estimate is to be had.
+
+    Each moves later, its length unchanged, to the first sample at or after its end; farther where it would
+    else come closer than ``apart`` to the one before. So the first keeps its distance from the start. A
+    window that would end after the last sample moves earlier, onto that sample; where this brings it too
+    close to the one before, it and all later ones are left out.
+
+    Parameters
+    ----------
+    windows : array_like, shape (k, 2)
+        s, in order of time.
+    imu_time : array_like, shape (n,)
+        s, increasing.
+    apart : float
+        s from one window's end to the next one's start at least.
+
+    Returns
+    -------
+    ndarray, shape (k or fewer, 2)
+        s.
+    """
+    samples = np.asarray(imu_time, dtype=np.float64)
+    snapped: list[list[float]] = []
+    free = -np.inf  # s, from where on the next window may start
+    rows: list[list[float]] = _checked(windows).tolist()
+    for start, end in rows:
+        length = end - start
+        i = min(int(np.searchsorted(samples, max(end, free + length))), len(samples) - 1)
+        if samples[i] < free + length:
+            break  # nor is there room for later ones
+        snapped.append([samples[i] - length, samples[i]])
+        free = samples[i] + apart
+    return _checked(snapped)
+
+
+def _checked(windows: ArrayLike) -> Array:
+    """Windows as an array (k, 2), each with its start before its end."""
+    w = np.asarray(windows, dtype=np.float64)
+    if w.size == 0:
+        return np.empty((0, 2))
+    if w.ndim != 2 or w.shape[1] != 2 or not np.all(w[:, 0] <= w[:, 1]):
+        raise InputError(
+            f"outage windows of shape {w.shape} need shape (k, 2), each a start and a later end in s"
+        )
+    return w

@@ -1,0 +1,91 @@
+"""Splitting into training and test drives: by whole drives, or by time within one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import DriveError, InputError
+
+
+def split_drives(
+    drives: Sequence[Drive], train_fraction: float = 0.7, *, rng: np.random.Generator
+) -> tuple[list[Drive], list[Drive]]:
+    """Draw whole drives for training and leave the rest for testing, each part in the given order.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        At least two, so that each part gets one.
+    train_fraction : float
+        Of the number of drives, in (0, 1).
+    rng : numpy.random.Generator
+        Draws which.
+    """
+    _require_fraction(train_fraction)
+    if len(drives) < 2:
+        raise InputError(f"{len(drives)} drive can't be split; give at least 2, or split one by time")
+    count = min(max(round(train_fraction * len(drives)), 1), len(drives) - 1)
+    chosen = set(rng.permutation(len(drives))[:count].tolist())
+    train = [drive for i, drive in enumerate(drives) if i in chosen]
+    return train, [drive for i, drive in enumerate(drives) if i not in chosen]
+
+
+def split_time(drive: Drive, train_fraction: float = 0.7) -> tuple[Drive, Drive]:
+    """Split one long drive in time: ``<name>-train`` is its first part, ``<name>-test`` the rest.
+
+    Parameters
+    ----------
+    drive : Drive
+        Stays as it is.
+    train_fraction : float
+        Of the drive's duration, in (0, 1).
+    """
+    _require_fraction(train_fraction)
+    cut = drive.imu.time[0] + train_fraction * drive.duration
+    return clip(drive, end=cut, name=f"{drive.name}-train"), clip(drive, start=cut, name=f"{drive.name}-test")
+
+
+def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
+    """The part of a drive with start <= t < end (s): two clips that meet share no sample.
+
+    Parameters
+    ----------
+    drive : Drive
+        Stays as it is.
+    start, end : float
+        s on the drive's clock.
+    name : str, optional
+        Of the part; by default the drive's own.
+
+    Raises
+    ------
+    DriveError
+        Fewer than two IMU samples are left.
+    """
+
+    def inside(time: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        return (time >= start) & (time < end)
+
+    imu = drive.imu.select(inside(drive.imu.time))
+    if len(imu) < 2:
+        span = f"t = {drive.imu.time[0]:g} to {drive.imu.time[-1]:g} s"
+        raise DriveError(
+            f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
+        )
+    truth = drive.truth and drive.truth.select(inside(drive.truth.time))
+    return replace(
+        drive,
+        name=drive.name if name is None else name,
+        imu=imu,
+        gps=drive.gps.select(inside(drive.gps.time)),
+        truth=truth or None,  # a table without rows is no truth
+    )
+
+
+def _require_fraction(train_fraction: float) -> None:
+    if not 0 < train_fraction < 1:
+        raise InputError(
+            f"train_fraction = {train_fraction:g} leaves one part empty; choose it between 0 and 1"
+        )

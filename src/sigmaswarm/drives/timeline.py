@@ -1,0 +1,73 @@
+"""The merged time line: which step a filter takes when, and what it absorbs at the step's end.
+
+The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
+driven by the same sample, and is absorbed at its own time. Each step uses its true dt. Process noise is the
+variance added per nominal interval (the median) and scales with dt / nominal, so over a gap in the IMU's
+samples it grows with the gap's length.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+
+__all__ = ["Timeline", "build_timeline"]
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """The steps of a filter over one drive.
+
+    Attributes
+    ----------
+    start : s
+    dt : (k,) s
+    ax, ay, gz : (k,) m/s2, m/s2, rad/s: the sample that drives each step
+    q_scale : (k,) dt / nominal interval of the drive
+    absorbs : (k,) bool: a fix is absorbed at the step's end
+    sampled : (k,) bool: the step ends at an IMU sample's time
+    fixes : (f, 2) m east, north, in the order in which steps absorb them
+    fix_time : (f,) s
+    imu_time : (n,) s, the IMU's times after the start
+    nominal_interval : s
+    """
+
+    start: float
+    dt: Array
+    ax: Array
+    ay: Array
+    gz: Array
+    q_scale: Array
+    absorbs: NDArray[np.bool_]
+    sampled: NDArray[np.bool_]
+    fixes: Array
+    fix_time: Array
+    imu_time: Array
+    nominal_interval: float
+
+
+def build_timeline(drive: Drive, start: float) -> Timeline:
+    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out."""
+    imu = drive.imu.time[drive.imu.time > start]
+    usable = (drive.gps.time > start) & (drive.gps.time <= drive.imu.time[-1])
+    fix_time = drive.gps.time[usable]
+    ends = np.union1d(imu, fix_time)
+    sample = np.searchsorted(drive.imu.time, ends, side="left")  # the first sample at or after the step's end
+    dt = np.diff(ends, prepend=start)
+    nominal = drive.nominal_interval
+    return Timeline(
+        start=start,
+        dt=dt,
+        ax=drive.imu.ax[sample],
+        ay=drive.imu.ay[sample],
+        gz=drive.imu.gz[sample],
+        q_scale=dt / nominal,
+        absorbs=np.isin(ends, fix_time),
+        sampled=np.isin(ends, imu),
+        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable]]),
+        fix_time=fix_time,
+        imu_time=imu,
+        nominal_interval=nominal,
+    )

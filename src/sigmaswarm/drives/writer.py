@@ -1,0 +1,105 @@
+"""Writing a drive's folder, whole or not at all."""
+
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import tomli_w
+
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.errors import DriveError
+
+FILES = frozenset({"imu.csv", "gps.csv", "truth.csv", "drive.toml"})
+"""All that a drive's folder may hold for ``write_drive`` to replace it."""
+
+
+def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> Path:
+    """Write a drive as a folder that ``read_drive`` reads back to the same bits.
+
+    The same drive gives the same bytes. The folder is written beside its place and then renamed, so that
+    nobody ever finds half a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        Of a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again.
+    path : str or Path
+        The folder to make, with its parents.
+    overwrite : bool
+        Replace a drive that is there already.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    DriveError
+        Something is there already, or the drive holds what the files can't.
+    """
+    folder = Path(path).resolve()  # "." has no name to rename
+    _require_replaceable(folder, overwrite)
+    texts = _texts(drive, folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as name:
+        staging = Path(name)
+        new, old = staging / "new", staging / "old"
+        new.mkdir()
+        for file, text in texts.items():
+            (new / file).write_bytes(text.encode())
+        if folder.exists():
+            folder.rename(old)
+        new.rename(folder)
+    return folder
+
+
+def _require_replaceable(folder: Path, overwrite: bool) -> None:
+    """Refuse to touch anything but an empty place or, if so told, a folder with only a drive in it."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise DriveError(f"{folder} is a file; name another folder to write the drive to")
+    held = {entry.name for entry in folder.iterdir()}
+    if held and not overwrite:
+        raise DriveError(f"{folder} exists and is not empty; name another folder, or allow overwriting")
+    if foreign := held - FILES:
+        raise DriveError(
+            f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"
+        )
+
+
+def _texts(drive: Drive, folder: Path) -> dict[str, str]:
+    """The text of each file of the drive's folder, by the file's name."""
+    wgs84 = drive.frame == "wgs84"
+    if wgs84 and (drive.gps.lat is None or drive.gps.lon is None or drive.origin is None):
+        raise DriveError(
+            f'{folder}: a drive in frame "wgs84" needs gps.lat, gps.lon and origin; set them or "enu"'
+        )
+    about: dict[str, Any] = {"name": drive.name, "frame": drive.frame, "origin": drive.origin}
+    about |= {key: value for key, value in drive.metadata.items() if key not in about}
+    if drive.origin is None:
+        del about["origin"]  # TOML has no null
+    try:
+        description = tomli_w.dumps(about)
+    except TypeError as error:
+        raise DriveError(
+            f"{folder / 'drive.toml'}: TOML can't hold the metadata: {error}; change it"
+        ) from None
+    tables = {"imu": drive.imu, "gps": drive.gps, "truth": drive.truth}
+    unwritten = {"gps": {"x", "y"}} if wgs84 else {}
+    texts = {
+        f"{k}.csv": _csv(table, unwritten.get(k, set())) for k, table in tables.items() if table is not None
+    }
+    return {"drive.toml": description, **texts}
+
+
+def _csv(table: Imu | Gps | Truth, unwritten: set[str]) -> str:
+    """A table's columns that are there, with the fewest digits that keep every bit."""
+    names = sorted((f.name for f in fields(table)), key="gz".__eq__)  # stable: the format has gz last
+    columns = {name: getattr(table, name) for name in names if name not in unwritten}
+    return pl.DataFrame(
+        {"t" if k == "time" else k: v for k, v in columns.items() if v is not None}
+    ).write_csv()

@@ -1,0 +1,24 @@
+"""IMU-only dead reckoning: Newton's equations from the start, no fix after it."""
+
+import numpy as np
+
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.run import Estimate
+from sigmaswarm.geodesy import wrap_angle
+
+
+def run_imu_only(drive: Drive, *, initial: InitialState | None = None) -> Estimate:
+    """Integrate the IMU from the same start as every filter; the same steps as `models.planar5`."""
+    initial = initial or initial_state(drive)
+    line = build_timeline(drive, initial.time)
+    x, y, vx, vy, theta = initial.mean
+    heading = theta + np.cumsum(line.gz * line.dt)
+    before = np.concatenate([[theta], heading[:-1]])
+    a = (line.ax + 1j * line.ay) * np.exp(1j * before)  # m/s2, east + i north
+    v = vx + 1j * vy + np.cumsum(a * line.dt)
+    v_before = np.concatenate([[vx + 1j * vy], v[:-1]])
+    p = x + 1j * y + np.cumsum(v_before * line.dt + a * line.dt**2 / 2)
+    mean = np.column_stack([p.real, p.imag, v.real, v.imag, wrap_angle(heading)])[line.sampled]
+    return Estimate(line.imu_time, mean, np.empty(0), initial)

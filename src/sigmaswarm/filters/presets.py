@@ -1,0 +1,62 @@
+"""The manually tuned UKFs that a tuning has to beat. The paper says "default parameters" and gives none.
+
+Three presets stand for what people do by hand:
+
+``defaults``
+    What people start with: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
+``datasheet``
+    What a careful engineer writes: R from the receiver's stated accuracy, Q from the IMU's noise density.
+    Where the drive states neither, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
+``paper``
+    The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.filters.parameters import FilterParameters
+
+PresetName = Literal["defaults", "datasheet", "paper"]
+
+DEFAULTS = FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2)
+PAPER = FilterParameters(0.03, 2.5, 0.48, (2.0,) * 5, (0.1,) * 2)
+
+UNSTATED_GPS_STD = 2.1
+"""m per axis: u-blox M8, 2.5 m CEP."""
+MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
+"""m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
+MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
+"""rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
+
+
+def datasheet(drive: Drive) -> FilterParameters:
+    """What a careful engineer writes from the data sheets of a drive's sensors.
+
+    The receiver's stated standard deviation is the median over the fixes, else ``gps_std_m`` of drive.toml;
+    the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and ``gyro_noise_density``
+    (rad/s/sqrt(Hz)) of drive.toml.
+    """
+    gps, stated = drive.gps, drive.metadata
+    std = float(stated.get("gps_std_m", UNSTATED_GPS_STD))
+    std_x = std if gps.std_x is None else float(np.median(gps.std_x))
+    std_y = std if gps.std_y is None else float(np.median(gps.std_y))
+    accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY))
+    gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY))
+    dt = drive.nominal_interval
+    # White noise of density s over one step: s^2 dt in velocity and heading, s^2 dt^3 / 3 in position.
+    q_position, q_velocity, q_heading = accel**2 * dt**3 / 3, accel**2 * dt, gyro**2 * dt
+    return FilterParameters(
+        DEFAULTS.alpha,
+        DEFAULTS.beta,
+        DEFAULTS.kappa,
+        (q_position, q_position, q_velocity, q_velocity, q_heading),
+        (std_x**2, std_y**2),
+        nominal_interval=dt,
+    )
+
+
+def preset(name: PresetName, drive: Drive) -> FilterParameters:
+    """The manual parameters of that name for a drive."""
+    return {"defaults": DEFAULTS, "paper": PAPER}.get(name) or datasheet(drive)

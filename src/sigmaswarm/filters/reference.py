@@ -1,0 +1,153 @@
+"""The unscented Kalman filter as the textbook has it, in NumPy: slow, general, and easy to check.
+
+State order, semantics of predict and update, and weights are those of FilterPy 2.0.0. It runs any process
+``f(state, dt, u)`` and measurement ``h(state)``; `kernels.py` holds the compiled form of one of them.
+
+References
+----------
+S. J. Julier and J. K. Uhlmann, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), 2004.
+R. van der Merwe, Sigma-point Kalman filters for probabilistic inference in dynamic state-space models, 2004.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.errors import SigmaswarmError
+
+Array = NDArray[np.float64]
+Process = Callable[[Array, float, Array], Array]
+Measurement = Callable[[Array], Array]
+
+
+class NotPositiveDefiniteError(SigmaswarmError):
+    """The covariance has no square root any more: the filter has failed."""
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """Merwe's scaled sigma points.
+
+    Attributes
+    ----------
+    alpha, beta, kappa : float
+        Scaling (dimensionless).
+    first : sequence of int
+        States whose columns of the square root of P come first. Every square root of P is a right one, and
+        each gives other sigma points. Empty: plain Cholesky in state order, as in FilterPy.
+    """
+
+    alpha: float
+    beta: float
+    kappa: float
+    first: Sequence[int] = ()
+
+    def weights(self, n: int) -> tuple[Array, Array]:
+        """Weights for the mean and for the covariance, each of shape (2n + 1,)."""
+        lambda_ = self.alpha**2 * (n + self.kappa) - n
+        wm = np.full(2 * n + 1, 0.5 / (n + lambda_))
+        wc = wm.copy()
+        wm[0] = lambda_ / (n + lambda_)
+        wc[0] = wm[0] + 1 - self.alpha**2 + self.beta
+        return wm, wc
+
+    def draw(self, mean: Array, covariance: Array) -> Array:
+        """The points, shape (2n + 1, n): centre, centre plus each column of the root, centre minus each."""
+        n = len(mean)
+        gamma = np.sqrt(self.alpha**2 * (n + self.kappa))
+        columns = gamma * square_root(covariance, self.first).T
+        return np.vstack([mean, mean + columns, mean - columns])
+
+
+def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
+    """A matrix L with L L^T = P: the Cholesky factor with the states ``first`` put first, shape (n, n)."""
+    n = len(covariance)
+    order = [*first, *(i for i in range(n) if i not in first)]
+    try:
+        factor = np.linalg.cholesky(covariance[np.ix_(order, order)])
+    except np.linalg.LinAlgError:
+        raise NotPositiveDefiniteError(
+            "the covariance is not positive definite: the filter has failed; "
+            "are all process and measurement variances positive?"
+        ) from None
+    root = np.empty_like(factor)
+    root[order] = factor
+    return root
+
+
+class UnscentedKalmanFilter:
+    """An unscented Kalman filter for any process and measurement.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(state, dt, u) -> state``, arrays of shape (n,).
+    h : callable
+        ``h(state) -> measurement``, shapes (n,) to (m,).
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Where it starts.
+    points : SigmaPoints
+    redraw_sigma_points : bool
+        Draw new sigma points after Q is added (FilterPy 2.0.0). False: push the propagated ones through h
+        (FilterPy 1.4.5, what the paper most likely ran).
+    angles : sequence of int
+        States that are angles. Their differences from the centre point are wrapped before they are averaged:
+        a circular mean would not do, since the centre's weight is hugely negative for a small alpha.
+
+    Attributes
+    ----------
+    mean, covariance : ndarray
+        x and P, after the last call.
+    innovation, innovation_covariance : ndarray
+        nu and S of the last update.
+    """
+
+    def __init__(
+        self,
+        f: Process,
+        h: Measurement,
+        mean: Array,
+        covariance: Array,
+        points: SigmaPoints,
+        *,
+        redraw_sigma_points: bool = True,
+        angles: Sequence[int] = (),
+    ) -> None:
+        self.f, self.h, self.points = f, h, points
+        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
+        self.redraw_sigma_points = redraw_sigma_points
+        self.angles = list(angles)
+        self.innovation: Array = np.empty(0)
+        self.innovation_covariance: Array = np.empty((0, 0))
+        self._propagated: Array | None = None
+
+    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
+        """Push the state through ``f`` over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
+        wm, wc = self.points.weights(len(self.mean))
+        sigmas = np.array([self.f(s, dt, u) for s in self.points.draw(self.mean, self.covariance)])
+        offsets = sigmas - sigmas[0]
+        offsets[:, self.angles] = np.pi - np.mod(np.pi - offsets[:, self.angles], 2 * np.pi)
+        shift = wm @ offsets  # the weights add up to one, so this is the mean seen from the centre
+        spread = offsets - shift
+        self.mean = sigmas[0] + shift
+        self.covariance = (spread.T * wc) @ spread + process_noise
+        self._propagated = sigmas[0] + offsets
+
+    def update(self, measurement: Array, measurement_noise: Array) -> None:
+        """Absorb a measurement, shape (m,), whose noise covariance R has shape (m, m)."""
+        wm, wc = self.points.weights(len(self.mean))
+        sigmas = self._propagated
+        if self.redraw_sigma_points or sigmas is None:
+            sigmas = self.points.draw(self.mean, self.covariance)
+        predicted = np.array([self.h(s) for s in sigmas])
+        centre = wm @ (predicted - predicted[0]) + predicted[0]
+        spread_z = predicted - centre
+        spread_x = sigmas - self.mean
+        s = (spread_z.T * wc) @ spread_z + measurement_noise
+        gain = np.linalg.solve(s, ((spread_x.T * wc) @ spread_z).T).T  # K = Pxz S^-1
+        self.innovation, self.innovation_covariance = measurement - centre, s
+        self.mean = self.mean + gain @ self.innovation
+        self.covariance = self.covariance - gain @ s @ gain.T
+        self._propagated = None

@@ -1,0 +1,85 @@
+"""Errors against truth: the plain definitions, in NumPy, for one estimate.
+
+error = estimate - truth, at truth times from the start common to all methods (`InitialState.time`) to the last
+IMU sample, the estimate linearly interpolated to the truth time. `targets.py` feeds the same definitions to
+the compiled batch; tests hold the two together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.run import Estimate
+from sigmaswarm.geodesy import wrap_angle
+
+HEADING_COUNTS_ABOVE = 2.0
+"""m/s: below this true speed the heading error is not scored."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How wrong a method was on one drive; NaN where it can't be said.
+
+    Attributes
+    ----------
+    position_rmse : m, sqrt(mean(ex^2 + ey^2)) at truth times
+    heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
+    outage_drift : m, RMS over windows without fixes of the position error at the window's end
+    fix_rmse : m, RMS residual of the fixes after they were absorbed (the paper's equation 4)
+    mean_nis : mean of nu^T S^-1 nu over the fixes; 2 where the covariance is right
+    failed : bool
+    """
+
+    position_rmse: float = float("nan")
+    heading_rmse: float = float("nan")
+    outage_drift: float = float("nan")
+    fix_rmse: float = float("nan")
+    mean_nis: float = float("nan")
+    failed: bool = False
+
+
+def scored_truth(truth: Truth, start: float, end: float) -> Truth:
+    """The rows of truth that are scored, start and end included."""
+    return truth.select((truth.time >= start) & (truth.time <= end))
+
+
+def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
+    """True x and y (m), linearly interpolated; NaN outside the truth's time."""
+    x = np.interp(time, truth.time, truth.x, left=np.nan, right=np.nan)
+    y = np.interp(time, truth.time, truth.y, left=np.nan, right=np.nan)
+    return x, y
+
+
+def score_estimate(drive: Drive, estimate: Estimate) -> Score:
+    """Position and heading error of an estimate; NaN without truth or after a failure."""
+    if drive.truth is None:
+        return Score(failed=estimate.failure is not None)
+    truth = scored_truth(drive.truth, estimate.initial.time, estimate.time[-1])
+    time = np.concatenate([[estimate.initial.time], estimate.time])
+    mean = np.vstack([estimate.initial.mean, estimate.mean])
+    x, y, theta = (
+        np.interp(truth.time, time, column) for column in (mean[:, 0], mean[:, 1], np.unwrap(mean[:, THETA]))
+    )
+    wrong = wrap_angle(theta - truth.theta)[np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE]
+    return Score(
+        position_rmse=_rms(np.hypot(x - truth.x, y - truth.y)),
+        heading_rmse=_rms(wrong),
+        failed=estimate.failure is not None,
+    )
+
+
+def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
+    """Position error of the fixes themselves, at fix times from the common start on."""
+    if drive.truth is None:
+        return Score()
+    gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
+    x, y = truth_at(drive.truth, gps.time)
+    error = np.hypot(gps.x - x, gps.y - y)
+    return Score(position_rmse=_rms(error[np.isfinite(error)]))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

@@ -1,0 +1,71 @@
+"""What the compiled batch compares its estimates with: truth along the drive, or at the end of outages."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.outages import hide_fixes, random_windows, snap_ends
+from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.filters.batch import Replay, Targets
+from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
+
+OUTAGE_LENGTH = 5.0
+"""s without fixes, after which the drift is measured."""
+OUTAGE_FIRST_AFTER = 10.0
+"""s from the start to the first outage, at least."""
+OUTAGE_APART = 5.0
+"""s between outages, at least."""
+
+
+def tracking_replay(drive: Drive, initial: InitialState) -> Replay:
+    """All fixes, compared with truth wherever truth is known."""
+    timeline = build_timeline(drive, initial.time)
+    return Replay(timeline, initial, _truth_targets(drive, timeline))
+
+
+def outage_replay(
+    drive: Drive, initial: InitialState, *, length: float = OUTAGE_LENGTH, seed: int = 0
+) -> Replay:
+    """Fixes hidden in seeded windows; compared with truth (without truth: with the fixes) at their ends."""
+    windows = outage_windows(drive, initial, length=length, seed=seed)
+    timeline = build_timeline(hide_fixes(drive, windows), initial.time)
+    ends = windows[:, 1]
+    reference = drive.gps if drive.truth is None else drive.truth
+    x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
+    rows = np.column_stack([np.ones_like(ends), x, y, np.zeros((len(ends), 2))])
+    return Replay(timeline, initial, Targets(rows, _end(timeline, ends)))
+
+
+def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: int) -> Array:
+    """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0."""
+    last = drive.imu.time[-1]
+    if drive.truth is not None:
+        last = min(last, drive.truth.time[-1])
+    windows = random_windows(
+        initial.time,
+        float(last),
+        np.random.default_rng(seed),
+        length=length,
+        first_after=OUTAGE_FIRST_AFTER,
+        apart=OUTAGE_APART,
+    )
+    return snap_ends(windows, drive.imu.time)
+
+
+def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
+    if drive.truth is None:
+        return Targets.none(timeline)
+    truth = scored_truth(drive.truth, timeline.start, timeline.imu_time[-1])
+    nodes = np.concatenate([[timeline.start], timeline.imu_time])
+    later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
+    weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
+    counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
+    rows = np.column_stack([weight, truth.x, truth.y, truth.theta, counts])
+    return Targets(rows, _end(timeline, truth.time))
+
+
+def _end(timeline: Timeline, times: Array) -> NDArray[np.int64]:
+    """How many of the moments lie before the end of each step; counted when an IMU sample is reached."""
+    done = np.searchsorted(times, timeline.imu_time, side="right")
+    return np.concatenate([[0], done])[np.cumsum(timeline.sampled)].astype(np.int64)

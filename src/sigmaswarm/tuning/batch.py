@@ -1,0 +1,90 @@
+"""`run_batch`: many parameter sets on many drives in one call."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.score import Score
+from sigmaswarm.tuning.objectives import Objective, objective_named
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """Costs and scores of a batch.
+
+    Attributes
+    ----------
+    costs : ndarray, shape (n_sets,)
+        Of the objective; ``inf`` for a set that failed on any drive.
+    scores : tuple of tuple of Score
+        ``scores[i][j]``: set i on drive j.
+    failed : ndarray of bool, shape (n_sets,)
+        Where a covariance lost its definiteness or something became NaN.
+    """
+
+    costs: Array
+    scores: tuple[tuple[Score, ...], ...]
+    failed: NDArray[np.bool_]
+
+
+def run_batch(
+    drives: Sequence[Drive] | Drive,
+    parameter_sets: Sequence[FilterParameters],
+    *,
+    objective: str = "truth-rmse",
+    outage_seed: int = 0,
+    executor: Executor | None = None,
+) -> BatchResult:
+    """Run every parameter set over every drive and score it.
+
+    A set that fails is marked and costs ``inf``; it changes nothing for the others.
+
+    Parameters
+    ----------
+    drives : Drive or sequence of Drive
+    parameter_sets : sequence of FilterParameters
+    objective : str
+        A name in `OBJECTIVES`.
+    outage_seed : int
+        Places the outages, where the objective has them.
+    executor : concurrent.futures.Executor, optional
+        Shares the work; threads on all cores by default. The result's bits do not depend on it.
+
+    Raises
+    ------
+    InputError
+        If the objective is unknown, or needs truth that a drive does not have.
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    """
+    drives = [drives] if isinstance(drives, Drive) else list(drives)
+    goal = objective_named(objective)
+    check_drives(drives, goal)
+    replayer = Replayer(drives, outages=goal.needs_outages, outage_seed=outage_seed)
+    if executor is None:
+        with ThreadPoolExecutor() as pool:
+            scores = replayer.scores(parameter_sets, pool)
+    else:
+        scores = replayer.scores(parameter_sets, executor)
+    sets = range(len(parameter_sets))
+    each = tuple(tuple(scores[i, j] for j in range(len(drives))) for i in sets)
+    return BatchResult(goal.costs(scores), each, scores.failed.any(axis=1))
+
+
+def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
+    """Raise `InputError` where the objective can't be computed on the drives."""
+    if not drives:
+        raise InputError("no drives were given; name at least one drive folder")
+    missing = [drive.name for drive in drives if drive.truth is None]
+    if objective.needs_truth and missing:
+        raise InputError(
+            f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
+            "add truth.csv, leave the drive out, or use --objective gps-rmse"
+        )

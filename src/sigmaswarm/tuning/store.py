@@ -1,0 +1,144 @@
+"""Results on disk: whole or not at all, the same bytes for the same result, and resumable in between.
+
+A folder of results holds
+
+    config.json          what was asked for and on which data; a resumed run must ask for the same
+    checkpoint-000.npz   the optimizer's whole state after the last generation, while a trial runs
+    trial-000/           result.json and history.npz of a finished trial
+    tuning.toml          the best trial's filter, once all trials are done
+"""
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that no reader, and no crash, ever sees a part of it."""
+    part = path.with_name(f".{path.name}.part")
+    with part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON with every bit of its floats."""
+    write_whole(path, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
+    """Save arrays, and notes that JSON can hold, as one file."""
+    part = path.with_name(f".{path.stem}.part.npz")
+    with part.open("wb") as file:
+        np.savez(file, **arrays, notes=json.dumps(notes))
+        file.flush()
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Arrays and notes, or None where nothing was saved.
+
+    Raises
+    ------
+    InputError
+        If the file is there but can't be read.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        return arrays, json.loads(str(arrays.pop("notes")))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: not a readable checkpoint ({error}); delete it to redo this trial") from None
+
+
+def _short(key: str, config: dict[str, Any]) -> str:
+    value = config.get(key)
+    if key == "data" and isinstance(value, list):
+        return "the drives " + ", ".join(f"{d['name']} ({d['sha256'][:8]})" for d in value)
+    return f"{key} = {value}"
+
+
+class ResultFolder:
+    """The folder in which a tuning keeps its results.
+
+    Parameters
+    ----------
+    path : Path
+        Made if missing.
+    config : dict
+        The effective configuration; JSON types only.
+    resume : bool
+        Go on with what the folder holds, if it was made by the same configuration.
+
+    Raises
+    ------
+    InputError
+        If the folder holds another tuning, or results that ``resume`` was not given for.
+    """
+
+    def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{path}: can't be made a folder ({error.strerror}); choose another --out") from None
+        config_file = path / "config.json"
+        if config_file.exists():
+            self._check(config_file, config, resume)
+        else:
+            write_json(config_file, config)
+
+    @staticmethod
+    def _check(config_file: Path, config: dict[str, Any], resume: bool) -> None:
+        if not resume:
+            raise InputError(
+                f"{config_file.parent}: already holds a tuning; add --resume to go on with it, "
+                "or choose another --out"
+            )
+        try:
+            saved = json.loads(config_file.read_text())
+        except ValueError:
+            raise InputError(f"{config_file}: not readable JSON; choose another --out") from None
+        wanted = json.loads(json.dumps(config))
+        for key in sorted(saved.keys() | wanted.keys()):
+            if saved.get(key) != wanted.get(key):
+                raise InputError(
+                    f"{config_file}: was started with {_short(key, saved)}, now asked for {_short(key, wanted)}; "
+                    "repeat the first command, or choose another --out"
+                )
+
+    def checkpoint(self, trial: int) -> Path:
+        """Where a running trial saves its state."""
+        return self.path / f"checkpoint-{trial:03d}.npz"
+
+    def finished(self, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+        """Result and history of a trial that is done, else None."""
+        folder = self.path / f"trial-{trial:03d}"
+        if not folder.exists():
+            return None
+        with np.load(folder / "history.npz", allow_pickle=False) as file:
+            history = {name: file[name] for name in file.files}
+        return json.loads((folder / "result.json").read_text()), history
+
+    def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
+        """Keep a trial's result, then drop its checkpoint."""
+        folder = self.path / f"trial-{trial:03d}"
+        part = self.path / f".{folder.name}.part"
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir()
+        write_json(part / "result.json", result)
+        np.savez(part / "history.npz", **history)
+        if not folder.exists():
+            part.replace(folder)
+        self.checkpoint(trial).unlink(missing_ok=True)
