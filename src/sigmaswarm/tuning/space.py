@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -29,50 +30,60 @@ class SearchSpace:
     model : str
     names : tuple of str
         alpha, beta, kappa, one q per state, one r per measurement.
-    low, high : ndarray, shape (d,)
-        Bounds in search coordinates: log10 of the value where ``logarithmic``.
+    lowest, highest : ndarray, shape (d,)
+        Bounds of the parameters themselves.
     logarithmic : ndarray of bool, shape (d,)
+        Which of them are searched in log10.
     nominal_interval : float or None
         s: the interval that Q refers to, passed on to the parameters.
     """
 
     model: ModelName
     names: tuple[str, ...]
-    low: Array
-    high: Array
-    logarithmic: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    lowest: Array
+    highest: Array
+    logarithmic: NDArray[np.bool_]
     nominal_interval: float | None = None
 
+    @property
+    def low(self) -> Array:
+        """Lower bounds in search coordinates, shape (d,)."""
+        return self._encode(self.lowest)
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds in search coordinates, shape (d,)."""
+        return self._encode(self.highest)
+
     def decode(self, points: Array) -> list[FilterParameters]:
-        """Parameters of points in the box, shape (n, d)."""
+        """Parameters of points in the box, shape (n, d), in search coordinates."""
         n = len(STATE_NAMES[self.model])
-        values = self._values(points)
+        powers = 10.0 ** np.where(self.logarithmic, points, 0.0)
+        # 10**-5.0 is a last bit away from 1e-5: clip, so that nothing lies outside the box.
+        values = np.clip(np.where(self.logarithmic, powers, points), self.lowest, self.highest)
         return [
             FilterParameters(
-                float(v[0]),
-                float(v[1]),
-                float(v[2]),
-                tuple(v[3 : 3 + n].tolist()),
-                tuple(v[3 + n :].tolist()),
-                self.model,
+                *v[:3],
+                process_noise=v[3 : 3 + n],
+                measurement_noise=v[3 + n :],
+                model=self.model,
                 nominal_interval=self.nominal_interval,
             )
-            for v in values
+            for v in values.tolist()
         ]
 
     def touched(self, point: Array) -> list[str]:
         """Which parameters lie on a bound of the box, as ``name at its lower bound (value)``."""
         margin = 1e-9 * (self.high - self.low)
-        found: list[str] = []
-        for side, bound in (("lower", self.low), ("upper", self.high)):
-            for i in np.flatnonzero(np.abs(point - bound) <= margin):
-                found.append(f"{self.names[i]} at its {side} bound ({self._values(bound)[i]:g})")
-        return found
+        sides = (("lower", self.low, self.lowest), ("upper", self.high, self.highest))
+        return [
+            f"{self.names[i]} at its {side} bound ({value[i]:g})"
+            for side, bound, value in sides
+            for i in np.flatnonzero(np.abs(point - bound) <= margin)
+        ]
 
-    def _values(self, points: Array) -> Array:
-        """Search coordinates to values; ten digits of log10 lose the last bit, so 10**-5 becomes 1e-5 again."""
-        powers = 10.0 ** np.where(self.logarithmic, points, 0.0)
-        return np.where(self.logarithmic, np.where(points == np.round(points), _tidy(powers), powers), points)
+    def _encode(self, values: Array) -> Array:
+        return np.where(self.logarithmic, np.log10(np.where(self.logarithmic, values, 1.0)), values)
 
 
 def search_space(model: ModelName, scale: Scale, nominal_interval: float | None = None) -> SearchSpace:
@@ -93,7 +104,6 @@ def search_space(model: ModelName, scale: Scale, nominal_interval: float | None 
         KAPPA_RANGE,
         *[VARIANCE_RANGE] * (len(states) + 2),
     ]
-    low, high = np.array(ranges).T
+    lowest, highest = np.array(ranges).T
     logarithmic = np.array([False] * 3 + [scale == "log10"] * (len(states) + 2))
-    low[logarithmic], high[logarithmic] = np.log10(low[logarithmic]), np.log10(high[logarithmic])
-    return SearchSpace(model, names, low, high, logarithmic, nominal_interval)
+    return SearchSpace(model, names, lowest, highest, logarithmic, nominal_interval)
