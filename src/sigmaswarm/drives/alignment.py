@@ -115,7 +115,9 @@ class _Fit:
         return float(np.sqrt(self.covariance[2, 2]))
 
     @classmethod
-    def of(cls, imu_time: Array, turned: Array, sped: Array, time: Array, position: Array) -> "_Fit":
+    def of(
+        cls, imu_time: Array, turned: Array, sped: Array, time: Array, position: NDArray[np.complex128]
+    ) -> "_Fit":
         end = time[-1]
         # The IMU's grid between the first and the last fix, both included.
         inside = imu_time[(imu_time > time[0]) & (imu_time < end)]
@@ -137,7 +139,9 @@ class _Fit:
         return cls._solve(end, position, g, t, m, float(end - time[0]), coasting)
 
     @classmethod
-    def _solve(cls, end: float, position: Array, g: Array, t: Array, m: Array, span: float, coasting: float) -> "_Fit":
+    def _solve(
+        cls, end: float, position: NDArray[np.complex128], g: Array, t: Array, m: Array, span: float, coasting: float
+    ) -> "_Fit":
         """Gauss-Newton on east, north, theta, v, b."""
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
@@ -159,7 +163,7 @@ class _Fit:
             p, theta, v, b = p + step[0] + 1j * step[1], theta + step[2], v + step[3], b + step[4]
             if np.max(np.abs(step)) < 1e-10:
                 break
-        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+        covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), np.float64)
         travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
         return cls(end, np.array([p.real, p.imag, theta, v, b]), covariance, float(travel) if v > 0 else 0.0)
 

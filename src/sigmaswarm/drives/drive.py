@@ -26,7 +26,9 @@ class _Table:
             column = np.array(values, dtype=np.float64)
             if column.shape != (length,):
                 name = type(self).__name__
-                raise DriveError(f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values")
+                raise DriveError(
+                    f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values"
+                )
             column.setflags(write=False)
             object.__setattr__(self, f.name, column)
 
