@@ -73,9 +73,10 @@ def test_as_many_as_asked_for_where_they_fit(count: int, slack: float, seed: int
 
 
 def test_rounding_never_takes_a_window_past_the_end():
-    for start in np.arange(0.1, 30.0, 0.1):
-        windows = random_windows(start, start + 10.7, np.random.default_rng(0), length=0.7, count=1)
-        assert np.all(windows[:, 1] <= start + 10.7)
+    rng = np.random.default_rng(0)
+    for start, length in zip(rng.uniform(0, 30, 500), rng.uniform(0.5, 8, 500), strict=True):
+        end = start + 10 + length  # room for one window without any slack, give or take rounding
+        assert np.all(random_windows(start, end, rng, length=length, count=1)[:, 1] <= end)
 
 
 def test_about_one_per_fifteen_seconds_by_default():
