@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class _Table:
     def __len__(self) -> int:
         return len(self.time)
 
-    def select(self, rows: NDArray[np.bool_] | slice) -> Any:
+    def select(self, rows: NDArray[np.bool_] | slice) -> Self:
         """The same table with only some of its rows (a mask or a slice)."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
         return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})
