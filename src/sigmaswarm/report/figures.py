@@ -19,7 +19,7 @@ from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
 from sigmaswarm.tuning.tune import Tuning
 
-FINE_SCALE = 60.0
+FINE_SCALE = 50.0
 """m: side of the close-up of a track."""
 
 
@@ -74,6 +74,8 @@ def convergence(tuning: Tuning) -> Figure:
         ax.plot(generation, finite, color="#E69F00", lw=1, ls="--", alpha=alpha,
                 label="median of the swarm" if first else None)  # fmt: skip
     ax.set(xlabel="generation", ylabel=f"cost: {tuning.config.objective}", yscale="log")
+    for axis_format in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        axis_format("{x:g}")
     n = len(tuning.trials)
     ax.set_title(f"Convergence, {n} trials (the best one strong)" if n > 1 else "Convergence", loc="left")
     ax.legend(frameon=False)
@@ -92,7 +94,7 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
             ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
         for name, estimate in estimates.items():
             ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
-        ax.set(xlabel="east, m", ylabel="north, m", aspect="equal")
+        ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
     _frame_on(whole, drive)
     whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
     half = FINE_SCALE / 2
@@ -102,7 +104,8 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     close.set(xlim=(x0 - half, x0 + half), ylim=(y0 - half, y0 + half))
     whole.set_title(drive.name, loc="left")
     close.set_title("close-up of the sharpest turn", loc="left")
-    whole.legend(frameon=False, fontsize=8)
+    handles = whole.get_legend_handles_labels()
+    figure.legend(*handles, frameon=False, fontsize=8, ncols=6, loc="outside lower center")
     return figure
 
 
