@@ -1,6 +1,13 @@
-"""When does the car stand? Told from the IMU's calm and from fixes that stay where they are; causally."""
+"""When does the car stand? Told from the IMU's calm and from fixes that stay where they are; causally.
+
+A smooth road at constant speed is as calm as a standstill, so the fixes must agree; a car that departs is slow for the
+fixes at first, so the IMU must agree. The same functions serve a whole drive and a live filter.
+"""
+
+import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
@@ -13,50 +20,64 @@ FIX_WINDOW = 3.0
 """s of fixes that must stay where they are."""
 FIX_SPEED = 0.5
 """m/s: the speed that the fixes may show while the car stands."""
-TURNING = np.radians(1.5)
+TURNING = math.radians(1.5)
 """rad/s: a car that stands does not turn; a gyro's bias stays below this."""
 
 
 def standing(drive: Drive) -> NDArray[np.bool_]:
-    """Whether the car stands at each IMU sample, shape (n,); from that sample and earlier data only.
-
-    A smooth road at constant speed is as calm as a standstill, so the fixes must agree; a car that departs is slow for
-    the fixes at first, so the accelerometer must agree.
-    """
-    imu = drive.imu
-    restless = [_spread(imu.time, column) for column in (imu.ax, imu.ay, imu.gz)]
-    calm = np.abs(imu.gz) < TURNING
-    for spread in restless:
-        floor = np.minimum.accumulate(np.where(np.isfinite(spread), spread, np.inf))
-        calm &= spread <= CALM * np.maximum(floor, 1e-6)
-    return calm & (_speed_of_fixes(drive) < FIX_SPEED)
-
-
-def _spread(time: Array, values: Array) -> Array:
-    """Standard deviation over the last second, shape (n,); inf where there is no whole second yet."""
-    first = np.searchsorted(time, time - WINDOW, side="left")
-    count = np.arange(1, len(time) + 1) - first
-    centred = values - values.mean()  # sums of squares stay small
-    sums, squares = (np.concatenate([[0.0], np.cumsum(v)]) for v in (centred, centred**2))
-    after = np.arange(1, len(time) + 1)
-    mean = (sums[after] - sums[first]) / count
-    variance = (squares[after] - squares[first]) / count - mean**2
-    whole = time - time[0] >= WINDOW
-    return np.where(whole & (count >= 5), np.sqrt(np.maximum(variance, 0.0)), np.inf)
+    """Whether the car stands at each IMU sample, shape (n,); from that sample and earlier data only."""
+    imu, gps = drive.imu, drive.gps
+    samples = np.column_stack([imu.time, imu.ax, imu.ay, imu.gz])
+    calm = np.zeros(len(imu), dtype=np.bool_)
+    _calm_throughout(samples, new_floor(), calm)
+    stands = np.zeros(len(imu), dtype=np.bool_)
+    seen = np.searchsorted(gps.time, imu.time, side="right")
+    first = np.searchsorted(gps.time, imu.time - FIX_WINDOW, side="left")
+    fixes = np.column_stack([gps.time, gps.x, gps.y])
+    for k in np.flatnonzero(calm):
+        stands[k] = fixes_stand(fixes[first[k] : seen[k]], imu.time[k])
+    return stands
 
 
-def _speed_of_fixes(drive: Drive) -> Array:
-    """Speed (m/s) of a straight line through the last seconds' fixes, at each IMU sample; inf with too few fixes."""
-    gps, time = drive.gps, drive.imu.time
-    known = np.searchsorted(gps.time, time, side="right")  # fixes up to each sample
-    speed = np.full(len(gps.time) + 1, np.inf)
-    first = np.searchsorted(gps.time, gps.time - FIX_WINDOW, side="left")
-    for i in range(len(gps.time)):
-        t = gps.time[first[i] : i + 1]
-        if len(t) < 3 or t[-1] - t[0] < 0.6 * FIX_WINDOW:
-            continue
-        t = t - t.mean()
-        slopes = [float(t @ c[first[i] : i + 1] / (t @ t)) for c in (gps.x, gps.y)]
-        speed[i + 1] = np.hypot(*slopes)
-    recent = np.concatenate([[-np.inf], gps.time])[known]
-    return np.where(time - recent < FIX_WINDOW, speed[known], np.inf)
+def new_floor() -> Array:
+    """The calmest window so far of ax, ay, gz, shape (3,); `is_calm` lowers it."""
+    return np.full(3, np.inf)
+
+
+@njit(cache=True)
+def is_calm(samples: Array, last: int, floor: Array) -> bool:
+    """Whether the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated."""
+    first = last
+    while first > 0 and samples[first - 1, 0] >= samples[last, 0] - WINDOW:
+        first -= 1
+    if last - first < 4 or samples[last, 0] - samples[first, 0] < 0.8 * WINDOW:
+        return False
+    calm = abs(samples[last, 3]) < TURNING
+    for c in range(3):
+        mean = 0.0
+        for k in range(first, last + 1):
+            mean += samples[k, 1 + c]
+        mean /= last + 1 - first
+        variance = 0.0
+        for k in range(first, last + 1):
+            variance += (samples[k, 1 + c] - mean) ** 2
+        restless = math.sqrt(variance / (last + 1 - first))
+        floor[c] = min(floor[c], restless)
+        calm = calm and restless <= CALM * max(floor[c], 1e-6)
+    return calm
+
+
+@njit(cache=True)
+def _calm_throughout(samples: Array, floor: Array, calm: NDArray[np.bool_]) -> None:
+    for k in range(len(samples)):
+        calm[k] = is_calm(samples, k, floor)
+
+
+def fixes_stand(fixes: Array, now: float) -> bool:
+    """Whether a straight line through the last seconds' fixes hardly moves; rows are t, x, y, none after ``now``."""
+    recent = fixes[fixes[:, 0] >= now - FIX_WINDOW]
+    if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * FIX_WINDOW:
+        return False
+    t = recent[:, 0] - recent[:, 0].mean()
+    vx, vy = t @ recent[:, 1] / (t @ t), t @ recent[:, 2] / (t @ t)
+    return math.hypot(vx, vy) < FIX_SPEED

@@ -25,6 +25,7 @@ class Timeline:
     Attributes
     ----------
     start : s
+    end : (k,) s: when each step ends
     dt : (k,) s
     ax, ay, gz : (k,) m/s2, m/s2, rad/s: the sample that drives each step
     q_scale : (k,) dt / nominal interval of the drive
@@ -42,6 +43,7 @@ class Timeline:
     """
 
     start: float
+    end: Array
     dt: Array
     ax: Array
     ay: Array
@@ -74,6 +76,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         velocity = drive.gps.speed * np.array([np.cos(drive.gps.course), np.sin(drive.gps.course)])
     return Timeline(
         start=start,
+        end=ends,
         dt=dt,
         ax=drive.imu.ax[sample],
         ay=drive.imu.ay[sample],

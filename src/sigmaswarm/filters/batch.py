@@ -1,5 +1,6 @@
 """Many parameter sets over one drive in one call: packs records into the compiled kernel's arrays and back."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -155,11 +156,16 @@ def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) ->
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
     """The first wanted step of each interval of time."""
-    slot = np.floor(np.cumsum(line.dt) / interval).astype(np.int64)
     chosen = np.zeros(len(wanted), dtype=np.bool_)
     at = np.flatnonzero(wanted)
-    chosen[at[np.unique(slot[at], return_index=True)[1]]] = True
+    slots = [slot(t, line.start, interval) for t in line.end[at]]
+    chosen[at[np.unique(slots, return_index=True)[1]]] = True
     return chosen
+
+
+def slot(time: float, start: float, interval: float) -> int:
+    """Which interval a moment lies in; a constraint is absorbed at most once in each."""
+    return math.floor((time - start) / interval + 1e-6)
 
 
 def start_of(initial: InitialState, parameter_sets: Sequence[FilterParameters]) -> tuple[Array, Array]:

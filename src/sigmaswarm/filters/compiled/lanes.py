@@ -9,9 +9,9 @@ branches on it, so the other lanes neither wait nor change.
 # Numba has types of its own, which a type checker for Python does not know.
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-import functools
 import math
 
+import numpy as np
 from numba import njit
 
 LANES = 16
@@ -49,8 +49,10 @@ N_SUMS = 9
 # Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; S, nu and the gain's G.
 BEFORE_X, BEFORE_Y, BEFORE_T = range(76, 79)
 C1, C2 = 79, 87
-S11, S12, S22, N1, N2, G11, G12, G22, STRETCH = range(95, 104)
-N_ROWS = 104
+S11, S12, S22, N1, N2, G11, G12, G22 = range(95, 103)
+# Scratch of a prediction: acceleration, its covariances with the state and with itself.
+EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(103, 116)
+N_ROWS = 116
 
 # NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
 # by zero of error_model="python" would be an early exit, which no vectorized loop may have.
@@ -62,57 +64,50 @@ def kernel(function, **options):
     return njit(function, error_model="numpy", fastmath=FLAGS, nogil=True, **({"forceinline": True} | options))
 
 
-@functools.partial(njit, inline="always", error_model="numpy")
-def sincos(x):
-    """Sine and cosine without branches or library calls: error about 3e-16 for |x| below 1e5.
+def _inline(function):
+    return njit(function, inline="always", error_model="numpy")
 
-    Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c).
+
+@_inline
+def _reduced(x):
+    """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
+
+    Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms
+    paired so that fewer have to wait for each other. Error about 3e-16 for |x| below 1e5.
     """
-    n = math.floor(x * (2 / math.pi) + 0.5)
+    n = np.floor(x * (2 / math.pi) + 0.5)  # math.floor would go through integers
     r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
     z = r * r
-    sin = r + r * z * (
-        -1.66666666666666324348e-01
-        + z
-        * (
-            8.33333333332248946124e-03
-            + z
-            * (
-                -1.98412698298579493134e-04
-                + z
-                * (
-                    2.75573137070700676789e-06
-                    + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
-                )
-            )
-        )
-    )
-    cos = (
-        1.0
-        - 0.5 * z
-        + z
-        * z
-        * (
-            4.16666666666666019037e-02
-            + z
-            * (
-                -1.38888888888741095749e-03
-                + z
-                * (
-                    2.48015872894767294178e-05
-                    + z
-                    * (
-                        -2.75573143513906633035e-07
-                        + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)
-                    )
-                )
-            )
-        )
-    )
-    quadrant = n - 4.0 * math.floor(n * 0.25)
+    zz = z * z
+    s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
+    s2 = -1.98412698298579493134e-04 + z * 2.75573137070700676789e-06
+    s3 = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    c1 = 4.16666666666666019037e-02 + z * -1.38888888888741095749e-03
+    c2 = 2.48015872894767294178e-05 + z * -2.75573143513906633035e-07
+    c3 = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    sin = r + r * z * (s1 + zz * (s2 + zz * s3))
+    cos = (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
+    return n, sin, cos
+
+
+@_inline
+def sincos(x):
+    """Sine and cosine."""
+    n, sin, cos = _reduced(x)
+    quadrant = n - 4.0 * np.floor(n * 0.25)
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     s = cos if odd else sin
     c = sin if odd else cos
     s = -s if quadrant >= 2.0 else s
     c = -c if (quadrant == 1.0) | (quadrant == 2.0) else c
     return s, c
+
+
+@_inline
+def double_angle(x):
+    """sin 2x and sin^2 x, which need to know of the quadrant only whether it is odd."""
+    n, sin, cos = _reduced(x)
+    odd = n - 2.0 * np.floor(n * 0.5) == 1.0
+    double = 2.0 * sin * cos
+    sin_x = cos if odd else sin  # but for its sign
+    return -double if odd else double, sin_x * sin_x

@@ -15,7 +15,7 @@ import math
 from sigmaswarm.filters.compiled.lanes import (
     C1, C2, DET, FADING, FORGETTING, G11, G12, G22, GAMMA, GATE, INV_GAMMA2, LANES, LATENCY, N1, N2, NIS, OK, P0, Q0,
     R_LATERAL, R_RATE, R_STANDSTILL, R_VELOCITY, REAR_AXLE, RECENT, REJECTED, RX, RY, S11, S12, S22, SECOND, SPREAD,
-    SQ_FIX, STRETCH, TT, UT, UU, UV, VT, VV, T, U, V, W, X, Y, kernel, sincos,
+    SQ_FIX, TT, UT, UU, UV, VT, VV, T, U, V, W, X, Y, double_angle, kernel, sincos,
 )  # fmt: skip
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -40,9 +40,9 @@ def absorb_fix(w, n, zx, zy, lever_x, lever_y, since):
         sin_t, cos_t = sincos(w[T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
         d = w[GAMMA, l] * math.sqrt(w[TT, l]) + 1e-300
-        sin_h, cos_h = sincos(0.5 * d)
-        e = -2.0 * second * w[INV_GAMMA2, l] * sin_h * sin_h
-        k = 1.0 + second * (2.0 * sin_h * cos_h / d - 1.0)
+        sin_d, sin2_h = double_angle(0.5 * d)
+        e = -2.0 * second * w[INV_GAMMA2, l] * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
         je, jn = -k * north, k * east  # k J R(theta) lever
         along = w[SPREAD, l] * e * e
         w[N1, l] = zx - (w[X, l] - tau * w[U, l] + (1.0 + e) * east)
@@ -164,18 +164,18 @@ def absorb_lateral(w, n, gz):
         second, gamma, axle, tt = w[SECOND, l], w[GAMMA, l], w[REAR_AXLE, l], w[TT, l]
         s, c = sincos(w[T, l])
         d = gamma * math.sqrt(tt) + 1e-300
-        sin_h, cos_h = sincos(0.5 * d)
-        sin_h = second * sin_h
-        e = -2.0 * w[INV_GAMMA2, l] * sin_h * sin_h
-        k = 1.0 + second * (2.0 * sin_h * cos_h / d - 1.0)
-        m = 2.0 * (gamma * sin_h / d) * (gamma * sin_h / d)
+        sin_d, sin2_h = double_angle(0.5 * d)
+        sin2_h = second * sin2_h
+        e = -2.0 * w[INV_GAMMA2, l] * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
+        m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         forward, left = c * w[U, l] + s * w[V, l], c * w[V, l] - s * w[U, l]
         t_forward, t_left = c * w[UT, l] + s * w[VT, l], c * w[VT, l] - s * w[UT, l]
         mu = e * left - second * k * t_forward
         turn = k * forward + m * t_left
         variance = c * c * w[VV, l] - 2.0 * c * s * w[UV, l] + s * s * w[UU, l]
         variance += k * k * (tt * forward * forward - second * gamma * gamma * t_left * t_left)
-        variance += w[SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin_h * sin_h) * forward * t_left
+        variance += w[SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * forward * t_left
         w[N1, l] = axle * gz - left - mu
         for i in range(n):
             w[C1 + i, l] = c * w[at(i, V), l] - s * w[at(i, U), l] - turn * w[at(i, T), l]

@@ -48,9 +48,9 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading):
         x = w[BEFORE_X, l] + weight * (w[X, l] - w[BEFORE_X, l]) - true_x
         y = w[BEFORE_Y, l] + weight * (w[Y, l] - w[BEFORE_Y, l]) - true_y
         turn = w[T, l] - w[BEFORE_T, l]
-        turn -= _TWO_PI * math.floor(turn / _TWO_PI + 0.5)
+        turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
         wrong = w[BEFORE_T, l] + weight * turn - true_theta
-        wrong -= _TWO_PI * math.floor(wrong / _TWO_PI + 0.5)
+        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
         w[SQ_POSITION, l] += x * x + y * y
         w[SQ_HEADING, l] += scores_heading * wrong * wrong
 
@@ -117,14 +117,20 @@ def _load(w, initial, constants):
         w[RECENT, l] = -1.0
 
 
-def _keyed_by(sources):
-    """`run_lanes`, cached under a key that holds ``sources``.
+def cached_by_sources(make):
+    """Compile the kernel that ``make(sources)`` gives, cached under a key that holds a hash of all kernels' sources.
 
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    return kernel(make(digest), cache=True, forceinline=False)
 
-    def run_lanes(n, steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+
+@cached_by_sources
+def run_lanes(sources):
+    def run(n, steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
         """Run LANES filters over one time line.
 
         Parameters
@@ -160,8 +166,4 @@ def _keyed_by(sources):
             if not math.isfinite(total):
                 sums[OK - _FIRST_SUM, l] = 0.0
 
-    return kernel(run_lanes, cache=True, forceinline=False)
-
-
-_files = sorted(Path(__file__).parent.glob("*.py"))
-run_lanes = _keyed_by(hashlib.sha256(b"".join(file.read_bytes() for file in _files)).hexdigest())
+    return run
