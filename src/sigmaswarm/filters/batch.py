@@ -104,16 +104,27 @@ def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Su
 
 def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
-    sums, final, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
+    _, _, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
     sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1)
-    sound &= np.isfinite(covariance).all(axis=(1, 2))
-    if len(sound):
-        sound[-1] &= _sound(sums, final, parameters.n_states)[0]
-    return mean, covariance, sound
+    return mean, covariance, sound & _definite(covariance)
 
 
-_SUM_ROWS = np.array([lanes.SQ_POSITION, lanes.SQ_HEADING, lanes.SQ_FIX, lanes.NIS, lanes.LOG_DET]) - lanes.SUMS.start
+def _definite(covariance: Array) -> NDArray[np.bool_]:
+    """Which of the covariances (r, n, n) are positive definite, but for rounding."""
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    sound: NDArray[np.bool_] = np.asarray(
+        np.isfinite(covariance).all(axis=(1, 2)) & (variances > 0).all(axis=1)
+    )
+    scale = np.sqrt(variances[sound])
+    correlation = covariance[sound] / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
+    sound[sound] = np.linalg.eigvalsh(correlation).min(axis=1, initial=np.inf) > -1e-9
+    return sound
+
+
+_SUM_ROWS = (
+    np.array([lanes.SQ_POSITION, lanes.SQ_HEADING, lanes.SQ_FIX, lanes.NIS, lanes.LOG_DET]) - lanes.SUMS.start
+)
 
 
 def _run_chunk(
@@ -123,7 +134,7 @@ def _run_chunk(
     first, line = parameter_sets[0], replay.timeline
     sums, final = np.empty((lanes.N_SUMS, lanes.LANES)), np.empty((lanes.N_STATE, lanes.LANES))
     record = np.empty((n_recorded, lanes.N_STATE + 1, min(n_recorded, 1)))
-    run.run_lanes(
+    run.run_lanes(  # pyright: ignore[reportCallIssue]
         first.n_states,
         np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
         flags_of(line, *_switches(first)),
@@ -150,7 +161,9 @@ def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) ->
     flags = run.FIX * line.absorbs + run.IMU * line.sampled
     flags = flags + run.VELOCITY * (line.absorbs & velocity & line.has_velocity)
     flags = flags + run.LATERAL * (_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL) & lateral)
-    flags = flags + run.STANDSTILL * (_every(line, line.stands & line.sampled, STANDSTILL_INTERVAL) & standstill)
+    flags = flags + run.STANDSTILL * (
+        _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL) & standstill
+    )
     return flags.astype(np.int64)
 
 
@@ -247,12 +260,4 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def _sound(sums: Array, final: Array, n: int) -> NDArray[np.bool_]:
     """Which lanes never failed and end with a positive definite covariance, shape (LANES,)."""
     finite = np.isfinite(final).all(axis=0) & np.isfinite(sums[_SUM_ROWS]).all(axis=0)
-    sound = finite & (sums[lanes.OK - lanes.SUMS.start] == 1.0)
-    _, covariance = unpack_states(final, n)
-    for lane in np.flatnonzero(sound):
-        scale = np.sqrt(np.diagonal(covariance[lane]))
-        try:
-            np.linalg.cholesky(covariance[lane] / np.outer(scale, scale) + 1e-12 * np.eye(n))
-        except np.linalg.LinAlgError:
-            sound[lane] = False
-    return sound
+    return finite & (sums[lanes.OK - lanes.SUMS.start] == 1.0) & _definite(unpack_states(final, n)[1])

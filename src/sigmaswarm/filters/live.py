@@ -180,9 +180,11 @@ class LiveFilter:
             if len(fix) == 5 and self.parameters.velocity_noise is not None:
                 zu, zv = fix[3], fix[4]
                 happens |= run.VELOCITY
-        live_step(
-            self._v, self._n, dt, sample.ax, sample.ay, sample.gz, scale, happens, zx, zy, zu, zv, *self._lever, self._since
-        )  # fmt: skip
+        imu = (sample.ax, sample.ay, sample.gz)
+        z = (zx, zy, zu, zv)
+        live_step(  # pyright: ignore[reportCallIssue]
+            self._v, self._n, dt, *imu, scale, happens, *z, *self._lever, self._since
+        )
         if fix is not None:
             self._since = 0.0
         self._time = to

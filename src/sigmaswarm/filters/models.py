@@ -41,7 +41,7 @@ PROCESSES: dict[str, Callable[[Array, float, Array], Array]] = {"planar5": plana
 
 
 def gps_position(lever: tuple[float, float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
-    """The fix that a state predicts: where an antenna, ``lever`` m forward and left of the IMU, was ``latency`` s ago."""
+    """The fix that a state predicts: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
     def h(state: Array) -> Array:
         c, s = np.cos(state[THETA]), np.sin(state[THETA])

@@ -65,7 +65,9 @@ class TextbookCar:
                 angles=(THETA,),
             )
         convert = timeline.nominal_interval / (p.nominal_interval or timeline.nominal_interval)
-        self.noise = SageHusa(np.array(p.process_noise) * convert, np.array(p.measurement_noise), p.forgetting)
+        self.noise = SageHusa(
+            np.array(p.process_noise) * convert, np.array(p.measurement_noise), p.forgetting
+        )
         self.tracking = StrongTracking(p.forgetting)
         switches = (p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None)
         self.flags = flags_of(timeline, *switches)
@@ -85,7 +87,9 @@ class TextbookCar:
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
                 self.filter.update(fix[2:], p.velocity_noise * np.eye(2), velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
-            self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(imu[2], p.rear_axle))
+            self.filter.update(
+                np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(imu[2], p.rear_axle)
+            )
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
             self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), velocity)
             if p.model == "planar8":

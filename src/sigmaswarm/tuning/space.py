@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,8 @@ OPTIONS: tuple[Option, ...] = ("velocity", "lateral", "standstill", "gate", "lat
 """What a filter can use beside position fixes; each is a switch, and its parameters are then tuned with the rest."""
 
 
-class Dimension(NamedTuple):
+@dataclass(frozen=True)
+class Dimension:
     """One parameter that is searched: where it goes in FilterParameters, and its range.
 
     ``index`` is its place in a tuple, -1 where the field is a plain number. ``spread``: it spans powers of ten.
@@ -40,7 +41,7 @@ SCALING = (
 VARIANCE = (1e-5, 10.0)
 """The paper's box for all variances, Q per nominal IMU step."""
 SMALL_VARIANCE = (1e-12, 10.0)
-"""planar8's for position, velocity and heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
+"""planar8's for position, velocity, heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
 BIAS_WALK = (1e-16, 1e-4)
 """planar8's for the random walks of the biases."""
 BIAS_STD = ((1e-3, 1.0), (1e-5, 0.1))

@@ -16,22 +16,25 @@ from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY, 
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 
-def _step(w, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since):
+def _step(
+    w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
+    *, predict, absorb_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+):  # fmt: skip
     """Predict, then absorb what happens at the step's end (bits as in `run`)."""
     if dt > 0.0:
         predict(w, dt, ax, ay, gz, q_scale)
     if happens & FIX:
-        absorb_fix(w, n, zx, zy, lever_x, lever_y, since)
+        absorb_fix(w, zx, zy, lever_x, lever_y, since)
         if happens & VELOCITY:
-            absorb_velocity(w, n, zu, zv)
+            absorb_velocity(w, zu, zv)
     if happens & LATERAL:
-        absorb_lateral(w, n, gz)
+        absorb_lateral(w, gz)
     if happens & STANDSTILL:
-        absorb_standstill(w, n, gz)
+        absorb_standstill(w, gz)
 
 
-_step5 = kernel(unrolled(_step, n=5, predict=predict_planar5, **absorbers(5)))
-_step8 = kernel(unrolled(_step, n=8, predict=predict_planar8, **absorbers(8)))
+_step5 = kernel(unrolled(_step, predict=predict_planar5, **absorbers(5)))
+_step8 = kernel(unrolled(_step, predict=predict_planar8, **absorbers(8)))
 
 
 @cached_by_sources
@@ -45,9 +48,9 @@ def live_step(sources):
             for l in range(LANES):  # noqa: E741
                 w[r, l] = v[r]
         if n == 5:
-            _step5(w, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            _step5(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
         else:
-            _step8(w, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            _step8(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
         for r in range(N_ROWS):
             v[r] = w[r, 0]
 

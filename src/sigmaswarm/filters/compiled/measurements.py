@@ -13,9 +13,55 @@ Loops over states (i, j, row) are written out for the model's n by `unroll.unrol
 import math
 
 from sigmaswarm.filters.compiled.lanes import (
-    C1, C2, DET, FADING, FORGETTING, G11, G12, G22, GAMMA, GATE, INV_GAMMA2, LANES, LATENCY, N1, N2, NIS, OK, P0, Q0,
-    R_LATERAL, R_RATE, R_STANDSTILL, R_VELOCITY, REAR_AXLE, RECENT, REJECTED, RX, RY, S11, S12, S22, SECOND, SPREAD,
-    SQ_FIX, TT, UT, UU, UV, VT, VV, T, U, V, W, X, Y, double_angle, kernel, sincos,
+    C1,
+    C2,
+    DET,
+    FADING,
+    FORGETTING,
+    G11,
+    G12,
+    G22,
+    GAMMA,
+    GATE,
+    INV_GAMMA2,
+    LANES,
+    LATENCY,
+    N1,
+    N2,
+    NIS,
+    OK,
+    P0,
+    Q0,
+    R_LATERAL,
+    R_RATE,
+    R_STANDSTILL,
+    R_VELOCITY,
+    REAR_AXLE,
+    RECENT,
+    REJECTED,
+    RX,
+    RY,
+    S11,
+    S12,
+    S22,
+    SECOND,
+    SPREAD,
+    SQ_FIX,
+    TT,
+    UT,
+    UU,
+    UV,
+    VT,
+    VV,
+    T,
+    U,
+    V,
+    W,
+    X,
+    Y,
+    double_angle,
+    kernel,
+    sincos,
 )  # fmt: skip
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -30,7 +76,7 @@ def at(i, j):
     return P0 + high * (high + 1) // 2 + low
 
 
-def absorb_fix(w, n, zx, zy, lever_x, lever_y, since):
+def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
     """A position fix of the antenna: z = p + R(theta) lever - latency v; ``since`` is Q's scale since the last fix.
 
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
@@ -53,7 +99,7 @@ def absorb_fix(w, n, zx, zy, lever_x, lever_y, since):
         w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + along * east * east
         w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + along * east * north
         w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + along * north * north
-    _fade(w, n, since)
+    _fade(w, since)
     for l in range(LANES):  # noqa: E741
         rx, ry = w[RX, l], w[RY, l]
         s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
@@ -72,11 +118,11 @@ def absorb_fix(w, n, zx, zy, lever_x, lever_y, since):
         # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
         r1, r2 = (rx * e1 if inside else n1), (ry * e2 if inside else n2)
         w[SQ_FIX, l] += r1 * r1 + r2 * r2
-    _adapt(w, n, since)
-    _absorb_two(w, n)
+    _adapt(w, since)
+    _absorb_two(w)
 
 
-def _fade(w, n, since):
+def _fade(w, since, *, n):
     """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
 
     D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with coloured
@@ -99,7 +145,7 @@ def _fade(w, n, since):
             w[row, l] *= stretch
 
 
-def _adapt(w, n, since):
+def _adapt(w, since, *, n):
     """Adapt Q and R to what a fix says, with weight 1 - FORGETTING (1: off).
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
@@ -122,26 +168,26 @@ def _adapt(w, n, since):
             w[Q0 + i, l] = q + weight * (change if change > -q else -q)
 
 
-def absorb_velocity(w, n, zu, zv):
+def absorb_velocity(w, zu, zv, *, n):
     """The receiver's velocity over ground, m/s east and north; linear in the state."""
-    _measure_velocity(w, n, zu, zv, R_VELOCITY)
-    _absorb_two(w, n)
+    _measure_velocity(w, zu, zv, R_VELOCITY)
+    _absorb_two(w)
 
 
-def absorb_standstill(w, n, gz):
+def absorb_standstill(w, gz, *, n):
     """The car stands: it has no velocity, and all that the gyro shows is its bias (planar8)."""
-    _measure_velocity(w, n, 0.0, 0.0, R_STANDSTILL)
-    _absorb_two(w, n)
+    _measure_velocity(w, 0.0, 0.0, R_STANDSTILL)
+    _absorb_two(w)
     if n > W:
         for l in range(LANES):  # noqa: E741
             w[N1, l] = gz - w[W, l]
             w[S11, l] = math.inf if math.isinf(w[R_STANDSTILL, l]) else w[at(W, W), l] + w[R_RATE, l]
             for i in range(n):
                 w[C1 + i, l] = w[at(i, W), l]
-        _absorb_one(w, n)
+        _absorb_one(w)
 
 
-def _measure_velocity(w, n, zu, zv, variance):
+def _measure_velocity(w, zu, zv, variance, *, n):
     for l in range(LANES):  # noqa: E741
         off = math.isinf(w[variance, l])
         w[N1, l], w[N2, l] = zu - w[U, l], zv - w[V, l]
@@ -154,7 +200,7 @@ def _measure_velocity(w, n, zu, zv, variance):
             w[C1 + i, l], w[C2 + i, l] = w[at(i, U), l], w[at(i, V), l]
 
 
-def absorb_lateral(w, n, gz):
+def absorb_lateral(w, gz, *, n):
     """A car does not slide sideways at its rear axle: 0 = (R(theta)^T v)_left - rear_axle (yaw rate - w).
 
     R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
@@ -185,10 +231,10 @@ def absorb_lateral(w, n, gz):
             for i in range(n):
                 w[C1 + i, l] += axle * w[at(i, W), l]
         w[S11, l] = variance + w[R_LATERAL, l]
-    _absorb_one(w, n)
+    _absorb_one(w)
 
 
-def _absorb_one(w, n):
+def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):  # noqa: E741
         g = 1.0 / w[S11, l]
@@ -199,7 +245,7 @@ def _absorb_one(w, n):
                 w[at(i, j), l] -= gain * w[C1 + i, l]
 
 
-def _absorb_two(w, n):
+def _absorb_two(w, *, n):
     """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
     for l in range(LANES):  # noqa: E741
         g11, g12, g22 = w[G11, l], w[G12, l], w[G22, l]

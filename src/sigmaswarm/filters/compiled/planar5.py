@@ -1,7 +1,6 @@
 """planar5's prediction in closed form; read it beside `models.planar5` and `reference.UnscentedKalmanFilter`.
 
-The process is linear in everything but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
-with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
+The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate, with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
 first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
 = alpha^2 (n + kappa), and all other sigma points share the centre's g0 = g(theta). With J a turn by 90 degrees,
 
@@ -22,8 +21,41 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 import math
 
 from sigmaswarm.filters.compiled.lanes import (
-    ALONG, EAST, GAMMA, INV_GAMMA2, JEAST, JNORTH, LANES, NORTH, Q0, SECOND, SPREAD, TT, UT, UU, UV, VT, VV,
-    XT, XU, XV, XX, XY, YT, YU, YV, YY, E, T, U, V, X, Y, double_angle, kernel, sincos,
+    ALONG,
+    EAST,
+    GAMMA,
+    INV_GAMMA2,
+    JEAST,
+    JNORTH,
+    LANES,
+    NORTH,
+    Q0,
+    SECOND,
+    SPREAD,
+    TT,
+    UT,
+    UU,
+    UV,
+    VT,
+    VV,
+    XT,
+    XU,
+    XV,
+    XX,
+    XY,
+    YT,
+    YU,
+    YV,
+    YY,
+    E,
+    T,
+    U,
+    V,
+    X,
+    Y,
+    double_angle,
+    kernel,
+    sincos,
 )  # fmt: skip
 
 
@@ -33,7 +65,12 @@ def predict_planar5(w, dt, ax, ay, gz, q_scale):
     _turn(w, dt * ax, dt * ay)
     h = 0.5 * dt
     for l in range(LANES):  # noqa: E741
-        a, b, ke, kn = w[EAST, l], w[NORTH, l], w[JEAST, l], w[JNORTH, l]  # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
+        a, b, ke, kn = (
+            w[EAST, l],
+            w[NORTH, l],
+            w[JEAST, l],
+            w[JNORTH, l],
+        )  # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
         xu, xv, xt = w[XU, l], w[XV, l], w[XT, l]
         yu, yv, yt = w[YU, l], w[YV, l], w[YT, l]
         uu, uv, ut = w[UU, l], w[UV, l], w[UT, l]

@@ -1,8 +1,8 @@
 """planar8's prediction in closed form: planar5 with the IMU's biases as random walks.
 
 u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
-This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and b
-along with it; with theta held, the other columns move b only, and there the process is linear. Write g0 for the mean
+This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and
+b along with it; with theta held, the other columns move b only, and there the process is linear. Write g0 for the mean
 specific force less bias, turned into the world; J for a turn by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
 planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
 
@@ -19,9 +19,70 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 import math
 
 from sigmaswarm.filters.compiled.lanes import (
-    AA, AB, AW, BB, BW, COS, EAST, GAMMA, GEE, GEN, GNN, INV_GAMMA2, JEAST, JNORTH, LANES, MU_EAST, MU_NORTH, NORTH, Q0,
-    SECOND, SIN, SPREAD, TA, TB, TT, TW, UA, UB, UT, UU, UV, UW, VA, VB, VT, VV, VW, WW, XA, XB, XT, XU, XV, XW, XX,
-    XY, YA, YB, YT, YU, YV, YW, YY, A, B, T, U, V, W, X, Y, double_angle, kernel, sincos,
+    AA,
+    AB,
+    AW,
+    BB,
+    BW,
+    COS,
+    EAST,
+    GAMMA,
+    GEE,
+    GEN,
+    GNN,
+    INV_GAMMA2,
+    JEAST,
+    JNORTH,
+    LANES,
+    MU_EAST,
+    MU_NORTH,
+    NORTH,
+    Q0,
+    SECOND,
+    SIN,
+    SPREAD,
+    TA,
+    TB,
+    TT,
+    TW,
+    UA,
+    UB,
+    UT,
+    UU,
+    UV,
+    UW,
+    VA,
+    VB,
+    VT,
+    VV,
+    VW,
+    WW,
+    XA,
+    XB,
+    XT,
+    XU,
+    XV,
+    XW,
+    XX,
+    XY,
+    YA,
+    YB,
+    YT,
+    YU,
+    YV,
+    YW,
+    YY,
+    A,
+    B,
+    T,
+    U,
+    V,
+    W,
+    X,
+    Y,
+    double_angle,
+    kernel,
+    sincos,
 )  # fmt: skip
 
 
@@ -106,6 +167,12 @@ def _turn(w, dt, ax, ay):
         aa, ab, bb = w[AA, l], w[AB, l], w[BB, l]
         ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
         k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[SPREAD, l], second * gamma * gamma
-        w[GEE, l] = c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
-        w[GEN, l] = s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
-        w[GNN, l] = s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
+        w[GEE, l] = (
+            c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
+        )
+        w[GEN, l] = (
+            s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
+        )
+        w[GNN, l] = (
+            s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
+        )

@@ -9,8 +9,26 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import (
-    BEFORE_T, BEFORE_X, BEFORE_Y, CONSTANTS, DET, LANES, LOG_DET, N_CONSTANTS, N_ROWS, N_STATE, N_SUMS, OK, RECENT,
-    SQ_HEADING, SQ_POSITION, SUMS, T, X, Y, kernel,
+    BEFORE_T,
+    BEFORE_X,
+    BEFORE_Y,
+    CONSTANTS,
+    DET,
+    LANES,
+    LOG_DET,
+    N_CONSTANTS,
+    N_ROWS,
+    N_STATE,
+    N_SUMS,
+    OK,
+    RECENT,
+    SQ_HEADING,
+    SQ_POSITION,
+    SUMS,
+    T,
+    X,
+    Y,
+    kernel,
 )  # fmt: skip
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
@@ -55,7 +73,10 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading):
         w[SQ_HEADING, l] += scores_heading * wrong * wrong
 
 
-def _run(w, n, steps, flags, fixes, lever, targets, target_end, record):
+def _run(
+    w, steps, flags, fixes, lever, targets, target_end, record,
+    *, predict, absorb_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+):  # fmt: skip
     """All steps of a run; w holds initial state and constants, and in the end state and sums."""
     n_fixes = 0
     n_targets = 0
@@ -74,17 +95,17 @@ def _run(w, n, steps, flags, fixes, lever, targets, target_end, record):
         happens = flags[step]
         if happens & FIX:
             z = fixes[n_fixes]
-            absorb_fix(w, n, z[0], z[1], lever[0], lever[1], since)
+            absorb_fix(w, z[0], z[1], lever[0], lever[1], since)
             if happens & VELOCITY:
-                absorb_velocity(w, n, z[2], z[3])
+                absorb_velocity(w, z[2], z[3])
             since = 0.0
             n_fixes += 1
             if n_fixes % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
         if happens & LATERAL:
-            absorb_lateral(w, n, u[GZ])
+            absorb_lateral(w, u[GZ])
         if happens & STANDSTILL:
-            absorb_standstill(w, n, u[GZ])
+            absorb_standstill(w, u[GZ])
         interval_starts = (happens & IMU) != 0
         while n_targets < target_end[step]:
             t = targets[n_targets]
@@ -99,8 +120,8 @@ def _run(w, n, steps, flags, fixes, lever, targets, target_end, record):
     _take_logarithm(w)
 
 
-_run5 = kernel(unrolled(_run, n=5, predict=predict_planar5, **absorbers(5)))
-_run8 = kernel(unrolled(_run, n=8, predict=predict_planar8, **absorbers(8)))
+_run5 = kernel(unrolled(_run, predict=predict_planar5, **absorbers(5)))
+_run8 = kernel(unrolled(_run, predict=predict_planar8, **absorbers(8)))
 
 
 @kernel
@@ -153,9 +174,9 @@ def run_lanes(sources):
         w = np.empty((N_ROWS, LANES))
         _load(w, initial, constants)
         if n == 5:
-            _run5(w, n, steps, flags, fixes, lever, targets, target_end, record)
+            _run5(w, steps, flags, fixes, lever, targets, target_end, record)
         else:
-            _run8(w, n, steps, flags, fixes, lever, targets, target_end, record)
+            _run8(w, steps, flags, fixes, lever, targets, target_end, record)
         for l in range(LANES):  # noqa: E741
             total = 0.0
             for r in range(N_STATE):

@@ -16,14 +16,14 @@ STATE_LOOPS = ("i", "j", "k", "row")
 
 
 def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
-    """The same function with the names in ``known`` replaced by their values and its loops over states written out.
+    """The same function with its keyword-only parameters bound to ``known`` and its loops over states written out.
 
     Parameters
     ----------
     function : callable
         Plain Python.
     **known
-        Values of globals and of parameters; such parameters stay in the signature and are ignored.
+        Values of its keyword-only parameters, and of globals.
     """
     names = function.__globals__ | known
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
@@ -31,7 +31,7 @@ def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
     definition = tree.body[0]
     if not isinstance(definition, ast.FunctionDef):
         raise TypeError(f"{function} is no plain function")
-    definition.decorator_list = []
+    definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
     ast.fix_missing_locations(tree)
@@ -65,7 +65,11 @@ class _Writer(ast.NodeTransformer):
         try:
             chosen = node.body if self._value(node.test) else node.orelse
         except NameError:  # not known before the program runs
-            node.test, node.body, node.orelse = self.visit(node.test), self.block(node.body), self.block(node.orelse)
+            node.test, node.body, node.orelse = (
+                self.visit(node.test),
+                self.block(node.body),
+                self.block(node.orelse),
+            )
             return node
         return self.block(chosen)
 

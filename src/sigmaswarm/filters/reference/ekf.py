@@ -35,12 +35,16 @@ class ExtendedKalmanFilter(GaussianFilter):
         self.mean = self.f(self.mean, dt, u)
         self.covariance = jacobian @ self.covariance @ jacobian.T + process_noise
 
-    def measure(self, measurement: Array, measurement_noise: Array, h: Measurement | None = None) -> Innovation:
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
         """nu = z - h(x), S = H P H^T + R, C = P H^T."""
         h = h or self.h
         jacobian = complex_step(h, self.mean)
         cross = self.covariance @ jacobian.T
-        return Innovation(measurement - h(self.mean), jacobian @ cross + measurement_noise, cross, measurement_noise)
+        return Innovation(
+            measurement - h(self.mean), jacobian @ cross + measurement_noise, cross, measurement_noise
+        )
 
 
 def complex_step(function: Callable[[Array], Array], x: Array) -> Array:

@@ -35,7 +35,7 @@ class Innovation:
     @property
     def gain(self) -> Array:
         """K = C S^-1, shape (n, m)."""
-        return np.linalg.solve(self.variance, self.cross.T).T
+        return np.asarray(np.linalg.solve(self.variance, self.cross.T).T, np.float64)
 
     @property
     def nis(self) -> float:
@@ -53,7 +53,9 @@ class GaussianFilter:
         """Push the state through the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         raise NotImplementedError
 
-    def measure(self, measurement: Array, measurement_noise: Array, h: Measurement | None = None) -> Innovation:
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
         """The innovation of a measurement, shape (m,), with noise covariance R, shape (m, m)."""
         raise NotImplementedError
 
@@ -63,7 +65,9 @@ class GaussianFilter:
         self.mean = self.mean + gain @ innovation.nu
         self.covariance = self.covariance - gain @ innovation.variance @ gain.T
 
-    def update(self, measurement: Array, measurement_noise: Array, h: Measurement | None = None) -> Innovation:
+    def update(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
         """Measure and absorb."""
         innovation = self.measure(measurement, measurement_noise, h)
         self.absorb(innovation)

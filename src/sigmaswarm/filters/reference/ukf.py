@@ -42,10 +42,10 @@ class SigmaPoints:
 
     def weights(self, n: int) -> tuple[Array, Array]:
         """Weights for the mean and for the covariance, each of shape (2n + 1,)."""
-        lambda_ = self.alpha**2 * (n + self.kappa) - n
-        wm = np.full(2 * n + 1, 0.5 / (n + lambda_))
+        gamma2 = self.alpha**2 * (n + self.kappa)  # n + lambda, without the cancellation
+        wm = np.full(2 * n + 1, 0.5 / gamma2)
         wc = wm.copy()
-        wm[0] = lambda_ / (n + lambda_)
+        wm[0] = (gamma2 - n) / gamma2  # lambda / (n + lambda)
         wc[0] = wm[0] + 1 - self.alpha**2 + self.beta
         return wm, wc
 
@@ -127,7 +127,9 @@ class UnscentedKalmanFilter(GaussianFilter):
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._propagated = sigmas[0] + offsets
 
-    def measure(self, measurement: Array, measurement_noise: Array, h: Measurement | None = None) -> Innovation:
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
         """nu, S and C from the sigma points; ``h`` takes the place of the filter's own."""
         h = h or self.h
         wm, wc = self.points.weights(len(self.mean))
