@@ -80,9 +80,6 @@ def test_textbook_filter_fails_too(field: str, i: int):
         run_reference(short, planted(field, i, -1.0))
 
 
-@pytest.mark.xfail(
-    reason="kernels.py looks at the covariance only at fixes, and not at all of it", strict=True
-)
 def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
     # Each fix leaves a negative variance of the position negative; so little that S stays positive.
     initial = initial_state(drive())
@@ -138,7 +135,6 @@ def test_nan_on_one_drive_fails_the_set_but_not_its_other_scores():
     assert repr(both.scores[0][0]) == repr(good.scores[0][0])
 
 
-@pytest.mark.xfail(reason='the flag "reassoc" folds math.isfinite in kernels.py to true', strict=True)
 def test_nan_in_the_last_sample_is_noticed():
     # No fix looks at it any more, nothing is compared with truth, and the covariance does not know the yaw rate.
     spoiled, _ = with_nan("imu", "gz", after=float(drive().imu.time[-1]))

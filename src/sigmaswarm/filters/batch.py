@@ -91,12 +91,13 @@ def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Su
     failed = np.empty(len(parameter_sets), dtype=np.bool_)
     groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        groups.setdefault((p.model, *_switches(p)), []).append(i)
+        groups.setdefault((p.model, *switches(p)), []).append(i)
     for members in groups.values():
         for start in range(0, len(members), lanes.LANES):
             chunk = members[start : start + lanes.LANES]
             sums, final, _ = _run_chunk(replay, [parameter_sets[i] for i in chunk], 0)
             sound = _sound(sums, final, parameter_sets[chunk[0]].n_states)[: len(chunk)]
+            sound &= [_plausible(parameter_sets[i]) for i in chunk]
             failed[chunk] = ~sound
             columns[:, chunk] = np.where(sound, sums[_SUM_ROWS, : len(chunk)], np.nan)
     return Sums(*columns, failed=failed)
@@ -106,8 +107,13 @@ def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, 
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
     _, _, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
-    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1)
+    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & _plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
+
+
+def _plausible(p: FilterParameters) -> bool:
+    """With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long."""
+    return min(p.process_noise) >= 0 and min(p.measurement_noise) > 0
 
 
 def _definite(covariance: Array) -> NDArray[np.bool_]:
@@ -132,26 +138,23 @@ def _run_chunk(
 ) -> tuple[Array, Array, Array]:
     """Sums (N_SUMS, LANES), final states (N_STATE, LANES) and a record of the first lane."""
     first, line = parameter_sets[0], replay.timeline
-    sums, final = np.empty((lanes.N_SUMS, lanes.LANES)), np.empty((lanes.N_STATE, lanes.LANES))
     record = np.empty((n_recorded, lanes.N_STATE + 1, min(n_recorded, 1)))
-    run.run_lanes(  # pyright: ignore[reportCallIssue]
+    sums, final = run.run_lanes(
         first.n_states,
         np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
-        flags_of(line, *_switches(first)),
+        flags_of(line, *switches(first)),
         line.fixes,
         line.lever,
         replay.targets.rows,
         replay.targets.end,
         pack_states(*start_of(replay.initial, parameter_sets)),
         pack_constants(parameter_sets, line.nominal_interval),
-        sums,
-        final,
         record,
     )
     return sums, final, record
 
 
-def _switches(p: FilterParameters) -> tuple[bool, bool, bool]:
+def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
     """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
     return p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None
 

@@ -182,9 +182,7 @@ class LiveFilter:
                 happens |= run.VELOCITY
         imu = (sample.ax, sample.ay, sample.gz)
         z = (zx, zy, zu, zv)
-        live_step(  # pyright: ignore[reportCallIssue]
-            self._v, self._n, dt, *imu, scale, happens, *z, *self._lever, self._since
-        )
+        live_step(self._v, self._n, dt, *imu, scale, happens, *z, *self._lever, self._since)
         if fix is not None:
             self._since = 0.0
         self._time = to

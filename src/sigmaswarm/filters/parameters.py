@@ -123,9 +123,11 @@ class FilterParameters:
         return len(STATE_NAMES[self.model])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types for TOML and JSON; what is None is left out."""
-        table = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in table.items()}  # pyright: ignore
+        """Plain types for TOML and JSON; options that are at their defaults are left out."""
+        table = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = FilterParameters(**{name: table[name] for name in _ALWAYS_STATED})
+        shown = {k: v for k, v in table.items() if k in _ALWAYS_STATED or v != getattr(plain, k)}
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in shown.items()}  # pyright: ignore
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
@@ -176,12 +178,22 @@ class FilterParameters:
         return parameters
 
 
+_ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise", "model")
+
+
 def units(model: str) -> dict[str, Any]:
     """The units of a parameter file, for whoever reads it."""
     return {
         "process_noise": [f"{u} per nominal IMU step" for u in PROCESS_NOISE_UNITS[model]],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
+        "bias_std": ["m/s2", "rad/s"],
+        "velocity_noise": "m2/s2",
+        "lateral_noise": "m2/s2",
+        "rear_axle": "m",
+        "standstill_noise": "m2/s2",
+        "gate": "NIS, dimensionless",
+        "latency": "s",
         "states": list(STATE_NAMES[model]),
     }
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import STANDSTILL_RATE_NOISE, flags_of, start_of
+from sigmaswarm.filters.batch import STANDSTILL_RATE_NOISE, flags_of, start_of, switches
 from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
 from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY
 from sigmaswarm.filters.models import PROCESSES, THETA, gps_position, gyro_bias, lateral_velocity, velocity
@@ -69,8 +69,7 @@ class TextbookCar:
             np.array(p.process_noise) * convert, np.array(p.measurement_noise), p.forgetting
         )
         self.tracking = StrongTracking(p.forgetting)
-        switches = (p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None)
-        self.flags = flags_of(timeline, *switches)
+        self.flags = flags_of(timeline, *switches(p))
         self._fix_of_step = np.cumsum(timeline.absorbs) - 1
         self._rejected = 0
         self._since = 0.0

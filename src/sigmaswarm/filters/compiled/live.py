@@ -45,7 +45,7 @@ def live_step(sources):
             return
         w = np.empty((N_ROWS, LANES))
         for r in range(N_ROWS):
-            for l in range(LANES):  # noqa: E741
+            for l in range(LANES):
                 w[r, l] = v[r]
         if n == 5:
             _step5(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)

@@ -3,7 +3,7 @@
 Each measurement fills, lane by lane, the innovation nu, its variance S and the covariances C = Cov(state, z); then
 `_absorb_two` or `_absorb_one` does x += C S^-1 nu, P -= C S^-1 C^T. In an unscented filter nu, S and C come from sigma
 points. Where z is linear in the state they are the Kalman filter's; where it turns something by the heading they have
-a closed form, as in planar5.py and planar8.py. A measurement is off for a lane whose variance is infinite.
+a closed form, as in planar5.py and planar8.py.
 
 Loops over states (i, j, row) are written out for the model's n by `unroll.unrolled`; `absorbers` gives the result.
 """
@@ -12,57 +12,7 @@ Loops over states (i, j, row) are written out for the model's n by `unroll.unrol
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import (
-    C1,
-    C2,
-    DET,
-    FADING,
-    FORGETTING,
-    G11,
-    G12,
-    G22,
-    GAMMA,
-    GATE,
-    INV_GAMMA2,
-    LANES,
-    LATENCY,
-    N1,
-    N2,
-    NIS,
-    OK,
-    P0,
-    Q0,
-    R_LATERAL,
-    R_RATE,
-    R_STANDSTILL,
-    R_VELOCITY,
-    REAR_AXLE,
-    RECENT,
-    REJECTED,
-    RX,
-    RY,
-    S11,
-    S12,
-    S22,
-    SECOND,
-    SPREAD,
-    SQ_FIX,
-    TT,
-    UT,
-    UU,
-    UV,
-    VT,
-    VV,
-    T,
-    U,
-    V,
-    W,
-    X,
-    Y,
-    double_angle,
-    kernel,
-    sincos,
-)  # fmt: skip
+from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 MOST_REJECTED = 5
@@ -81,7 +31,7 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
 
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
     """
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         second, tau = w[SECOND, l], w[LATENCY, l]
         sin_t, cos_t = sincos(w[T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
@@ -91,16 +41,18 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
         k = 1.0 + second * (sin_d / d - 1.0)
         je, jn = -k * north, k * east  # k J R(theta) lever
         along = w[SPREAD, l] * e * e
+        w[JEAST, l], w[JNORTH, l] = je, jn
+        w[GEE, l], w[GEN, l], w[GNN, l] = along * east * east, along * east * north, along * north * north
         w[N1, l] = zx - (w[X, l] - tau * w[U, l] + (1.0 + e) * east)
         w[N2, l] = zy - (w[Y, l] - tau * w[V, l] + (1.0 + e) * north)
         for i in range(n):
             w[C1 + i, l] = w[at(i, X), l] - tau * w[at(i, U), l] + je * w[at(i, T), l]
             w[C2 + i, l] = w[at(i, Y), l] - tau * w[at(i, V), l] + jn * w[at(i, T), l]
-        w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + along * east * east
-        w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + along * east * north
-        w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + along * north * north
+        w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + w[GEE, l]
+        w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + w[GEN, l]
+        w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + w[GNN, l]
     _fade(w, since)
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         rx, ry = w[RX, l], w[RY, l]
         s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
         det = s11 * s22 - s12 * s12
@@ -118,8 +70,31 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
         # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
         r1, r2 = (rx * e1 if inside else n1), (ry * e2 if inside else n2)
         w[SQ_FIX, l] += r1 * r1 + r2 * r2
+        w[GEE, l] += rx
+        w[GNN, l] += ry
     _adapt(w, since)
     _absorb_two(w)
+    _keep_digits(w)
+
+
+def _keep_digits(w, *, n):
+    """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
+
+    P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
+    the velocity and k J R(theta) lever at the heading; R is what S holds beside H P H^T.
+    """
+    for l in range(LANES):
+        used = w[G11, l] != 0.0
+        tau, je, jn = w[LATENCY, l], w[JEAST, l], w[JNORTH, l]
+        r1, r12, r2 = w[GEE, l], w[GEN, l], w[GNN, l]
+        for j in (*range(2, n), 0, 1):
+            gain_1 = w[C1 + j, l] * w[G11, l] + w[C2 + j, l] * w[G12, l]
+            gain_2 = w[C1 + j, l] * w[G12, l] + w[C2 + j, l] * w[G22, l]
+            x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, U), l] - je * w[at(j, T), l]
+            y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, V), l] - jn * w[at(j, T), l]
+            if j != Y:
+                w[at(j, X), l] = x if used else w[at(j, X), l]
+            w[at(j, Y), l] = y if used else w[at(j, Y), l]
 
 
 def _fade(w, since, *, n):
@@ -128,7 +103,7 @@ def _fade(w, since, *, n):
     D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with coloured
     noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces, of all of P before the fix.
     """
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         rho = w[FADING, l]
         size = w[N1, l] * w[N1, l] + w[N2, l] * w[N2, l]
         recent = size if w[RECENT, l] < 0.0 else (rho * w[RECENT, l] + size) / (1.0 + rho)
@@ -138,6 +113,9 @@ def _fade(w, since, *, n):
         w[S11, l] *= stretch
         w[S12, l] *= stretch
         w[S22, l] *= stretch
+        w[GEE, l] *= stretch
+        w[GEN, l] *= stretch
+        w[GNN, l] *= stretch
         for i in range(n):
             w[C1 + i, l] *= stretch
             w[C2 + i, l] *= stretch
@@ -152,7 +130,7 @@ def _adapt(w, since, *, n):
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
     construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken.
     """
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         g11, g12, g22 = w[G11, l], w[G12, l], w[G22, l]
         weight = 1.0 - w[FORGETTING, l] if g11 > 0.0 else 0.0  # a fix that was turned away teaches nothing
         e1, e2 = g11 * w[N1, l] + g12 * w[N2, l], g12 * w[N1, l] + g22 * w[N2, l]
@@ -179,23 +157,20 @@ def absorb_standstill(w, gz, *, n):
     _measure_velocity(w, 0.0, 0.0, R_STANDSTILL)
     _absorb_two(w)
     if n > W:
-        for l in range(LANES):  # noqa: E741
+        for l in range(LANES):
             w[N1, l] = gz - w[W, l]
-            w[S11, l] = math.inf if math.isinf(w[R_STANDSTILL, l]) else w[at(W, W), l] + w[R_RATE, l]
+            w[S11, l] = w[at(W, W), l] + w[R_RATE, l]
             for i in range(n):
                 w[C1 + i, l] = w[at(i, W), l]
         _absorb_one(w)
 
 
 def _measure_velocity(w, zu, zv, variance, *, n):
-    for l in range(LANES):  # noqa: E741
-        off = math.isinf(w[variance, l])
+    for l in range(LANES):
         w[N1, l], w[N2, l] = zu - w[U, l], zv - w[V, l]
         s11, s12, s22 = w[UU, l] + w[variance, l], w[UV, l], w[VV, l] + w[variance, l]
         det = s11 * s22 - s12 * s12
-        w[G11, l] = 0.0 if off else s22 / det
-        w[G12, l] = 0.0 if off else -s12 / det
-        w[G22, l] = 0.0 if off else s11 / det
+        w[G11, l], w[G12, l], w[G22, l] = s22 / det, -s12 / det, s11 / det
         for i in range(n):
             w[C1 + i, l], w[C2 + i, l] = w[at(i, U), l], w[at(i, V), l]
 
@@ -206,7 +181,7 @@ def absorb_lateral(w, gz, *, n):
     R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
     t = R^T P[v, theta] and mu = (e R^T v - k J t)_left.
     """
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         second, gamma, axle, tt = w[SECOND, l], w[GAMMA, l], w[REAR_AXLE, l], w[TT, l]
         s, c = sincos(w[T, l])
         d = gamma * math.sqrt(tt) + 1e-300
@@ -236,7 +211,7 @@ def absorb_lateral(w, gz, *, n):
 
 def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         g = 1.0 / w[S11, l]
         for j in range(n):
             gain = g * w[C1 + j, l]
@@ -247,7 +222,7 @@ def _absorb_one(w, *, n):
 
 def _absorb_two(w, *, n):
     """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         g11, g12, g22 = w[G11, l], w[G12, l], w[G22, l]
         for j in range(n):
             gain_1, gain_2 = w[C1 + j, l] * g11 + w[C2 + j, l] * g12, w[C1 + j, l] * g12 + w[C2 + j, l] * g22
@@ -261,7 +236,7 @@ def _absorb_two(w, *, n):
 def absorbers(n):
     """The four `absorb_...` functions, compiled for a model of n states."""
     ready = {"n": n}
-    for function in (_absorb_one, _absorb_two, _measure_velocity, _fade, _adapt):
+    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_velocity, _fade, _adapt):
         ready[function.__name__] = kernel(unrolled(function, **ready))
     public = (absorb_fix, absorb_velocity, absorb_standstill, absorb_lateral)
     return {function.__name__: kernel(unrolled(function, **ready)) for function in public}

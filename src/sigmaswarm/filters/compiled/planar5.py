@@ -1,6 +1,7 @@
 """planar5's prediction in closed form; read it beside `models.planar5` and `reference.UnscentedKalmanFilter`.
 
-The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate, with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
+The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
+with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
 first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
 = alpha^2 (n + kappa), and all other sigma points share the centre's g0 = g(theta). With J a turn by 90 degrees,
 
@@ -20,43 +21,7 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import (
-    ALONG,
-    EAST,
-    GAMMA,
-    INV_GAMMA2,
-    JEAST,
-    JNORTH,
-    LANES,
-    NORTH,
-    Q0,
-    SECOND,
-    SPREAD,
-    TT,
-    UT,
-    UU,
-    UV,
-    VT,
-    VV,
-    XT,
-    XU,
-    XV,
-    XX,
-    XY,
-    YT,
-    YU,
-    YV,
-    YY,
-    E,
-    T,
-    U,
-    V,
-    X,
-    Y,
-    double_angle,
-    kernel,
-    sincos,
-)  # fmt: skip
+from sigmaswarm.filters.compiled.lanes import *
 
 
 @kernel
@@ -64,7 +29,7 @@ def predict_planar5(w, dt, ax, ay, gz, q_scale):
     """One step of the process model, in two loops: a processor can't look ahead over one so long."""
     _turn(w, dt * ax, dt * ay)
     h = 0.5 * dt
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         a, b, ke, kn = (
             w[EAST, l],
             w[NORTH, l],
@@ -108,7 +73,7 @@ def predict_planar5(w, dt, ax, ay, gz, q_scale):
 @kernel
 def _turn(w, ax, ay):
     """What the mean heading and its spread do to the acceleration times dt."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         sin_t, cos_t = sincos(w[T, l])
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
         second = w[SECOND, l]

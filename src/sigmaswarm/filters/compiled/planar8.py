@@ -18,72 +18,7 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import (
-    AA,
-    AB,
-    AW,
-    BB,
-    BW,
-    COS,
-    EAST,
-    GAMMA,
-    GEE,
-    GEN,
-    GNN,
-    INV_GAMMA2,
-    JEAST,
-    JNORTH,
-    LANES,
-    MU_EAST,
-    MU_NORTH,
-    NORTH,
-    Q0,
-    SECOND,
-    SIN,
-    SPREAD,
-    TA,
-    TB,
-    TT,
-    TW,
-    UA,
-    UB,
-    UT,
-    UU,
-    UV,
-    UW,
-    VA,
-    VB,
-    VT,
-    VV,
-    VW,
-    WW,
-    XA,
-    XB,
-    XT,
-    XU,
-    XV,
-    XW,
-    XX,
-    XY,
-    YA,
-    YB,
-    YT,
-    YU,
-    YV,
-    YW,
-    YY,
-    A,
-    B,
-    T,
-    U,
-    V,
-    W,
-    X,
-    Y,
-    double_angle,
-    kernel,
-    sincos,
-)  # fmt: skip
+from sigmaswarm.filters.compiled.lanes import *
 
 
 @kernel
@@ -91,7 +26,7 @@ def predict_planar8(w, dt, ax, ay, gz, q_scale):
     """One step of the process model."""
     _turn(w, dt, ax, ay)
     h = 0.5 * dt
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         c, s, ke, kn = w[COS, l], w[SIN, l], w[JEAST, l], w[JNORTH, l]  # dt R; dt (k J g0 + m t)
         xt, yt, ut, vt, tt = w[XT, l], w[YT, l], w[UT, l], w[VT, l], w[TT, l]
         xa, ya, ua, va, ta, aa = w[XA, l], w[YA, l], w[UA, l], w[VA, l], w[TA, l], w[AA, l]
@@ -146,7 +81,7 @@ def predict_planar8(w, dt, ax, ay, gz, q_scale):
 @kernel
 def _turn(w, dt, ax, ay):
     """What heading, biases and their spread do to the acceleration times dt."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         sin_t, cos_t = sincos(w[T, l])
         s, c = dt * sin_t, dt * cos_t  # all below is times dt
         fx, fy = ax - w[A, l], ay - w[B, l]

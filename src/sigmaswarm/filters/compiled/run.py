@@ -7,33 +7,15 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sigmaswarm.filters.compiled.lanes import (
-    BEFORE_T,
-    BEFORE_X,
-    BEFORE_Y,
-    CONSTANTS,
-    DET,
-    LANES,
-    LOG_DET,
-    N_CONSTANTS,
-    N_ROWS,
-    N_STATE,
-    N_SUMS,
-    OK,
-    RECENT,
-    SQ_HEADING,
-    SQ_POSITION,
-    SUMS,
-    T,
-    X,
-    Y,
-    kernel,
-)  # fmt: skip
+from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.unroll import unrolled
+
+Array = NDArray[np.float64]
 
 # Columns of a step, and its flags: what happens at its end.
 DT, AX, AY, GZ, Q_SCALE = range(5)
@@ -54,7 +36,7 @@ _FIRST_CONSTANT, _FIRST_SUM = CONSTANTS.start, SUMS.start
 @kernel
 def _take_logarithm(w):
     """Move the product of the last det S into the sum of their logarithms (a slow call: once in a while)."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         w[LOG_DET, l] += math.log(w[DET, l])
         w[DET, l] = 1.0
 
@@ -62,7 +44,7 @@ def _take_logarithm(w):
 @kernel
 def _score(w, weight, true_x, true_y, true_theta, scores_heading):
     """Add the squared errors at a moment of truth; the estimate is linear between two IMU samples."""
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         x = w[BEFORE_X, l] + weight * (w[X, l] - w[BEFORE_X, l]) - true_x
         y = w[BEFORE_Y, l] + weight * (w[Y, l] - w[BEFORE_Y, l]) - true_y
         turn = w[T, l] - w[BEFORE_T, l]
@@ -85,7 +67,7 @@ def _run(
     interval_starts = True
     for step in range(steps.shape[0]):
         if interval_starts:
-            for l in range(LANES):  # noqa: E741
+            for l in range(LANES):
                 w[BEFORE_X, l] = w[X, l]
                 w[BEFORE_Y, l] = w[Y, l]
                 w[BEFORE_T, l] = w[T, l]
@@ -112,7 +94,7 @@ def _run(
             _score(w, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING])
             n_targets += 1
         if interval_starts and record.shape[0] > 0:
-            for l in range(record.shape[2]):  # noqa: E741
+            for l in range(record.shape[2]):
                 for r in range(N_STATE):
                     record[n_recorded, r, l] = w[r, l]
                 record[n_recorded, N_STATE, l] = w[OK, l]
@@ -125,8 +107,17 @@ _run8 = kernel(unrolled(_run, predict=predict_planar8, **absorbers(8)))
 
 
 @kernel
+def _store(w, sums, final):
+    for l in range(LANES):
+        for r in range(N_STATE):
+            final[r, l] = w[r, l]
+        for r in range(N_SUMS):
+            sums[r, l] = w[_FIRST_SUM + r, l]
+
+
+@kernel
 def _load(w, initial, constants):
-    for l in range(LANES):  # noqa: E741
+    for l in range(LANES):
         for r in range(N_ROWS):
             w[r, l] = 0.0
         for r in range(N_STATE):
@@ -150,41 +141,62 @@ def cached_by_sources(make):
 
 
 @cached_by_sources
-def run_lanes(sources):
-    def run(n, steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
-        """Run LANES filters over one time line.
-
-        Parameters
-        ----------
-        n : int, 5 or 8: states of the model
-        steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
-        flags : (k,) int64, bits of each step, FIX ... STANDSTILL
-        fixes : (f, 4) m east, north, m/s east, north, in the order in which steps absorb them
-        lever : (2,) m forward and left from the IMU to the antenna
-        targets : (m, 5) see WEIGHT ... SCORES_HEADING
-        target_end : (k,) int64, how many targets lie before the end of each step (constant where flags lack IMU)
-        initial : (N_STATE, LANES)
-        constants : (N_CONSTANTS, LANES)
-        sums : (N_SUMS, LANES), written
-        final : (N_STATE, LANES), written: the state at the end
-        record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
-        """
+def _run_planar5(sources):
+    def run_planar5(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
         if sources == "":  # never; so the name is closed over
             return
         w = np.empty((N_ROWS, LANES))
         _load(w, initial, constants)
-        if n == 5:
-            _run5(w, steps, flags, fixes, lever, targets, target_end, record)
-        else:
-            _run8(w, steps, flags, fixes, lever, targets, target_end, record)
-        for l in range(LANES):  # noqa: E741
-            total = 0.0
-            for r in range(N_STATE):
-                final[r, l] = w[r, l]
-                total += w[r, l]
-            for r in range(N_SUMS):
-                sums[r, l] = w[_FIRST_SUM + r, l]
-            if not math.isfinite(total):
-                sums[OK - _FIRST_SUM, l] = 0.0
+        _run5(w, steps, flags, fixes, lever, targets, target_end, record)
+        _store(w, sums, final)
 
-    return run
+    return run_planar5
+
+
+@cached_by_sources
+def _run_planar8(sources):
+    def run_planar8(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+        if sources == "":  # never; so the name is closed over
+            return
+        w = np.empty((N_ROWS, LANES))
+        _load(w, initial, constants)
+        _run8(w, steps, flags, fixes, lever, targets, target_end, record)
+        _store(w, sums, final)
+
+    return run_planar8
+
+
+KERNELS = {5: _run_planar5, 8: _run_planar8}
+"""By number of states."""
+
+
+def run_lanes(
+    n: int,
+    steps: Array,
+    flags: NDArray[np.int64],
+    fixes: Array,
+    lever: Array,
+    targets: Array,
+    target_end: NDArray[np.int64],
+    initial: Array,
+    constants: Array,
+    record: Array,
+) -> tuple[Array, Array]:
+    """Run LANES filters over one time line; gives sums (N_SUMS, LANES) and final states (N_STATE, LANES).
+
+    Parameters
+    ----------
+    n : 5 or 8, states of the model
+    steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
+    flags : (k,) bits of each step, FIX ... STANDSTILL
+    fixes : (f, 4) m east, north, m/s east, north, in the order in which steps absorb them
+    lever : (2,) m forward and left from the IMU to the antenna
+    targets : (m, 5) see WEIGHT ... SCORES_HEADING
+    target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
+    initial : (N_STATE, LANES)
+    constants : (N_CONSTANTS, LANES)
+    record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
+    """
+    sums, final = np.empty((N_SUMS, LANES)), np.empty((N_STATE, LANES))
+    KERNELS[n](steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record)
+    return sums, final
