@@ -15,10 +15,14 @@ from sigmaswarm.drives.drive import Array, Drive
 WINDOW = 1.0
 """s of samples that must be calm."""
 CALM = 2.5
-"""A window is calm if it is at most that many times as restless as the calmest one so far."""
+"""A window is calm if it is at most that many times as restless as the car is when it is calm."""
+SETTLES = 0.5
+"""s in which the notion of calm follows a calmer window."""
+RISES = 0.1
+"""per s: how fast it rises while the car is about calm, so that one lucky window does not set it for good."""
 FIX_WINDOW = 3.0
 """s of fixes that must stay where they are."""
-FIX_SPEED = 0.5
+FIX_SPEED = 0.8
 """m/s: the speed that the fixes may show while the car stands."""
 TURNING = math.radians(1.5)
 """rad/s: a car that stands does not turn; a gyro's bias stays below this."""
@@ -40,7 +44,7 @@ def standing(drive: Drive) -> NDArray[np.bool_]:
 
 
 def new_floor() -> Array:
-    """The calmest window so far of ax, ay, gz, shape (3,); `is_calm` lowers it."""
+    """How restless ax, ay, gz are when the car is calm, shape (3,); `is_calm` learns it."""
     return np.full(3, np.inf)
 
 
@@ -62,7 +66,13 @@ def is_calm(samples: Array, last: int, floor: Array) -> bool:
         for k in range(first, last + 1):
             variance += (samples[k, 1 + c] - mean) ** 2
         restless = math.sqrt(variance / (last + 1 - first))
-        floor[c] = min(floor[c], restless)
+        dt = samples[last, 0] - samples[last - 1, 0]
+        if not floor[c] < math.inf:
+            floor[c] = restless
+        elif restless < floor[c]:
+            floor[c] += (restless - floor[c]) * min(1.0, dt / SETTLES)
+        elif restless < 3.0 * floor[c]:
+            floor[c] *= 1.0 + RISES * min(1.0, dt)
         calm = calm and restless <= CALM * max(floor[c], 1e-6)
     return calm
 

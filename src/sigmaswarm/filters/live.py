@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -182,7 +183,8 @@ class LiveFilter:
                 happens |= run.VELOCITY
         imu = (sample.ax, sample.ay, sample.gz)
         z = (zx, zy, zu, zv)
-        live_step(self._v, self._n, dt, *imu, scale, happens, *z, *self._lever, self._since)
+        step: Any = live_step  # Numba's type says nothing of its arguments
+        step(self._v, self._n, dt, *imu, scale, happens, *z, *self._lever, self._since)
         if fix is not None:
             self._since = 0.0
         self._time = to
