@@ -12,7 +12,6 @@ from sigmaswarm.simulation.imu import (
     carla_force,
     find_imu,
     measure_imu,
-    with_noise,
 )
 from sigmaswarm.simulation.motion import Motion
 
@@ -102,12 +101,6 @@ def test_a_grades_draws_are_scaled_not_redrawn():
     """The same seed gives the same noise at another size, so that grades are compared on equal terms."""
     quiet, loud = (ImuGrade("test", Triad(noise_density=d)) for d in (0.01, 0.02))
     np.testing.assert_allclose(2 * measured(quiet, 50, 0.01)[0, 0], measured(loud, 50, 0.01)[0, 0])
-
-
-def test_with_noise_multiplies_white_noise_only():
-    loud, base = with_noise("icm-20602", 10.0), find_imu("icm-20602")
-    assert loud.accel.noise_density == 10 * base.accel.noise_density
-    assert loud.gyro.bias_std == base.gyro.bias_std
 
 
 def test_carlas_acceleration_is_a_second_difference_one_tick_late():

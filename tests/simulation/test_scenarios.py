@@ -117,6 +117,15 @@ def test_ideal_sensors_tell_the_truth_and_latency_and_lever_arm_shift_it():
     np.testing.assert_allclose(np.hypot(*offset.T), 1.0, atol=0.01)
 
 
+def test_vibration_shakes_a_moving_car_and_no_other_sensor():
+    still, shaken = (simulate("accelerate", vibration=v) for v in (0.0, 1.0))
+    assert same(still, shaken, "gps", "truth")
+    noise = shaken.imu.ax - still.imu.ax
+    speed = np.hypot(still.truth.vx, still.truth.vy)
+    assert noise[speed > 5].std() == pytest.approx(0.06 * 10, rel=0.1)  # density times the root of 100 Hz
+    assert noise[:50].std() < 0.01
+
+
 def test_gnss_degradation_is_off_by_default_and_said_when_on():
     plain, worse = (simulate("brake", "rain", gnss_degradation=on) for on in (False, True))
     assert plain.metadata["gps_std_m"] == pytest.approx(2.1)
@@ -150,6 +159,7 @@ def test_every_gps_grade_drives(gps):
         ({"imu_rate": 0.0}, "imu_rate is 0 Hz"),
         ({"gps_rate": 2000.0}, "gps_rate is 2000 Hz"),
         ({"jitter": -1.0}, "jitter"),
+        ({"vibration": float("nan")}, "vibration"),
         ({"maneuver": "brake", "duration": 60.0}, "only 'urban'"),
         ({"seed": -1}, "negative"),
     ],

@@ -7,7 +7,7 @@ Sources, cited behind the values:
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,10 +205,3 @@ def carla_force(times: Array, motion: Motion) -> Array:
     acceleration = 2 * np.diff(speeds, axis=0) / (steps[1:] + steps[:-1])
     acceleration[:, 2] += GRAVITY
     return np.einsum("nji,nj->ni", motion.rotation[2:], acceleration)
-
-
-def with_noise(grade: str | ImuGrade, factor: float) -> ImuGrade:
-    """Return the grade with its white noise multiplied: datasheets are 10-100 times too quiet for a car."""
-    found = find_imu(grade)
-    louder = [replace(t, noise_density=factor * t.noise_density) for t in (found.accel, found.gyro)]
-    return replace(found, name=f"{found.name} x{factor:g}", accel=louder[0], gyro=louder[1])

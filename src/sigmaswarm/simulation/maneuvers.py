@@ -86,6 +86,7 @@ def hard(length: float, speed: float, acceleration: float, braking: float, wait:
 
 def warm_up(road: Road, kmh: float = 34.0) -> list[Leg]:
     """Pull away and drive at least 30 m at 5 m/s or more, so that a filter can align."""
+    kmh = kmh if road.friction > 0.4 else 0.8 * kmh
     pull_away = 1.15 * (kmh * KMH) ** 2 / 2 / road.easy(2.5)
     return [straight(road, pull_away + 32.0, kmh)]
 
