@@ -39,7 +39,7 @@ def allan_deviation(values, interval, tau):
 
 
 def gauss_markov_deviation(std, correlation_time, tau):
-    """Allan deviation of a first-order Gauss-Markov process (IEEE Std 952-1997, C.1.1.6, integrated)."""
+    """Allan deviation of a first-order Gauss-Markov process, from its autocorrelation std^2 exp(-t / T)."""
     r = tau / correlation_time
     return std * math.sqrt(2 / r**2 * (r - 1.5 + 2 * math.exp(-r) - 0.5 * math.exp(-2 * r)))
 

@@ -1,5 +1,6 @@
 """All conditions times all runs, in threads: the compiled car leaves the interpreter free."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -53,7 +54,7 @@ def simulate_many(
         return drive if use is None else use(drive)
 
     names = [(m, e, r) for m in maneuvers for e in environments for r in range(runs)]
-    pool = executor if executor is not None else ThreadPoolExecutor(workers)
+    pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
     try:
         yield from _in_order(pool, one, names)
     finally:
