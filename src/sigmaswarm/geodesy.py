@@ -33,7 +33,9 @@ def wrap_angle(angle: ArrayLike) -> float | Array:
 
 def geodetic_to_ecef(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayLike) -> Array:
     """Earth-centred, earth-fixed coordinates (..., 3) in m of geodetic degrees, degrees and m."""
-    lat, lon, h = np.broadcast_arrays(np.radians(latitude), np.radians(longitude), np.asarray(altitude, float))
+    lat, lon, h = np.broadcast_arrays(
+        np.radians(latitude), np.radians(longitude), np.asarray(altitude, float)
+    )
     n = SEMI_MAJOR_AXIS / np.sqrt(1 - _E2 * np.sin(lat) ** 2)  # radius in the prime vertical
     return np.stack(
         [

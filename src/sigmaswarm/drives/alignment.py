@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -84,7 +84,7 @@ def initial_state(drive: Drive) -> InitialState:
             continue
         if abs(position[i] - position[window[0]]) < 0.5 * MIN_TRAVEL:  # a cheap look before the fit
             continue
-        fit = _Fit.of(drive.imu.time, turned, sped, time[window], position[window])
+        fit = _Fit.of(drive.imu, turned, sped, time[window], position[window])
         if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD:
             return fit.state()
     raise AlignmentError(
@@ -115,13 +115,17 @@ class _Fit:
         return float(np.sqrt(self.covariance[2, 2]))
 
     @classmethod
-    def of(cls, imu_time: Array, turned: Array, sped: Array, time: Array, position: Array) -> "_Fit":
+    def of(
+        cls, imu: Imu, turned: Array, sped: Array, time: Array, position: NDArray[np.complex128]
+    ) -> "_Fit":
         end = time[-1]
         # The IMU's grid between the first and the last fix, both included.
-        inside = imu_time[(imu_time > time[0]) & (imu_time < end)]
-        grid = np.concatenate([[time[0]], inside, [end]])
-        psi = np.interp(grid, imu_time, turned)
-        gained = np.interp(grid, imu_time, sped)
+        grid = np.concatenate([[time[0]], imu.time[(imu.time > time[0]) & (imu.time < end)], [end]])
+        psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
+        # The last fix comes after the last sample that a filter on board would have: hold that one.
+        last = int(np.searchsorted(imu.time, end, side="right")) - 1
+        psi[-1] = turned[last] + imu.gz[last] * (end - imu.time[last])
+        gained[-1] = sped[last] + imu.ax[last] * (end - imu.time[last])
         direction = np.exp(1j * (psi - psi[-1]))
 
         def until_end(integrand: Array) -> Array:
@@ -137,7 +141,16 @@ class _Fit:
         return cls._solve(end, position, g, t, m, float(end - time[0]), coasting)
 
     @classmethod
-    def _solve(cls, end: float, position: Array, g: Array, t: Array, m: Array, span: float, coasting: float) -> "_Fit":
+    def _solve(
+        cls,
+        end: float,
+        position: NDArray[np.complex128],
+        g: Array,
+        t: Array,
+        m: Array,
+        span: float,
+        coasting: float,
+    ) -> "_Fit":
         """Gauss-Newton on east, north, theta, v, b."""
         chord = position[-1] - position[0]
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
@@ -159,7 +172,7 @@ class _Fit:
             p, theta, v, b = p + step[0] + 1j * step[1], theta + step[2], v + step[3], b + step[4]
             if np.max(np.abs(step)) < 1e-10:
                 break
-        covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
+        covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), np.float64)
         travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
         return cls(end, np.array([p.real, p.imag, theta, v, b]), covariance, float(travel) if v > 0 else 0.0)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,16 @@ class _Table:
             column = np.array(values, dtype=np.float64)
             if column.shape != (length,):
                 name = type(self).__name__
-                raise DriveError(f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values")
+                raise DriveError(
+                    f"{name}.{f.name} has shape {column.shape}, but {name}.time has {length} values"
+                )
             column.setflags(write=False)
             object.__setattr__(self, f.name, column)
 
     def __len__(self) -> int:
         return len(self.time)
 
-    def select(self, rows: NDArray[np.bool_] | slice) -> Any:
+    def select(self, rows: NDArray[np.bool_] | slice) -> Self:
         """The same table with only some of its rows (a mask or a slice)."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
         return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})

@@ -98,7 +98,7 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
     Each moves later, its length unchanged, to the first sample at or after its end; farther where it would
     else come closer than ``apart`` to the one before. So the first keeps its distance from the start. A
     window that would end after the last sample moves earlier, onto that sample; where this brings it too
-    close to the one before, it and all later ones are left out.
+    close to the one before, it is left out.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
         length = end - start
         i = min(int(np.searchsorted(samples, max(end, free + length))), len(samples) - 1)
         if samples[i] < free + length:
-            break  # nor is there room for later ones
+            continue
         snapped.append([samples[i] - length, samples[i]])
         free = samples[i] + apart
     return _checked(snapped)

@@ -24,6 +24,9 @@ rule out that writing one row changes another. A failing lane turns to NaN or lo
 branches on it, so the other lanes neither wait nor change.
 """
 
+# Numba has types of its own, which a type checker for Python does not know.
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
 import math
 
 import numpy as np
@@ -61,12 +64,12 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 _FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def _inline(function):  # pyright: ignore
+def _inline(function):
     return njit(function, inline="always", error_model="numpy")
 
 
 @_inline
-def _sincos(x):  # pyright: ignore
+def _sincos(x):
     """Sine and cosine without branches or library calls: error about 3e-16 for |x| below 1e5.
 
     Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c).
@@ -122,7 +125,7 @@ def _sincos(x):  # pyright: ignore
 
 
 @_inline
-def _predict(state, constants, dt, ax, ay, gz, q_scale):  # pyright: ignore
+def _predict(state, constants, dt, ax, ay, gz, q_scale):
     """One step of the process model, in closed form (see the top of this file)."""
     h = 0.5 * dt * dt
     for l in range(LANES):  # noqa: E741
@@ -179,7 +182,7 @@ def _predict(state, constants, dt, ax, ay, gz, q_scale):  # pyright: ignore
 
 
 @_inline
-def _absorb(state, constants, sums, zx, zy):  # pyright: ignore
+def _absorb(state, constants, sums, zx, zy):
     """The Kalman update with a position fix.
 
     The position's rows of P - K S K^T equal K R; so written, nothing large is subtracted.
@@ -196,7 +199,9 @@ def _absorb(state, constants, sums, zx, zy):  # pyright: ignore
         ey = ixy * nx + iyy * ny
         sums[NIS, l] += nx * ex + ny * ey
         sums[DET, l] *= det
-        sums[SQ_FIX, l] += (rx * ex) ** 2 + (ry * ey) ** 2  # the residual z - H x after the update is R S^-1 nu
+        sums[SQ_FIX, l] += (rx * ex) ** 2 + (
+            ry * ey
+        ) ** 2  # the residual z - H x after the update is R S^-1 nu
 
         xu, yu, xv, yv, xt, yt = (
             state[XU, l],
@@ -251,7 +256,7 @@ def _absorb(state, constants, sums, zx, zy):  # pyright: ignore
 
 
 @_inline
-def _take_logarithm(sums):  # pyright: ignore
+def _take_logarithm(sums):
     """Move the product of the last det S into the sum of their logarithms (a slow call: once in a while)."""
     for l in range(LANES):  # noqa: E741
         sums[LOG_DET, l] += math.log(sums[DET, l])
@@ -259,7 +264,7 @@ def _take_logarithm(sums):  # pyright: ignore
 
 
 @_inline
-def _score(state, sums, before, weight, true_x, true_y, true_theta, scores_heading):  # pyright: ignore
+def _score(state, sums, before, weight, true_x, true_y, true_theta, scores_heading):
     """Add the squared errors at a moment of truth; the estimate is linear between two IMU samples."""
     for l in range(LANES):  # noqa: E741
         x = before[0, l] + weight * (state[X, l] - before[0, l])
@@ -273,7 +278,7 @@ def _score(state, sums, before, weight, true_x, true_y, true_theta, scores_headi
 
 
 @njit(error_model="numpy", fastmath=_FLAGS, nogil=True, cache=True)
-def run_lanes(steps, flags, fixes, targets, target_end, initial, constants, sums_out, final_out, record):  # pyright: ignore
+def run_lanes(steps, flags, fixes, targets, target_end, initial, constants, sums_out, final_out, record):
     """Run LANES filters over one time line.
 
     Parameters
@@ -323,9 +328,7 @@ def run_lanes(steps, flags, fixes, targets, target_end, initial, constants, sums
         interval_starts = (flags[k] & IMU) != 0
         while n_targets < target_end[k]:
             t = targets[n_targets]
-            _score(
-                state, sums, before, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING]
-            )
+            _score(state, sums, before, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING])
             n_targets += 1
         if interval_starts and record.shape[0] > 0:
             for row in range(N_STATE):

@@ -63,7 +63,9 @@ class FilterParameters:
     def __post_init__(self) -> None:
         n = self.n_states
         if len(self.process_noise) != n:
-            raise ValueError(f"process_noise needs {n} variances for {self.model}, got {len(self.process_noise)}")
+            raise ValueError(
+                f"process_noise needs {n} variances for {self.model}, got {len(self.process_noise)}"
+            )
         if len(self.measurement_noise) != 2:
             raise ValueError(f"measurement_noise needs 2 variances, got {len(self.measurement_noise)}")
         if n + self.kappa <= 0:
@@ -100,7 +102,9 @@ class FilterParameters:
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
-            raise InputError(f"{path}: no such file; give a tuning.toml or the folder that holds it") from None
+            raise InputError(
+                f"{path}: no such file; give a tuning.toml or the folder that holds it"
+            ) from None
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path}: not a readable TOML file: {_one_line(error)}") from None
         if not isinstance(table.get("filter"), dict):

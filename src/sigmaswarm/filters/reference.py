@@ -72,7 +72,7 @@ def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
             "the covariance is not positive definite: the filter has failed; "
             "are all process and measurement variances positive?"
         ) from None
-    root = np.empty_like(factor)
+    root = np.empty((n, n))
     root[order] = factor
     return root
 

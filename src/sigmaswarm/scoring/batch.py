@@ -68,7 +68,9 @@ class Replayer:
         self.initial = tuple(initial_state(drive) for drive in drives)
         pairs = list(zip(self.drives, self.initial, strict=True))
         self._tracking = [tracking_replay(d, i) for d, i in pairs]
-        self._outages = [outage_replay(d, i, length=outage_length, seed=outage_seed) for d, i in pairs] * outages
+        self._outages = [
+            outage_replay(d, i, length=outage_length, seed=outage_seed) for d, i in pairs
+        ] * outages
 
     @cached_property
     def steps_per_set(self) -> int:

@@ -1,13 +1,13 @@
 """What a tuning is worth: the same drives by the tuned filter, the manual ones, raw GPS and IMU only."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
@@ -17,10 +17,16 @@ from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
 
-METHODS = ("tuned", "defaults", "datasheet", "raw_gps", "imu_only")
-"""The rows of every comparison."""
+METHODS = {
+    "tuned": "tuned UKF",
+    "defaults": "manual: defaults",
+    "datasheet": "manual: data sheet",
+    "raw_gps": "raw GPS",
+    "imu_only": "IMU only",
+}
+"""The rows of every comparison: what files and what people call them."""
 
-MEASURES = {
+MEASURES: dict[str, Callable[[Score], float]] = {
     "position_rmse_m": lambda s: s.position_rmse,
     "heading_rmse_deg": lambda s: float(np.degrees(s.heading_rmse)),
     "outage_drift_m": lambda s: s.outage_drift,
@@ -145,6 +151,3 @@ def _unique(name: str, taken: Mapping[str, Any]) -> str:
     """Two drives of one name must not hide each other."""
     numbered = (f"{name} ({i})" for i in range(2, len(taken) + 2))
     return name if name not in taken else next(n for n in numbered if n not in taken)
-
-
-__all__ = ["MEASURES", "METHODS", "Evaluation", "evaluate", "initial_state"]

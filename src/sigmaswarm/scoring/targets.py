@@ -61,7 +61,7 @@ def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    rows = np.column_stack([weight, truth.x, truth.y, truth.theta, counts])
+    rows = np.column_stack([weight, truth.x, truth.y, truth.theta, counts.astype(np.float64)])
     return Targets(rows, _end(timeline, truth.time))
 
 

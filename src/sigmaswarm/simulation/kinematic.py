@@ -1,4 +1,4 @@
-"""A first, plain simulator: kinematics in the plane and white noise, so that a demo needs no files."""
+"""A first, plain simulator: kinematics in the plane, white noise and biases, so that a demo needs no files."""
 
 import numpy as np
 
@@ -16,10 +16,12 @@ def simulate(
     gps_std: float = 1.0,
     accel_std: float = 0.05,
     gyro_std: float = 0.002,
+    accel_bias_std: float = 0.2,
+    gyro_bias_std: float = 0.003,
     seed: int = 0,
     name: str | None = None,
 ) -> Drive:
-    """Simulate a drive through a town: straights, turns, stops; a flat road, no slip, white noise.
+    """Simulate a drive through a town: straights, turns, stops; a flat road, no slip.
 
     Parameters
     ----------
@@ -30,7 +32,9 @@ def simulate(
     gps_std : float
         m per axis.
     accel_std, gyro_std : float
-        m/s2, rad/s: standard deviation of one sample.
+        m/s2, rad/s: standard deviation of one sample's white noise.
+    accel_bias_std, gyro_bias_std : float
+        m/s2, rad/s: standard deviation of the constant bias that each axis has for the whole drive.
     seed : int
         Decides route and noise.
     name : str, optional
@@ -45,7 +49,7 @@ def simulate(
     fine = 10
     n = round(duration * imu_rate) * fine
     dt = 1.0 / (imu_rate * fine)
-    time = np.arange(n + 1) * dt
+    time: Array = np.arange(n + 1, dtype=np.float64) * dt
     speed, yaw_rate = _maneuvers(time, route)
     theta = route.uniform(-np.pi, np.pi) + _integral(yaw_rate, dt)
     vx, vy = speed * np.cos(theta), speed * np.sin(theta)
@@ -54,14 +58,18 @@ def simulate(
 
     at_imu = slice(0, n + 1, fine)
     shape = len(time[at_imu])
+
+    def measured(exact: Array | float, std: float, bias_std: float) -> Array:
+        return exact + bias_std * noise.standard_normal() + std * noise.standard_normal(shape)
+
     imu = Imu(
         time=time[at_imu],
-        ax=acceleration[at_imu] + accel_std * noise.standard_normal(shape),
-        ay=(speed * yaw_rate)[at_imu] + accel_std * noise.standard_normal(shape),
-        gz=yaw_rate[at_imu] + gyro_std * noise.standard_normal(shape),
-        az=G + accel_std * noise.standard_normal(shape),
+        ax=measured(acceleration[at_imu], accel_std, accel_bias_std),
+        ay=measured((speed * yaw_rate)[at_imu], accel_std, accel_bias_std),
+        gz=measured(yaw_rate[at_imu], gyro_std, gyro_bias_std),
+        az=measured(G, accel_std, accel_bias_std),
     )
-    fix = np.arange(0.0, duration, 1.0 / gps_rate)
+    fix: Array = np.arange(0.0, duration, 1.0 / gps_rate, dtype=np.float64)
     gps = Gps(
         time=fix,
         x=np.interp(fix, time, x) + gps_std * noise.standard_normal(len(fix)),
@@ -71,7 +79,7 @@ def simulate(
     )
     truth = Truth(time[at_imu], x[at_imu], y[at_imu], vx[at_imu], vy[at_imu], theta[at_imu])
     metadata = {
-        "source": "sigmaswarm simulate (plane kinematics, white noise)",
+        "source": "sigmaswarm simulate (plane kinematics, white noise, constant biases)",
         "seed": seed,
         "accel_noise_density": accel_std / np.sqrt(imu_rate),
         "gyro_noise_density": gyro_std / np.sqrt(imu_rate),

@@ -75,7 +75,7 @@ def run_batch(
         scores = replayer.scores(parameter_sets, executor)
     sets = range(len(parameter_sets))
     each = tuple(tuple(scores[i, j] for j in range(len(drives))) for i in sets)
-    return BatchResult(goal.costs(scores), each, scores.failed.any(axis=1))
+    return BatchResult(goal.costs(scores), each, np.asarray(scores.failed.any(axis=1)))
 
 
 def check_drives(drives: Sequence[Drive], objective: Objective) -> None:

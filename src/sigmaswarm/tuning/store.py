@@ -59,7 +59,9 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
             arrays = {name: file[name] for name in file.files}
         return arrays, json.loads(str(arrays.pop("notes")))
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: not a readable checkpoint ({error}); delete it to redo this trial") from None
+        raise InputError(
+            f"{path}: not a readable checkpoint ({error}); delete it to redo this trial"
+        ) from None
 
 
 def _short(key: str, config: dict[str, Any]) -> str:
@@ -92,7 +94,9 @@ class ResultFolder:
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{path}: can't be made a folder ({error.strerror}); choose another --out") from None
+            raise InputError(
+                f"{path}: can't be made a folder ({error.strerror}); choose another --out"
+            ) from None
         config_file = path / "config.json"
         if config_file.exists():
             self._check(config_file, config, resume)

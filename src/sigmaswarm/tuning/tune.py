@@ -230,7 +230,9 @@ class _Search:
         done = self.folder.finished(number) if self.folder else None
         if done:
             result, history = done
-            return Trial(result["cost"], history["point"], history["best"], history["median"], *result["counts"])
+            return Trial(
+                result["cost"], history["point"], history["best"], history["median"], *result["counts"]
+            )
         swarm = self._swarm(number)
         best, median, failures = self._resumed(number, swarm)
         while len(best) < self.config.generations and not self._stalled(best):

@@ -1,0 +1,63 @@
+"""The `sigmaswarm` command: its subcommands, and how errors are told."""
+
+import sys
+import warnings
+from typing import Any, NoReturn
+
+from cyclopts import App, CycloptsError
+
+import sigmaswarm
+from sigmaswarm.cli.demo import demo
+from sigmaswarm.cli.evaluate import evaluate
+from sigmaswarm.cli.run import run
+from sigmaswarm.cli.simulate import simulate
+from sigmaswarm.cli.split import split
+from sigmaswarm.cli.tune import tune
+from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
+
+app = App(
+    name="sigmaswarm",
+    version=sigmaswarm.__version__,
+    help="""Tune the Kalman filter that fuses a vehicle's IMU and GPS.
+
+A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual way:
+
+    sigmaswarm tune drives/monday drives/tuesday --out tuned
+    sigmaswarm evaluate tuned drives/friday
+    sigmaswarm run tuned drives/friday --out estimate.csv
+
+No drives at hand? `sigmaswarm demo` makes some and shows the whole way in a minute.""",
+    help_format="markdown",
+)
+for command in (tune, evaluate, run, split, simulate, demo):
+    app.command(command)
+
+
+def main() -> NoReturn:
+    """Run the command line and exit: 0 done, 2 the user's mistake in one line, 130 interrupted."""
+    warnings.showwarning = _show_warning
+    try:
+        app(exit_on_error=False, print_error=False)
+    except (SigmaswarmError, CycloptsError) as error:
+        hint = "; see --help" if isinstance(error, CycloptsError) else ""
+        print(f"sigmaswarm: {' '.join(str(error).split())}{hint}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print(
+            "sigmaswarm: interrupted; what was saved is kept, --resume goes on with a tuning", file=sys.stderr
+        )
+        sys.exit(130)
+    except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
+        sys.stderr.close()
+        sys.exit(0)
+    sys.exit(0)
+
+
+_default_showwarning = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    if issubclass(category, SigmaswarmWarning):
+        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+    else:
+        _default_showwarning(message, category, *where, **more)

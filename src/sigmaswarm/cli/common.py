@@ -1,0 +1,116 @@
+"""What several commands share: reading drives, tables, progress, JSON."""
+
+import json
+import math
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sigmaswarm.errors import DriveError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sigmaswarm import Drive, Evaluation
+    from sigmaswarm.tuning.tune import Progress
+
+
+def read_drives(paths: Sequence[Path]) -> "list[Drive]":
+    """Read drive folders; a folder of drive folders stands for all of them."""
+    from sigmaswarm import read_drive
+
+    return [read_drive(path) for given in paths for path in _drive_folders(given)]
+
+
+def _drive_folders(path: Path) -> list[Path]:
+    if not path.is_dir() or (path / "imu.csv").exists() or (path / "gps.csv").exists():
+        return [path]  # read_drive says what is wrong with it, if anything
+    inside = sorted(folder for folder in path.iterdir() if (folder / "imu.csv").exists())
+    if not inside:
+        raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
+    return inside
+
+
+def stdout() -> "Console":
+    """Where results go."""
+    from rich.console import Console
+
+    return Console(highlight=False, soft_wrap=True)
+
+
+def print_json(content: Any) -> None:
+    """Print for machines; NaN and inf, which JSON does not know, become null."""
+    print(json.dumps(_finite(content), indent=2))
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, dict):
+        return {key: _finite(value) for key, value in content.items()}  # pyright: ignore
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]  # pyright: ignore
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+@contextmanager
+def tuning_progress(title: str) -> "Generator[Callable[[Progress], None]]":
+    """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("generations, best cost {task.fields[cost]}, remaining"),
+        TimeRemainingColumn(),
+    )
+    with Bar(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=None, cost="-")
+
+        def told(progress: "Progress") -> None:
+            bar.update(task, total=progress.total, completed=progress.done, cost=f"{progress.best_cost:.3f}")
+
+        yield told
+
+
+def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> None:
+    """The comparison as a table: every drive, the mean, and what the tuning improved."""
+    from rich.table import Table
+
+    from sigmaswarm.scoring.evaluation import METHODS
+
+    console = stdout()
+    table = Table(title="On these drives (lower is better)", title_justify="left")
+    table.add_column("drive")
+    table.add_column("method")
+    for title in ("position\nRMSE, m", "heading\nerror, deg", f"{outage_length:g} s outage\ndrift, m"):
+        table.add_column(title, justify="right")
+    measures = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
+    for drive in evaluation.scores:
+        for i, (method, name) in enumerate(METHODS.items()):
+            cells = [_number(evaluation.value(drive, method, m)) for m in measures]
+            failed = " (failed)" if evaluation.scores[drive][method].failed else ""
+            style = "bold" if method == "tuned" else None
+            table.add_row(drive if i == 0 else "", name + failed, *cells, style=style)
+        table.add_section()
+    if len(evaluation.scores) > 1:
+        for i, (method, name) in enumerate(METHODS.items()):
+            cells = [_number(evaluation.mean(method, m)) for m in measures]
+            style = "bold" if method == "tuned" else None
+            table.add_row("mean" if i == 0 else "", name, *cells, style=style)
+    console.print(table)
+    for over in ("defaults", "datasheet", "raw_gps"):
+        improvement = evaluation.improvement(over)
+        if improvement is not None:
+            console.print(
+                f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
+                f"than {METHODS[over]}."
+            )
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if value < 100 else f"{value:.0f}"

@@ -1,0 +1,62 @@
+"""`sigmaswarm demo`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def demo(
+    *,
+    out: Path = Path("demo"),
+    seed: int = 0,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Show the whole way in a minute: simulate drives, tune on some, evaluate on others.
+
+    Example:
+
+        sigmaswarm demo --out demo
+
+    Parameters
+    ----------
+    out
+        Folder for drives, tuning and pictures; what an earlier demo left in it is replaced.
+    seed
+        Decides drives and tuning.
+    json
+        Print the scores for machines.
+    """
+    import shutil
+
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_evaluation, print_json, stdout, tuning_progress
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.report.figures import save_evaluation, save_tuning_figures
+
+    if out.exists() and any(out.iterdir()) and not (out / "tuning" / "config.json").exists():
+        raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
+    shutil.rmtree(out, ignore_errors=True)
+    console = stdout()
+    drives = [sigmaswarm.simulate(seed=100 * seed + i) for i in range(8)]
+    for drive in drives:
+        sigmaswarm.write_drive(drive, out / "drives" / drive.name)
+    training, held_out = drives[:5], drives[5:]
+    if not json:
+        console.print(f"1. simulated {len(drives)} drives of 90 s: {out / 'drives'}")
+        console.print(f"2. tuning on {len(training)} of them (30 particles, 50 generations) ...")
+    with tuning_progress("   tuning") as progress:
+        tuning = sigmaswarm.tune(
+            training, objective="truth-pose", seed=seed, out=out / "tuning", progress=progress
+        )
+    save_tuning_figures(tuning, training, out / "tuning")
+    evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
+    save_evaluation(evaluation, tuning.parameters, held_out, out / "evaluation")
+    if json:
+        print_json(evaluation.to_dict())
+        return
+    console.print(f"3. evaluated on {len(held_out)} drives that the tuning never saw")
+    print_evaluation(evaluation)
+    console.print(f"tuned filter: {out / 'tuning' / 'tuning.toml'}")
+    console.print(f"pictures:     {out / 'tuning'} and {out / 'evaluation'} (*.png)")
+    console.print("next:         sigmaswarm tune YOUR_DRIVE... --out tuned")

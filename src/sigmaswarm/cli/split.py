@@ -1,0 +1,46 @@
+"""`sigmaswarm split`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def split(
+    drive: Annotated[Path, Parameter(name="DRIVE")],
+    out: Annotated[Path, Parameter(name="OUT")],
+    /,
+    *,
+    train_fraction: float = 0.7,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Split one long drive in time: the first part to tune on, the rest to test on.
+
+    Example:
+
+        sigmaswarm split drives/monday parts
+        sigmaswarm tune parts/monday-train --out tuned
+        sigmaswarm evaluate tuned parts/monday-test
+
+    Parameters
+    ----------
+    drive
+        A drive folder.
+    out
+        Folder in which the two drive folders are made.
+    train_fraction
+        Share of the drive's time that goes to the first part.
+    json
+        Print what was written for machines.
+    """
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_json, stdout
+
+    parts = sigmaswarm.split_time(sigmaswarm.read_drive(drive), train_fraction)
+    for part in parts:
+        sigmaswarm.write_drive(part, out / part.name)
+    if json:
+        print_json({"drives": [str(out / part.name) for part in parts]})
+    else:
+        for part in parts:
+            stdout().print(f"wrote {out / part.name} ({part.duration:.0f} s)")

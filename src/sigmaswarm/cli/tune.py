@@ -1,0 +1,116 @@
+"""`sigmaswarm tune`."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+
+def tune(
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    /,
+    *,
+    out: Path,
+    objective: str = "truth-rmse",
+    scale: Literal["log10", "linear"] = "log10",
+    particles: int = 30,
+    generations: int = 50,
+    trials: int = 1,
+    seed: int = 0,
+    model: Literal["planar5"] = "planar5",
+    inertia: float | None = None,
+    zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
+    patience: int | None = None,
+    workers: int | None = None,
+    resume: Annotated[bool, Parameter(negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Tune a filter on drives, and keep it in OUT/tuning.toml.
+
+    Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
+
+    Examples:
+
+        sigmaswarm tune drives/monday drives/tuesday --out tuned
+        sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
+        sigmaswarm tune drives/training --out tuned --resume
+
+    Parameters
+    ----------
+    drives
+        Drive folders to tune on, or folders that hold drive folders.
+    out
+        Folder for tuning.toml, the convergence history and figures.
+    objective
+        truth-rmse: position error. truth-pose: position, heading and outage drift together.
+        gps-rmse: the paper's, which rewards copying the GPS.
+    scale
+        How variances are searched; linear is the paper's way.
+    particles
+        Size of the swarm.
+    generations
+        Moves of the swarm, the first placement included.
+    trials
+        Independent runs; the best one is kept, all are reported.
+    seed
+        Decides everything that is left to chance.
+    model
+        The filter's process model.
+    inertia
+        The swarm's w; 0.7298 by default.
+    zero_velocity_at_bounds
+        Stop particles in the coordinates in which they hit the box.
+    patience
+        End a trial after that many generations without progress; by default never.
+    workers
+        Threads; all cores by default. The result does not depend on it.
+    resume
+        Go on with a tuning that was interrupted; the result is the same as without the interruption.
+    json
+        Print the result for machines.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
+    from sigmaswarm.report.figures import save_tuning_figures
+
+    config: dict[str, Any] = {
+        "objective": objective,
+        "scale": scale,
+        "particles": particles,
+        "generations": generations,
+        "trials": trials,
+        "seed": seed,
+        "model": model,
+        "zero_velocity_at_bounds": zero_velocity_at_bounds,
+        "patience": patience,
+    }
+    if inertia is not None:
+        config["inertia"] = inertia
+    read = read_drives(drives)
+    _warn_about(objective)
+    with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
+        tuning = sigmaswarm.tune(read, out=out, resume=resume, executor=pool, progress=progress, **config)
+    pictures = save_tuning_figures(tuning, read, out)
+    if json:
+        print_json(tuning.to_dict())
+        return
+    console = stdout()
+    console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
+    for touched in tuning.touched_bounds:
+        console.print(f"note: {touched}: the optimum may lie outside the box")
+    console.print(f"filter:   {out / 'tuning.toml'}")
+    console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
+    console.print(f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...")
+
+
+def _warn_about(objective: str) -> None:
+    import warnings
+
+    from sigmaswarm.errors import SigmaswarmWarning
+    from sigmaswarm.tuning.objectives import objective_named
+
+    warning = objective_named(objective).warning
+    if warning:
+        warnings.warn(warning, SigmaswarmWarning, stacklevel=2)

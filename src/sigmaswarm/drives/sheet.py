@@ -1,0 +1,125 @@
+"""One CSV file of a drive: its cells as text, then as numbers, and where exactly something is wrong."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import DriveError
+
+_NO_STD = "leave the column out where the receiver states no deviation"
+_RANGES: dict[str, tuple[float, float, str]] = {
+    "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
+    "std_x": (1e-6, np.inf, _NO_STD),
+    "std_y": (1e-6, np.inf, _NO_STD),
+}
+"""Lowest and highest value allowed in a column, and the remedy."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A CSV file's cells, still text (None where empty), and the file's line (n,) that each row stands on."""
+
+    path: Path
+    cells: pl.DataFrame
+    lines: NDArray[np.int64]
+
+    @classmethod
+    def read(cls, path: Path) -> "Sheet":
+        """Read a file whose rows all have as many cells as its header; blank lines don't count."""
+        if not path.is_file():
+            raise DriveError(
+                f"{path} is missing; a drive needs it, with a header line and one row per sample"
+            )
+        try:
+            cells = pl.read_csv(path, infer_schema=False)
+        except pl.exceptions.NoDataError:
+            raise _empty(path) from None
+        except pl.exceptions.ComputeError:
+            raise _shape_fault(path) from None
+        filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
+        if filled.is_empty():
+            raise _empty(path)
+        names = [
+            name.strip().split("_duplicated_")[0] for name in cells.columns
+        ]  # polars renames a second one
+        for name in names:
+            if names.count(name) > 1:
+                raise DriveError(
+                    f"{path}, row 1: column {name!r} appears twice; delete or rename one of them"
+                )
+        cells.columns = names
+        return cls(path, cells[filled], filled.to_numpy() + 2)  # the header is line 1
+
+    def columns(
+        self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
+    ) -> dict[str, Array]:
+        """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        known = (*required, *optional)
+        names = self.cells.columns
+        for name in required:
+            if name not in names:
+                raise DriveError(
+                    f"{self.path}, row 1: no column {name}, only {', '.join(names)}; add or rename it"
+                )
+        if unknown := [repr(name) for name in names if name not in known]:
+            remarks.append(
+                f"{self.path}: ignoring {', '.join(unknown)}; the known columns are {', '.join(known)}"
+            )
+        numbers = {name: self._numbers(name) for name in known if name in names}
+        self._require_increasing(numbers["t"])
+        return {"time" if name == "t" else name: values for name, values in numbers.items()}
+
+    def _numbers(self, column: str) -> Array:
+        """A column (n,) as finite numbers within its range."""
+        text = self.cells[column].str.strip_chars()
+        values = text.cast(pl.Float64, strict=False)
+        if values.null_count() or not values.is_finite().all():
+            i = int(values.is_finite().fill_null(False).arg_min() or 0)
+            if not text[i]:
+                raise _shape_fault(
+                    self.path, self._fault(i, column, "is empty", "fill it in or delete the row")
+                )
+            raise self._fault(
+                i, column, "is not a finite number", "write digits with a dot, or delete the row"
+            )
+        low, high, remedy = _RANGES.get(column, (-np.inf, np.inf, ""))
+        within = values.is_between(low, high)
+        if not within.all():
+            raise self._fault(int(within.arg_min() or 0), column, f"is outside {low:g} to {high:g}", remedy)
+        return values.to_numpy()
+
+    def _require_increasing(self, time: Array) -> None:
+        late = np.flatnonzero(np.diff(time) <= 0)
+        if late.size:
+            i = int(late[0]) + 1
+            what = f"is not after {self.cells['t'][i - 1]} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
+
+    def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
+        value = self.cells[column][i] or ""
+        return DriveError(f"{self.path}, row {self.lines[i]}, column {column}: {value!r} {what}; {remedy}")
+
+
+def _empty(path: Path) -> DriveError:
+    return DriveError(f"{path} is empty; it needs a header line and one row per sample")
+
+
+def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
+    """The first row whose number of cells is not the header's, looked for only once something is wrong."""
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+        rows = csv.reader(file)
+        width = len(next(rows))
+        for row in rows:
+            if row and len(row) != width:
+                return DriveError(
+                    f"{path}, row {rows.line_num}: {','.join(row)!r} has {len(row)} cells, "
+                    f"the header {width}; complete or delete the row, and write decimals with a dot"
+                )
+    return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")

@@ -1,0 +1,1 @@
+"""Hands results over in the forms that people use."""

@@ -1,0 +1,188 @@
+"""Figures of a tuning and of an evaluation."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
+from sigmaswarm.scoring.evaluation import METHODS, Evaluation
+from sigmaswarm.tuning.tune import Tuning
+
+FINE_SCALE = 50.0
+"""m: side of the close-up of a track."""
+
+
+def save_tuning_figures(tuning: Tuning, drives: Sequence[Drive], folder: Path) -> list[Path]:
+    """Write convergence.csv and the figures of a tuning into its folder; the pictures' paths."""
+    lines = ["trial,generation,best_cost,median_cost"]
+    for i, trial in enumerate(tuning.trials):
+        pairs = zip(trial.best, trial.median, strict=True)
+        lines += [f"{i},{g},{best!r},{median!r}" for g, (best, median) in enumerate(_floats(pairs), 1)]
+    (folder / "convergence.csv").write_text("\n".join(lines) + "\n")
+    pictures = [save(convergence(tuning), folder / "convergence.png")]
+    pictures.append(save(tracks(drives[0], tuning.parameters), folder / "training-track.png"))
+    return pictures
+
+
+def _floats(pairs: "zip[tuple[np.float64, np.float64]]") -> list[tuple[float, float]]:
+    return [(float(a), float(b)) for a, b in pairs]
+
+
+def save_evaluation(
+    evaluation: Evaluation, parameters: FilterParameters, drives: Sequence[Drive], folder: Path
+) -> list[Path]:
+    """Write scores.json, scores.csv and figures of an evaluation; the paths of all files."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: can't be made a folder ({error.strerror}); choose another --out"
+        ) from None
+    written = [folder / "scores.json", folder / "scores.csv"]
+    written[0].write_text(json.dumps(evaluation.to_dict(), indent=2) + "\n")
+    evaluation.to_frame().write_csv(written[1])
+    written.append(save(comparison(evaluation), folder / "comparison.png"))
+    for name, drive in zip(evaluation.scores, drives, strict=True):
+        stem = name.replace("/", "-")
+        written.append(save(tracks(drive, parameters), folder / f"{stem}-track.png"))
+        if drive.truth is not None:
+            written.append(save(errors(drive, parameters), folder / f"{stem}-error.png"))
+    return written
+
+
+def convergence(tuning: Tuning) -> Figure:
+    """Best cost so far and median cost of the swarm against generations (the paper's Fig. 2)."""
+    figure, (ax,) = new_figure(6.4, 4.0)
+    for i, trial in enumerate(tuning.trials):
+        generation = np.arange(1, len(trial.best) + 1)
+        first = i == tuning.best_trial
+        alpha = 1.0 if first else 0.35
+        ax.plot(generation, trial.best, color="#0072B2", lw=2 if first else 1, alpha=alpha,
+                label="best so far" if first else None)  # fmt: skip
+        finite = np.where(np.isfinite(trial.median), trial.median, np.nan)
+        ax.plot(generation, finite, color="#E69F00", lw=1, ls="--", alpha=alpha,
+                label="median of the swarm" if first else None)  # fmt: skip
+    ax.set(xlabel="generation", ylabel=f"cost: {tuning.config.objective}", yscale="log")
+    for axis_format in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        axis_format("{x:g}")
+    n = len(tuning.trials)
+    ax.set_title(f"Convergence, {n} trials (the best one strong)" if n > 1 else "Convergence", loc="left")
+    ax.legend(frameon=False)
+    return figure
+
+
+def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
+    """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
+    initial = initial_state(drive)
+    estimates = _estimates(drive, parameters, initial)
+    figure, (whole, close) = new_figure(11, 5.4, 1, 2)
+    x0, y0 = _place_of_sharpest_turn(drive, estimates["tuned"])
+    for ax in (whole, close):
+        ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
+        if drive.truth is not None:
+            ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
+        for name, estimate in estimates.items():
+            ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
+        ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
+    _frame_on(whole, drive)
+    whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
+    half = FINE_SCALE / 2
+    whole.plot(
+        x0 + half * np.array([-1, 1, 1, -1, -1]), y0 + half * np.array([-1, -1, 1, 1, -1]), "0.4", lw=0.8
+    )
+    close.set(xlim=(x0 - half, x0 + half), ylim=(y0 - half, y0 + half))
+    whole.set_title(drive.name, loc="left")
+    close.set_title("close-up of the sharpest turn", loc="left")
+    handles = whole.get_legend_handles_labels()
+    figure.legend(*handles, frameon=False, fontsize=8, ncols=6, loc="outside lower center")
+    return figure
+
+
+def errors(drive: Drive, parameters: FilterParameters) -> Figure:
+    """Position and heading error over time, with the tuned filter's own 3-sigma bounds."""
+    estimates = _estimates(drive, parameters, initial_state(drive))
+    figure, (position, heading) = new_figure(9, 6, 2, 1, sharex=True)
+    truth = drive.truth
+    if truth is None:
+        raise InputError(f"{drive.name}: has no truth, so there is no error to draw")
+    tuned = estimates["tuned"]
+    std = np.sqrt(np.diagonal(tuned.covariance, axis1=1, axis2=2))
+    radius, sigma = 3 * np.hypot(std[:, 0], std[:, 1]), 3 * np.degrees(std[:, 4])
+    position.plot(tuned.time, radius, color="0.6", lw=1, label="3 sigma of the tuned UKF")
+    heading.fill_between(tuned.time, -sigma, sigma, color="0.9")
+    for name, estimate in estimates.items():
+        x, y, theta = (
+            np.interp(estimate.time, truth.time, column)
+            for column in (truth.x, truth.y, np.unwrap(truth.theta))
+        )
+        distance = np.hypot(estimate.mean[:, 0] - x, estimate.mean[:, 1] - y)
+        position.plot(estimate.time, distance, label=LABELS[name], **LOOKS[name])
+        wrong = np.degrees(wrap_angle(estimate.mean[:, THETA] - theta))
+        heading.plot(estimate.time, wrong, **LOOKS[name])
+    # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
+    position.set(ylabel="position error, m", yscale="log", ylim=(0.03, None))
+    heading.set(ylabel="heading error, deg", xlabel="time, s", ylim=(-30, 30))
+    position.set_title(f"{drive.name}: error against truth", loc="left")
+    figure.legend(
+        *position.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=4, loc="outside lower left"
+    )
+    return figure
+
+
+def comparison(evaluation: Evaluation) -> Figure:
+    """Bars of the mean scores of each method; the scale is logarithmic."""
+    titles = {
+        "position_rmse_m": "position RMSE, m",
+        "heading_rmse_deg": "heading error, deg",
+        "outage_drift_m": "drift over an outage, m",
+    }
+    figure, axes = new_figure(11, 3.4, 1, 3)
+    for ax, (measure, title) in zip(axes, titles.items(), strict=True):
+        values = {m: evaluation.mean(m, measure) for m in METHODS}
+        shown = {m: v for m, v in values.items() if v}
+        for i, (method, value) in enumerate(shown.items()):
+            ax.barh(i, value, color=LOOKS[method]["color"])
+            ax.annotate(f" {value:.3g}", (value, i), va="center", fontsize=8)
+        ax.set(xscale="log", title=title)
+        ax.set_yticks(range(len(shown)), [LABELS[m] for m in shown], fontsize=8)
+        ax.invert_yaxis()
+        ax.margins(x=0.25)
+    return figure
+
+
+def _estimates(drive: Drive, parameters: FilterParameters, initial: InitialState) -> Mapping[str, Estimate]:
+    sets = {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": parameters}
+    return {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
+
+
+def _place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
+    """Where the car turns most within 4 s while a filter runs, m east and north."""
+    turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * np.diff(drive.imu.time))])
+    t = estimate.time
+    inside = t[(t > t[0] + 2) & (t < t[-1] - 2)]
+    if not len(inside):
+        return estimate.mean[len(t) // 2, :2]
+    change = np.abs(
+        np.interp(inside + 2, drive.imu.time, turned) - np.interp(inside - 2, drive.imu.time, turned)
+    )
+    at = inside[int(np.argmax(change))]
+    return np.array([np.interp(at, drive.gps.time, drive.gps.x), np.interp(at, drive.gps.time, drive.gps.y)])
+
+
+def _frame_on(ax: object, drive: Drive) -> None:
+    """Show the fixes and 8% around them: a filter that runs away must not set the scale."""
+    low = np.array([drive.gps.x.min(), drive.gps.y.min()])
+    high = np.array([drive.gps.x.max(), drive.gps.y.max()])
+    margin = 0.08 * float((high - low).max())
+    ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))  # pyright: ignore

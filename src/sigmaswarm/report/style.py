@@ -1,0 +1,43 @@
+"""One look for all figures: colors that the color-blind can tell apart, legible in grey, the same bytes each time."""
+
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from sigmaswarm.scoring.evaluation import METHODS
+
+# Okabe and Ito's palette (2008), and line styles that differ too, so that a grey print stays legible.
+LOOKS: dict[str, dict[str, Any]] = {
+    "truth": {"color": "#000000", "lw": 1.2, "ls": "-"},
+    "tuned": {"color": "#0072B2", "lw": 1.8, "ls": "-"},
+    "defaults": {"color": "#E69F00", "lw": 1.0, "ls": "--", "alpha": 0.8},
+    "datasheet": {"color": "#CC79A7", "lw": 1.2, "ls": "-."},
+    "imu_only": {"color": "#D55E00", "lw": 1.2, "ls": ":"},
+    "raw_gps": {"color": "#009E73", "lw": 0, "ls": "none", "marker": ".", "ms": 4, "alpha": 0.7},
+}
+LABELS = {"truth": "truth", **METHODS}
+
+
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, **kw: object
+) -> tuple[Figure, list[Axes]]:
+    """A figure of that size in inches, with a list of its axes; no global state of pyplot is touched."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **kw).ravel().tolist()  # pyright: ignore
+    for ax in axes:
+        ax.grid(True, color="0.9", lw=0.6)
+        ax.set_axisbelow(True)
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a PNG, with nothing in it that changes from one run to the next."""
+    with rc_context({"svg.hashsalt": "sigmaswarm"}):
+        figure.savefig(path, dpi=130, metadata={"Software": None})
+    return path

@@ -1,0 +1,186 @@
+"""Plausibility: every planted fault is named, and a sound drive is left in peace."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.checks import GRAVITY, shortage_of, warnings_of
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import SigmaswarmWarning
+from support import DRIVES, make_drive, needs_shared
+
+DEGREES = 180 / np.pi
+
+
+def imu_with(drive: Drive, **columns: np.ndarray | None) -> Drive:
+    return replace(drive, imu=replace(drive.imu, **columns))
+
+
+def without(drive: Drive, table: str, start: float, end: float) -> Drive:
+    """The drive without a table's rows in [start, end)."""
+    rows = getattr(drive, table)
+    return replace(drive, **{table: rows.select((rows.time < start) | (rows.time >= end))})
+
+
+def only(drive: Drive) -> str:
+    """The drive's one warning."""
+    (message,) = warnings_of(drive)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("gps_std", [0.0, 1.0, 4.0])
+def test_a_sound_drive_raises_no_warning(seed: int, gps_std: float):
+    drive = make_drive(seed=seed, gps_std=gps_std, jitter=0.4)
+    assert warnings_of(drive) == []
+    assert warnings_of(imu_with(drive, az=None)) == []
+    assert warnings_of(imu_with(drive, az=None, gz=drive.imu.gz + 0.05, ax=drive.imu.ax + 0.5)) == []
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_a_straight_cruise_says_nothing_about_units(noise: float, bias: float):
+    t = np.arange(6000) * 0.01
+    white = np.random.default_rng(0).standard_normal
+    drive = make_drive()
+    drive = imu_with(
+        drive, time=t, ax=0 * t, ay=0 * t, az=None, gx=None, gy=None, gz=bias + noise * white(6000)
+    )
+    gps = replace(drive.gps, x=12 * drive.gps.time + white(len(drive.gps)), y=white(len(drive.gps)))
+    assert warnings_of(replace(drive, gps=gps, truth=None)) == []
+    exact = replace(drive.gps, x=12 * drive.gps.time, y=0 * drive.gps.time)
+    assert warnings_of(replace(drive, gps=exact, truth=None)) == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_degrees_per_second(seed: int):
+    drive = make_drive(seed=seed)
+    message = only(imu_with(drive, gz=drive.imu.gz * DEGREES))
+    assert "imu.csv: column gz" in message
+    assert "deg/s; multiply gx, gy, gz by pi/180" in message
+
+
+def test_degrees_per_second_where_the_fixes_cannot_tell():
+    drive = make_drive(gps_std=0.0)
+    slow = replace(drive.gps, x=drive.gps.x / 20, y=drive.gps.y / 20)
+    drive = replace(drive, gps=slow, truth=None)
+    assert warnings_of(drive) == []
+    assert "deg/s" in only(imu_with(drive, gz=drive.imu.gz * DEGREES))
+
+
+def in_g(drive: Drive) -> Drive:
+    imu = drive.imu
+    az = None if imu.az is None else imu.az / GRAVITY
+    return imu_with(drive, ax=imu.ax / GRAVITY, ay=imu.ay / GRAVITY, az=az)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_accelerations_in_g(seed: int, sign: int):
+    drive = in_g(make_drive(seed=seed))
+    drive = imu_with(drive, ax=sign * drive.imu.ax)
+    assert "column az has median 1.00, as if in g; multiply ax, ay, az by 9.80665" in only(drive)
+    assert "column ax" in only(imu_with(drive, az=None))
+    assert "as if in g; multiply ax, ay by 9.80665" in only(imu_with(drive, az=None))
+
+
+@pytest.mark.parametrize("level", ["ax", "ay"])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("has_az", [True, False])
+def test_exchanged_axes(level: str, sign: int, has_az: bool):
+    drive = make_drive()
+    exchanged = {level: sign * drive.imu.az, "az": getattr(drive.imu, level) if has_az else None}
+    messages = warnings_of(imu_with(drive, **exchanged))
+    assert (
+        f"imu.csv: column {level} has median {sign * GRAVITY:.2f} m/s2, gravity, which belongs on az"
+        in messages[0]
+    )
+    assert "x is forward, y left, z up" in messages[0]
+
+
+@pytest.mark.parametrize(
+    ("az", "said"),
+    [
+        (-9.8, "specific force is +9.8 at rest with z up"),
+        (0.0, "+9.8 is expected"),
+        (32.2, "+9.8 is expected"),
+    ],
+)
+def test_gravity_amiss(az: float, said: str):
+    drive = make_drive()
+    message = only(imu_with(drive, az=np.full(len(drive.imu), az)))
+    assert f"imu.csv: column az has median {az:.2f}" in message
+    assert said in message
+
+
+def test_gaps_in_each_file():
+    drive = make_drive(duration=60.0, truth=True)
+    one = without(drive, "imu", 20.0, 20.5)
+    message = only(without(one, "imu", 40.0, 41.5))
+    assert "imu.csv: 2 gaps, the longest 1.51 s after t = 39.99 s (usual interval 0.010 s)" in message
+    assert "one step of its true length, driven by the sample at its end" in message
+    assert "imu.csv: 1 gap, the longest 0.51 s after t = 19.99 s" in only(one)
+    assert "gps.csv: 1 gap, the longest 3.20 s after t = 9.90 s (usual interval 0.200 s)" in only(
+        without(drive, "gps", 10.0, 13.0)
+    )
+    assert "truth.csv: 1 gap, the longest 3.01 s" in only(without(drive, "truth", 10.0, 13.0))
+
+
+@pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])
+def test_small_holes_are_no_gaps(table: str, length: float):
+    assert warnings_of(without(make_drive(), table, 30.0, 30.0 + length)) == []
+
+
+def test_the_reader_passes_the_warnings_on_with_the_path(tmp_path):
+    drive = in_g(without(make_drive(), "imu", 20.0, 20.5))
+    folder = write_drive(drive, tmp_path / "d")
+    with pytest.warns(SigmaswarmWarning) as caught:
+        read_drive(folder)
+    assert [str(w.message).split(": ")[0] for w in caught] == [f"{folder}/imu.csv"] * 2
+    assert {w.filename for w in caught} == {__file__}
+
+
+def test_shortage():
+    drive = make_drive(duration=20.0)
+    assert shortage_of(drive) is None
+    assert "99 samples are too few" in str(shortage_of(clip(drive, end=0.985)))
+    assert "9 fixes" in str(shortage_of(clip(drive, end=1.8)))
+    assert len(clip(drive, end=2.0).gps) == 10
+    assert shortage_of(clip(drive, end=2.0)) is None
+
+
+@needs_shared
+def test_the_log_as_recorded_shows_its_faults():
+    with pytest.warns(SigmaswarmWarning) as caught:
+        read_drive(DRIVES / "dresden-as-recorded")
+    messages = sorted(str(w.message) for w in caught)
+    assert len(messages) == 2
+    assert "column az has median -9.61" in messages[0]
+    assert "column gz turns more than the course, as if in deg/s" in messages[1]
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["kitti-09-30-0018", "kitti-09-26-0022", "kitti-09-26-0101"])
+def test_real_gaps_are_all_that_is_said_of_sound_drives(name: str):
+    with pytest.warns(SigmaswarmWarning) as caught:
+        drive = read_drive(DRIVES / name)
+    (message,) = [str(w.message) for w in caught]
+    assert f"the longest {np.diff(drive.imu.time).max():.2f} s" in message
+
+
+@needs_shared
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.SigmaswarmWarning")
+@pytest.mark.parametrize(
+    "path", sorted(p for p in DRIVES.glob("*") if p.is_dir() and "as-rec" not in p.name), ids=lambda p: p.name
+)
+def test_wrong_units_are_found_in_every_real_drive(path):
+    drive = read_drive(path)
+    assert any("deg/s" in m for m in warnings_of(imu_with(drive, gz=drive.imu.gz * DEGREES)))
+    assert any("in g" in m for m in warnings_of(in_g(drive)))
+    assert any("in g" in m for m in warnings_of(imu_with(in_g(drive), az=None)))
+    assert not any("in g" in m for m in warnings_of(imu_with(drive, az=None)))

@@ -1,0 +1,184 @@
+"""Writing: the same bits come back, the same bytes go out, and nothing is ever half written or lost."""
+
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.drives import reader, writer
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import DriveError
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from support import DRIVES, make_drive, needs_shared
+
+
+def assert_same(a: Drive, b: Drive) -> None:
+    assert (a.name, a.frame, a.origin, a.metadata) == (b.name, b.frame, b.origin, b.metadata)
+    for one, other in ((a.imu, b.imu), (a.gps, b.gps), (a.truth, b.truth)):
+        assert type(one) is type(other)
+        for f in fields(one) if one is not None else ():
+            left, right = getattr(one, f.name), getattr(other, f.name)
+            assert (left is None) == (right is None), f.name
+            assert left is None or left.tobytes() == right.tobytes(), f.name
+
+
+def in_degrees(drive: Drive, altitude: bool = True) -> Drive:
+    """The same drive as a log in WGS-84."""
+    origin = (51.05, 13.74, 113.25)
+    enu = np.stack([drive.gps.x, drive.gps.y, np.zeros(len(drive.gps))], axis=1)
+    lat, lon, alt = enu_to_geodetic(enu, origin).T
+    x, y, _ = geodetic_to_enu(lat, lon, alt if altitude else origin[2], origin).T
+    gps = replace(drive.gps, x=x, y=y, lat=lat, lon=lon, alt=alt if altitude else None)
+    return replace(drive, gps=gps, frame="wgs84", origin=origin)
+
+
+def variants() -> dict[str, Drive]:
+    drive = make_drive(duration=10.0, jitter=0.4, seed=3)
+    ones = np.ones(len(drive.gps))
+    return {
+        "plain": drive,
+        "no-truth": replace(drive, truth=None),
+        "origin": replace(
+            drive, origin=(-33.1, 151.0, 4.0), metadata={"licence": "MIT", "arm": {"x": [1, 2.5]}}
+        ),
+        "few-imu-columns": replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)),
+        "many-gps-columns": replace(
+            drive, gps=replace(drive.gps, std_x=1.5 * ones, std_y=ones / 3, speed=7 * ones, course=-ones)
+        ),
+        "degrees": in_degrees(drive),
+        "degrees-without-altitude": in_degrees(drive, altitude=False),
+        "both": replace(in_degrees(drive), frame="enu"),
+    }
+
+
+@pytest.mark.parametrize("kind", variants())
+def test_round_trip_keeps_every_bit(tmp_path: Path, kind: str):
+    drive = variants()[kind]
+    assert_same(read_drive(write_drive(drive, tmp_path / "d")), drive)
+
+
+def test_columns_are_those_of_the_format(tmp_path: Path):
+    def header(drive: Drive, file: str) -> str:
+        return (write_drive(drive, tmp_path / "d", overwrite=True) / file).read_text().split("\n")[0]
+
+    kinds = variants()
+    assert header(kinds["plain"], "imu.csv") == "t,ax,ay,az,gx,gy,gz"
+    assert header(kinds["few-imu-columns"], "imu.csv") == "t,ax,ay,gz"
+    assert header(kinds["plain"], "gps.csv") == "t,x,y"
+    assert header(kinds["degrees"], "gps.csv") == "t,lat,lon,alt"
+    assert header(kinds["many-gps-columns"], "gps.csv") == "t,x,y,std_x,std_y,speed,course"
+    assert header(kinds["plain"], "truth.csv") == "t,x,y,vx,vy,theta"
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(finite, finite, st.floats(-1e300, 1e300), st.text(st.characters(codec="utf-8"), min_size=1))
+def test_round_trip_keeps_any_finite_float_and_any_name(
+    tmp_path_factory: pytest.TempPathFactory, a: float, b: float, start: float, name: str
+):
+    time = np.nextafter(start, np.inf)
+    times = [time := np.nextafter(time, np.inf) for _ in range(100)]  # as close as floats get
+    n = np.full(100, a)
+    n[50] = b
+    drive = Drive(
+        name if name.strip() else "x", Imu(times, n, n, n), Gps(times, n, n), Truth(times, n, n, n, n, n)
+    )
+    folder = write_drive(drive, tmp_path_factory.mktemp("any") / "d")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reader, "warnings_of", lambda _: [])  # nothing about such values is plausible
+        assert_same(read_drive(folder), drive)
+
+
+def test_the_same_drive_gives_the_same_bytes(tmp_path: Path):
+    one, two = (write_drive(in_degrees(make_drive(duration=10.0)), tmp_path / k) for k in "ab")
+    assert {p.name: p.read_bytes() for p in one.iterdir()} == {p.name: p.read_bytes() for p in two.iterdir()}
+
+
+def test_refuses_to_overwrite_unless_told(tmp_path: Path):
+    first, second = (
+        make_drive(duration=10.0, name="first"),
+        make_drive(duration=10.0, name="second", truth=False),
+    )
+    folder = tmp_path / "deep" / "er" / "d"
+    write_drive(first, folder)
+    with pytest.raises(DriveError, match="exists and is not empty; name another folder"):
+        write_drive(second, folder)
+    assert_same(read_drive(folder), first)
+    write_drive(second, folder, overwrite=True)
+    assert_same(read_drive(folder), second)  # and no truth.csv of the first is left
+    assert [p.name for p in folder.parent.iterdir()] == ["d"]
+
+
+def test_never_replaces_what_is_not_a_drive(tmp_path: Path):
+    drive = make_drive(duration=10.0)
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(
+        DriveError, match=r"holds 'thesis.tex', which is not part of a drive; name another folder"
+    ):
+        write_drive(drive, tmp_path, overwrite=True)
+    with pytest.raises(DriveError, match="is a file; name another folder"):
+        write_drive(drive, tmp_path / "thesis.tex", overwrite=True)
+    (tmp_path / "empty").mkdir()
+    assert_same(read_drive(write_drive(drive, tmp_path / "empty")), drive)
+
+
+def test_works_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_drive(make_drive(duration=10.0), ".")
+    assert (tmp_path / "here" / "imu.csv").exists()
+
+
+def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    old = make_drive(duration=10.0, name="old")
+    write_drive(old, tmp_path / "d")
+
+    def full(self: Path, data: bytes) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space"):
+        write_drive(make_drive(duration=10.0), tmp_path / "d", overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["d"]
+    assert_same(read_drive(tmp_path / "d"), old)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"metadata": {"note": None}}, r"drive.toml: TOML can't hold the metadata: .*; change it"),
+        ({"frame": "wgs84"}, r"needs gps.lat, gps.lon and origin; set them"),
+    ],
+)
+def test_refuses_what_the_files_cannot_hold(tmp_path: Path, change: dict, message: str):
+    with pytest.raises(DriveError, match=message):
+        write_drive(replace(make_drive(duration=10.0), **change), tmp_path / "d")
+    assert not (tmp_path / "d").exists()
+
+
+def test_is_fast_enough_for_hundreds_of_drives(tmp_path: Path):
+    drive = make_drive(duration=30.0)
+    begin = time.process_time()
+    for i in range(20):
+        write_drive(drive, tmp_path / f"{i}")
+    assert (time.process_time() - begin) / 20 < 0.05  # s; about 0.005 on an idle machine
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["dresden", "kingston-1", "comma2k19"])
+def test_real_drives_survive_the_round_trip(tmp_path: Path, name: str):
+    drive = read_drive(DRIVES / name)
+    assert_same(read_drive(write_drive(drive, tmp_path / "d")), drive)
+
+
+def test_reader_and_writer_agree_on_the_files():
+    assert {"imu.csv", "gps.csv", "truth.csv", "drive.toml"} == writer.FILES

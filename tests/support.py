@@ -1,0 +1,88 @@
+"""What the tests share: where the real drives are, and a synthetic drive that is exact."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+
+SHARED = Path(__file__).parents[1].parent / "shared"
+DRIVES = SHARED / "drives"
+needs_shared = pytest.mark.skipif(not DRIVES.is_dir(), reason=f"the real drives are not at {DRIVES}")
+
+GRAVITY = 9.80665
+
+
+def _motion(time: np.ndarray, phase_x: float, phase_y: float, turn: float):
+    """Position, velocity, acceleration, each (n, 2), of a weaving car: 3.9 to 14.3 m/s, up to 0.42 rad/s.
+
+    A straight cruise plus one sine along and one across it, rotated by ``turn``: every derivative is exact.
+    """
+    wx, wy = 2 * np.pi / 37, 2 * np.pi / 29
+    sx, sy = 24.0, 35.0
+    px, py = wx * time + phase_x, wy * time + phase_y
+    position = np.stack([8.0 * time + sx * np.sin(px), sy * np.sin(py)], axis=1)
+    velocity = np.stack([8.0 + sx * wx * np.cos(px), sy * wy * np.cos(py)], axis=1)
+    acceleration = np.stack([-sx * wx**2 * np.sin(px), -sy * wy**2 * np.sin(py)], axis=1)
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, s], [-s, c]])  # row vectors, so transposed
+    return position @ rotation, velocity @ rotation, acceleration @ rotation
+
+
+def _heading_and_rate(velocity: np.ndarray, acceleration: np.ndarray):
+    """Course (n,) rad, unwrapped, and its exact rate (n,) rad/s."""
+    vx, vy = velocity.T
+    ax, ay = acceleration.T
+    return np.unwrap(np.arctan2(vy, vx)), (vx * ay - vy * ax) / (vx**2 + vy**2)
+
+
+def make_drive(
+    *,
+    duration: float = 60.0,
+    imu_rate: float = 100.0,
+    gps_rate: float = 5.0,
+    gps_std: float = 1.0,
+    seed: int = 0,
+    name: str = "synthetic",
+    jitter: float = 0.0,
+    truth: bool = True,
+) -> Drive:
+    """A car on a curvy, flat road: the IMU is exact, the fixes carry white noise, the truth is at IMU times.
+
+    Parameters
+    ----------
+    duration : s, from the first to the last IMU sample
+    imu_rate, gps_rate : Hz; fixes fall between IMU samples
+    gps_std : m per axis
+    seed : picks the road and the noise
+    jitter : how early or late IMU samples and fixes come at most, in IMU intervals (below 0.5)
+    truth : whether the drive knows its truth
+    """
+    rng = np.random.default_rng(seed)
+    road = (*rng.uniform(-np.pi, np.pi, 2), rng.uniform(-np.pi, np.pi))
+    interval = 1 / imu_rate
+
+    time = np.arange(round(duration * imu_rate) + 1) * interval
+    time[1:-1] += rng.uniform(-jitter, jitter, len(time) - 2) * interval
+    position, velocity, acceleration = _motion(time, *road)
+    theta, rate = _heading_and_rate(velocity, acceleration)
+    c, s = np.cos(theta), np.sin(theta)
+    zero = np.zeros_like(time)
+    imu = Imu(
+        time=time,
+        ax=c * acceleration[:, 0] + s * acceleration[:, 1],
+        ay=c * acceleration[:, 1] - s * acceleration[:, 0],
+        gz=rate,
+        az=zero + GRAVITY,
+        gx=zero,
+        gy=zero,
+    )
+
+    fix_time = np.arange(0.37 * interval + 0.5 / gps_rate, duration, 1 / gps_rate)
+    fix_time += rng.uniform(-jitter, jitter, len(fix_time)) * interval
+    fix = _motion(fix_time, *road)[0] + gps_std * rng.standard_normal((len(fix_time), 2))
+    gps = Gps(time=fix_time, x=fix[:, 0], y=fix[:, 1])
+
+    motion = Truth(time, position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], theta)
+    return Drive(name, imu, gps, motion if truth else None)
