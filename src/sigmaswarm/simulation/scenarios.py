@@ -125,6 +125,9 @@ def simulate(
         "seed": seed,
         "run": run,
         "warm_up": warm_up,
+        "imu_rate_hz": imu_rate,
+        "gps_rate_hz": gps_rate,
+        "jitter_s": jitter,
         "vibration": vibration,
         "gnss_degradation": gnss_degradation,
         "outages": [list(window) for window in journey.outages],
@@ -185,7 +188,7 @@ def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
     forward, left, up = place
     return {
         "ahead_of_center_m": forward,
-        "ahead_of_rear_axle_m": car.rear + forward,
+        "ahead_of_rear_axle_m": round(car.rear + forward, 6),
         "left_m": left,
         "above_center_m": up,
     }
@@ -198,6 +201,7 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
         "white_std_m": gps.white_std,
         "correlated_std_m": gps.markov_std,
         "correlation_time_s": gps.markov_time,
+        "loss": gps.loss,
         "latency_s": gps.latency,
         "lever_arm_m": list(gps.lever_arm),
     }
@@ -214,6 +218,10 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
             "bias_time_s": imu.bias_time,
             "accel_turn_on": imu.accel.turn_on,
             "gyro_turn_on": imu.gyro.turn_on,
+            "accel_scale": imu.accel.scale,
+            "gyro_scale": imu.gyro.scale,
+            "accel_misalignment": imu.accel.misalignment,
+            "gyro_misalignment": imu.gyro.misalignment,
         },
         "gps_noise": receiver,
     }
