@@ -12,7 +12,7 @@ from another file. The model, from the road up:
 The integration is the classical Runge-Kutta method at 1 kHz. The driver looks and acts at 100 Hz.
 
 Frames: local east-north and body (x forward, y left, z up). Wheels: front left, front right, rear left, rear
-right. H. B. Pacejka, "Tire and Vehicle Dynamics", 3rd ed., is cited on the lines as [P].
+right. [P] on the lines: H. B. Pacejka, "Tire and Vehicle Dynamics" (similarity method, transient tires, low speed).
 """
 
 import math
@@ -41,9 +41,7 @@ STATES = 24
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE = range(12, 20)
 RECORDED = 20
 
-_LOW_SPEED = (
-    3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires for ever [P 8.6]
-)
+_LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; a brake's dry friction, made continuous around standstill
 
@@ -135,7 +133,7 @@ def _tire(
     """Force of a tire, N, with its longitudinal and its combined slip, both over what linear grip would need.
 
     The similarity method: slips normalized by stiffness over friction add up as a vector, whose length goes
-    through the magic formula [P 4.2]. So the force never leaves the circle friction x load.
+    through the magic formula [P]. So the force never leaves the circle friction x load.
     """
     stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
     slip_x = car.slip_stiffness * stiffness * kappa / friction
@@ -153,124 +151,146 @@ def _relax(rate: float, deflection: float, sliding: bool) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
+    """Torques, N m, that the pedals ask of all motors and of all brakes together.
+
+    The pedal goes from coasting to full throttle, or from coasting to full brake.
+    """
+    speed = max(s[VX], 0.0)
+    coast = _lookup(speed, car.pedal_speed, car.coast)
+    drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
+    brake = max(-s[PEDAL], 0.0) * (coast - _lookup(speed, car.pedal_speed, car.full_brake))
+    # The maps are accelerations of the whole car, turning wheels included.
+    lever = (car.mass + 4.0 * car.wheel_inertia / car.wheel_radius**2) * car.wheel_radius
+    return drive * lever, brake * lever
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spin_up(
+    spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
+) -> float:
+    """Angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
+
+    Anti-lock and traction control, idealized: from the slip of the tire's peak (1) on the torques fade, and
+    are gone at twice that slip.
+    """
+    control = _clip(2.0 - slip, 0.0, 1.0)
+    most = control * brake
+    torque = control * drive - _clip(_BRAKE_VISCOSITY * spin, -most, most)
+    torque -= car.rolling_resistance * load * car.wheel_radius * spin / math.sqrt(spin * spin + 0.25)
+    return (torque - car.wheel_radius * force) / car.wheel_inertia
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wheel(
+    i: int, s: Array, rate: Array, load: float, drive: float, brake: float, friction: float, car: Vehicle
+) -> tuple[float, float, float]:
+    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states."""
+    at_front = i < 2
+    along = car.front if at_front else -car.rear
+    across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
+    wheelbase = car.front + car.rear
+    # Ackermann: all wheels turn about one point on the rear axle's line.
+    tangent = math.tan(s[STEER])
+    turned = wheelbase * tangent / (wheelbase - across * tangent) if at_front else 0.0
+    cos = 1.0 / math.sqrt(1.0 + turned * turned)
+    sin = turned * cos
+
+    hub_x = s[VX] - s[YAW_RATE] * across
+    hub_y = s[VY] + s[YAW_RATE] * along
+    roll_speed = cos * hub_x + sin * hub_y
+    side_speed = cos * hub_y - sin * hub_x
+    slide_speed = car.wheel_radius * s[WHEEL + i] - roll_speed
+
+    damping = _LOW_SPEED_DAMPING * max(0.0, 1.0 - abs(roll_speed) / _LOW_SPEED)
+    kappa, alpha = s[KAPPA + i], s[ALPHA + i]
+    fx, fy, slip_x, slip = _tire(
+        kappa + damping * slide_speed,
+        alpha - damping * side_speed,
+        car.cornering_front if at_front else car.cornering_rear,
+        load,
+        0.5 * car.mass * GRAVITY * (car.rear if at_front else car.front) / wheelbase,
+        friction,
+        car,
+    )
+    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # slip where the magic formula peaks
+    sliding = slip > 3.0 * peak
+    travel = abs(roll_speed)
+    # A tire's slip follows that of its wheel over a way, the relaxation length [P].
+    kappa_rate = (slide_speed - travel * kappa) / car.relaxation_longitudinal
+    alpha_rate = (-side_speed - travel * alpha) / car.relaxation_lateral
+    rate[KAPPA + i] = _relax(kappa_rate, kappa, sliding)
+    rate[ALPHA + i] = _relax(alpha_rate, alpha, sliding)
+    drive *= 0.5 * (car.drive_front_share if at_front else 1.0 - car.drive_front_share)
+    brake *= 0.5 * (car.brake_front_share if at_front else 1.0 - car.brake_front_share)
+    rate[WHEEL + i] = _spin_up(s[WHEEL + i], abs(slip_x) / peak, load, fx, drive, brake, car)
+
+    force_x = cos * fx - sin * fy
+    force_y = sin * fx + cos * fy
+    return force_x, force_y, along * force_y - across * force_x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
+    """Second derivative of a second-order response."""
+    return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _derivative(
-    s: Array, rate: Array, steer_command: float, pedal_command: float, friction: float, car: Vehicle
-) -> tuple[float, float, float, float, float]:
-    """Fill `rate` with the state's rate of change; return what is worth recording.
+    s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
+) -> tuple[float, float, float]:
+    """Fill `rate` with the state's rate of change, under wanted steering (rad) and pedal.
 
     Returns
     -------
     ax, ay : float
         m/s2, acceleration of the centre of gravity along the body's axes.
-    kappa, alpha : float
-        Largest longitudinal slip and largest tangent of a slip angle among the wheels.
     use : float
         Force of all tires together over friction times weight.
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
-    weight = car.mass * GRAVITY
-    wheelbase = car.front + car.rear
-
     # What springs and dampers carry of the accelerations is what loads the wheels.
-    carried_x = s[PITCH] + 2.0 * car.pitch_damping / car.pitch_frequency * s[PITCH_RATE]
-    carried_y = s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE]
-    loads = _wheel_loads(car, carried_x, carried_y)
-
-    # Pedals: between coasting and full throttle, or between coasting and full brake.
-    inertia = car.mass + 4.0 * car.wheel_inertia / car.wheel_radius**2
-    speed = max(vx, 0.0)
-    coast = _lookup(speed, car.pedal_speed, car.coast)
-    drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
-    brake = max(-s[PEDAL], 0.0) * (coast - _lookup(speed, car.pedal_speed, car.full_brake))
-    drive_torque = drive * inertia * car.wheel_radius
-    brake_torque = brake * inertia * car.wheel_radius
-
-    tangent = math.tan(s[STEER])
-    peak_slip = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # where the magic formula peaks
-    force_x = force_y = moment = peak_kappa = peak_alpha = 0.0
+    loads = _wheel_loads(
+        car,
+        s[PITCH] + 2.0 * car.pitch_damping / car.pitch_frequency * s[PITCH_RATE],
+        s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE],
+    )
+    drive, brake = _torques(s, car)
+    force_x = force_y = moment = 0.0
     for i in range(4):
-        at_front = i < 2
-        across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
-        along = car.front if at_front else -car.rear
-        # Ackermann: all wheels turn about one point on the rear axle's line.
-        turned = wheelbase * tangent / (wheelbase - across * tangent) if at_front else 0.0
-        cos = 1.0 / math.sqrt(1.0 + turned * turned)
-        sin = turned * cos
-
-        hub_x = vx - yaw_rate * across
-        hub_y = vy + yaw_rate * along
-        roll_speed = cos * hub_x + sin * hub_y
-        side_speed = cos * hub_y - sin * hub_x
-        slide_speed = car.wheel_radius * s[WHEEL + i] - roll_speed
-
-        damping = _LOW_SPEED_DAMPING * max(0.0, 1.0 - abs(roll_speed) / _LOW_SPEED)
-        static_load = 0.5 * weight * (car.rear if at_front else car.front) / wheelbase
-        fx, fy, slip_x, slip = _tire(
-            s[KAPPA + i] + damping * slide_speed,
-            s[ALPHA + i] - damping * side_speed,
-            car.cornering_front if at_front else car.cornering_rear,
-            loads[i],
-            static_load,
-            friction,
-            car,
-        )
-        force_x += cos * fx - sin * fy
-        force_y += sin * fx + cos * fy
-        moment += along * (sin * fx + cos * fy) - across * (cos * fx - sin * fy)
-        peak_kappa = max(peak_kappa, abs(s[KAPPA + i]))
-        peak_alpha = max(peak_alpha, abs(s[ALPHA + i]))
-
-        sliding = slip > 3.0 * peak_slip
-        travel = abs(roll_speed)
-        rate[KAPPA + i] = _relax(
-            (slide_speed - travel * s[KAPPA + i]) / car.relaxation_longitudinal, s[KAPPA + i], sliding
-        )  # [P 7.7]
-        rate[ALPHA + i] = _relax(
-            (-side_speed - travel * s[ALPHA + i]) / car.relaxation_lateral, s[ALPHA + i], sliding
-        )  # [P 7.9]
-
-        # Anti-lock and traction control, idealized: no torque for a wheel at twice the slip of its peak.
-        control = _clip(2.0 - abs(slip_x) / peak_slip, 0.0, 1.0)
-        drive_share = 0.5 * (car.drive_front_share if at_front else 1.0 - car.drive_front_share)
-        brake_share = 0.5 * (car.brake_front_share if at_front else 1.0 - car.brake_front_share)
-        spin = s[WHEEL + i]
-        most = control * brake_share * brake_torque
-        torque = control * drive_share * drive_torque - _clip(_BRAKE_VISCOSITY * spin, -most, most)
-        torque -= car.rolling_resistance * loads[i] * car.wheel_radius * spin / math.sqrt(spin * spin + 0.25)
-        rate[WHEEL + i] = (torque - car.wheel_radius * fx) / car.wheel_inertia
-
+        fx, fy, m = _wheel(i, s, rate, loads[i], drive, brake, friction, car)
+        force_x += fx
+        force_y += fy
+        moment += m
     drag = 0.5 * AIR_DENSITY * car.drag_area * math.hypot(vx, vy)
     ax = (force_x - drag * vx) / car.mass
     ay = (force_y - drag * vy) / car.mass
-    cos = math.cos(s[YAW])
-    sin = math.sin(s[YAW])
+
+    cos, sin = math.cos(s[YAW]), math.sin(s[YAW])
     rate[X] = cos * vx - sin * vy
     rate[Y] = sin * vx + cos * vy
     rate[YAW] = yaw_rate
     rate[VX] = ax + yaw_rate * vy
     rate[VY] = ay - yaw_rate * vx
     rate[YAW_RATE] = moment / car.yaw_inertia
-    rate[STEER] = _clip((steer_command - s[STEER]) / car.steer_lag, -car.steer_rate, car.steer_rate)
-    rate[PEDAL] = _clip((pedal_command - s[PEDAL]) / car.pedal_lag, -car.pedal_rate, car.pedal_rate)
+    rate[STEER] = _clip((steer - s[STEER]) / car.steer_lag, -car.steer_rate, car.steer_rate)
+    rate[PEDAL] = _clip((pedal - s[PEDAL]) / car.pedal_lag, -car.pedal_rate, car.pedal_rate)
     # Roll and pitch are kept as the acceleration (m/s2) that would hold the body there.
     rate[ROLL] = s[ROLL_RATE]
-    rate[ROLL_RATE] = (
-        car.roll_frequency**2 * (ay - s[ROLL]) - 2.0 * car.roll_damping * car.roll_frequency * s[ROLL_RATE]
-    )
+    rate[ROLL_RATE] = _swing(ay, s[ROLL], s[ROLL_RATE], car.roll_frequency, car.roll_damping)
     rate[PITCH] = s[PITCH_RATE]
-    rate[PITCH_RATE] = (
-        car.pitch_frequency**2 * (ax - s[PITCH])
-        - 2.0 * car.pitch_damping * car.pitch_frequency * s[PITCH_RATE]
-    )
-    return ax, ay, peak_kappa, peak_alpha, math.hypot(force_x, force_y) / (friction * weight)
+    rate[PITCH_RATE] = _swing(ax, s[PITCH], s[PITCH_RATE], car.pitch_frequency, car.pitch_damping)
+    return ax, ay, math.hypot(force_x, force_y) / (friction * car.mass * GRAVITY)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _record(row: Array, s: Array, rate: Array, figures: tuple[float, float, float, float, float]) -> None:
+def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float) -> None:
     row[:12] = s[:12]
-    row[AX], row[AY] = figures[0], figures[1]
+    row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
     row[YAW_ACCEL], row[ROLL_ACCEL], row[PITCH_ACCEL] = rate[YAW_RATE], rate[ROLL_RATE], rate[PITCH_RATE]
-    row[PEAK_KAPPA], row[PEAK_ALPHA], row[FRICTION_USE] = figures[2], figures[3], figures[4]
+    row[PEAK_KAPPA] = np.abs(s[KAPPA : KAPPA + 4]).max()
+    row[PEAK_ALPHA] = np.abs(s[ALPHA : ALPHA + 4]).max()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -278,7 +298,8 @@ def _advance(
     s: Array, k: Array, trial: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
     """One Runge-Kutta step of the state, in place; `row` records the state before it. k: (4, states)."""
-    _record(row, s, k[0], _derivative(s, k[0], steer, pedal, friction, car))
+    ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
+    _record(row, s, k[0], ax, ay, use)
     for stage in range(1, 4):
         h = STEP if stage == 3 else 0.5 * STEP
         for i in range(STATES):
