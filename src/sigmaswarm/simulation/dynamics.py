@@ -42,6 +42,7 @@ AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE
 RECORDED = 20
 
 _LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
+_NOTHING = 1e-60  # of any state; what dies away further would reach denormal numbers, which are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; a brake's dry friction, made continuous around standstill
 
@@ -307,6 +308,8 @@ def _advance(
         _derivative(trial, k[stage], steer, pedal, friction, car)
     for i in range(STATES):
         s[i] += STEP / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
+        if abs(s[i]) < _NOTHING:
+            s[i] = 0.0
     s[STEER] = _clip(s[STEER], -car.steer_max, car.steer_max)
 
 

@@ -17,9 +17,8 @@ from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
 
 
 def _table(*values: float) -> np.ndarray:
-    table = np.array(values)
-    table.setflags(write=False)
-    return table
+    # Writable like any array that a user puts in its place: a read-only one is another type to the compiler.
+    return np.array(values)
 
 
 MODEL_3 = Vehicle(
