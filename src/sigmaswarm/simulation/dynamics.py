@@ -184,15 +184,26 @@ def _spin_up(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _wheel(
-    i: int, s: Array, rate: Array, load: float, drive: float, brake: float, friction: float, car: Vehicle
+    i: int,
+    s: Array,
+    rate: Array,
+    tangent: float,
+    peak: float,
+    load: float,
+    drive: float,
+    brake: float,
+    friction: float,
+    car: Vehicle,
 ) -> tuple[float, float, float]:
-    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states."""
+    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states.
+
+    `tangent` is the steering angle's, `peak` the slip where the tire's force peaks: the same for all wheels.
+    """
     at_front = i < 2
     along = car.front if at_front else -car.rear
     across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
     wheelbase = car.front + car.rear
     # Ackermann: all wheels turn about one point on the rear axle's line.
-    tangent = math.tan(s[STEER])
     turned = wheelbase * tangent / (wheelbase - across * tangent) if at_front else 0.0
     cos = 1.0 / math.sqrt(1.0 + turned * turned)
     sin = turned * cos
@@ -214,7 +225,6 @@ def _wheel(
         friction,
         car,
     )
-    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # slip where the magic formula peaks
     sliding = slip > 3.0 * peak
     travel = abs(roll_speed)
     # A tire's slip follows that of its wheel over a way, the relaxation length [P].
@@ -258,9 +268,11 @@ def _derivative(
         s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE],
     )
     drive, brake = _torques(s, car)
+    tangent = math.tan(s[STEER])
+    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # of the magic formula
     force_x = force_y = moment = 0.0
     for i in range(4):
-        fx, fy, m = _wheel(i, s, rate, loads[i], drive, brake, friction, car)
+        fx, fy, m = _wheel(i, s, rate, tangent, peak, loads[i], drive, brake, friction, car)
         force_x += fx
         force_y += fy
         moment += m
@@ -290,8 +302,10 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
     row[:12] = s[:12]
     row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
     row[YAW_ACCEL], row[ROLL_ACCEL], row[PITCH_ACCEL] = rate[YAW_RATE], rate[ROLL_RATE], rate[PITCH_RATE]
-    row[PEAK_KAPPA] = np.abs(s[KAPPA : KAPPA + 4]).max()
-    row[PEAK_ALPHA] = np.abs(s[ALPHA : ALPHA + 4]).max()
+    row[PEAK_KAPPA] = row[PEAK_ALPHA] = 0.0
+    for i in range(4):
+        row[PEAK_KAPPA] = max(row[PEAK_KAPPA], abs(s[KAPPA + i]))
+        row[PEAK_ALPHA] = max(row[PEAK_ALPHA], abs(s[ALPHA + i]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
