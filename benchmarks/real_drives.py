@@ -31,7 +31,9 @@ def cases(folder: Path):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("drives", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--objectives", nargs="+", default=["truth-rmse", "truth-pose"])

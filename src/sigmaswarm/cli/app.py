@@ -50,6 +50,9 @@ def main() -> NoReturn:
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         sys.stderr.close()
         sys.exit(0)
+    except OSError as error:  # a full disk, no permission: nothing to be mended in the library
+        print(f"sigmaswarm: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2)
     sys.exit(0)
 
 

@@ -66,13 +66,18 @@ def tuning_progress(title: str) -> "Generator[Callable[[Progress], None]]":
         TextColumn("generations, best cost {task.fields[cost]}, remaining"),
         TimeRemainingColumn(),
     )
-    with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=None, cost="-")
+    bar = Bar(*columns, console=Console(stderr=True))
+    task = bar.add_task(title, total=None, cost="-")
 
-        def told(progress: "Progress") -> None:
-            bar.update(task, total=progress.total, completed=progress.done, cost=f"{progress.best_cost:.3f}")
+    def told(progress: "Progress") -> None:
+        bar.start()  # not before there is progress: a mistake is to be told in one line
+        bar.update(task, total=progress.total, completed=progress.done, cost=f"{progress.best_cost:.3f}")
 
+    try:
         yield told
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> None:

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 
 def demo(
     *,
     out: Path = Path("demo"),
-    seed: int = 0,
+    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Show the whole way in a minute: simulate drives, tune on some, evaluate on others.
@@ -34,6 +34,8 @@ def demo(
     from sigmaswarm.errors import InputError
     from sigmaswarm.report.figures import save_evaluation, save_tuning_figures
 
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; choose another --out")
     if out.exists() and any(out.iterdir()) and not (out / "tuning" / "config.json").exists():
         raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
     shutil.rmtree(out, ignore_errors=True)

@@ -1,9 +1,10 @@
 """`sigmaswarm evaluate`."""
 
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 
 def evaluate(
@@ -13,7 +14,7 @@ def evaluate(
     *,
     out: Path | None = None,
     outage_length: float = 5.0,
-    outage_seed: int = 0,
+    outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -48,8 +49,8 @@ def evaluate(
     from sigmaswarm.report.figures import save_evaluation
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    if not outage_length > 0:
-        raise InputError(f"--outage-length must be positive (is {outage_length:g})")
+    if not 0 < outage_length < inf:
+        raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
     result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
     written = save_evaluation(result, parameters, read, out) if out else []

@@ -1,9 +1,10 @@
 """`sigmaswarm simulate`."""
 
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 
 def simulate(
@@ -13,7 +14,7 @@ def simulate(
     runs: int = 6,
     duration: float = 90.0,
     gps_std: float = 1.0,
-    seed: int = 0,
+    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Make drives to try things on: a car going through a town, in the plane, with noise and biases.
@@ -42,7 +43,7 @@ def simulate(
     from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.errors import InputError
 
-    if runs < 1 or duration < 30 or gps_std < 0:
+    if runs < 1 or not 30 <= duration < inf or not 0 <= gps_std < inf:
         raise InputError(
             "simulate needs --runs of 1 or more, --duration of 30 s or more, --gps-std of 0 or more"
         )

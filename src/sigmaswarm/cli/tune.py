@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, validators
 
 
 def tune(
@@ -21,7 +21,7 @@ def tune(
     inertia: float | None = None,
     zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
     patience: int | None = None,
-    workers: int | None = None,
+    workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:

@@ -28,6 +28,8 @@ MAX_DURATION = 6.0
 """s: older fixes tell little about the heading now, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
 """m of forward travel behind the first usable fix."""
+MAX_MISFIT = 0.3
+"""Share of the travel: where a fix lies farther off the fit, the fixes jumped rather than the car moved."""
 MAX_HEADING_STD = np.radians(6.0)
 """rad: a worse fit is not travel but scattered fixes; the next fix is tried."""
 SLIP_STD = np.radians(1.0)
@@ -85,7 +87,8 @@ def initial_state(drive: Drive) -> InitialState:
         if abs(position[i] - position[window[0]]) < 0.5 * MIN_TRAVEL:  # a cheap look before the fit
             continue
         fit = _Fit.of(drive.imu, turned, sped, time[window], position[window])
-        if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD:
+        smooth = fit.misfit <= MAX_MISFIT * fit.travel
+        if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth:
             return fit.state()
     raise AlignmentError(
         f"{drive.name}: never travels {MIN_TRAVEL:g} m within {MAX_DURATION:g} s, so the heading can't be found; "
@@ -109,6 +112,7 @@ class _Fit:
     solution: Array
     covariance: Array
     travel: float
+    misfit: float
 
     @property
     def heading_std(self) -> float:
@@ -156,7 +160,7 @@ class _Fit:
         theta, v, b, p = np.angle(chord / g[0]), abs(chord) / max(abs(g[0]), 1e-9), 0.0, position[-1]
         prior = 1.0 / ACCELERATION_BIAS_STD
         jacobian, residual = np.empty((2 * len(g) + 1, 5)), np.empty(2 * len(g) + 1)
-        variance = 1.0
+        variance, worst = 1.0, 0.0
         for _ in range(12):
             turn = np.exp(1j * theta)
             way = turn * (v * g + b * t + m)
@@ -165,6 +169,7 @@ class _Fit:
                 jacobian[:-1, k] = np.concatenate([column.real, column.imag])
             misfit = position - (p - way)
             residual[:-1] = np.concatenate([misfit.real, misfit.imag])
+            worst = float(np.max(np.abs(misfit)))
             variance = max(float(residual[:-1] @ residual[:-1]) / (2 * len(g) - 4), MIN_POSITION_STD**2)
             jacobian[-1] = [0, 0, 0, 0, prior * np.sqrt(variance)]
             residual[-1] = -b * prior * np.sqrt(variance)
@@ -174,7 +179,8 @@ class _Fit:
                 break
         covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), np.float64)
         travel = v * span - b * span**2 / 2 + coasting  # the integral of v(s)
-        return cls(end, np.array([p.real, p.imag, theta, v, b]), covariance, float(travel) if v > 0 else 0.0)
+        forward = float(travel) if v > 0 else 0.0
+        return cls(end, np.array([p.real, p.imag, theta, v, b]), covariance, forward, worst)
 
     def state(self) -> InitialState:
         east, north, theta, v, _ = self.solution

@@ -43,7 +43,12 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     folder = Path(path).resolve()  # "." has no name to rename
     _require_replaceable(folder, overwrite)
     texts = _texts(drive, folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DriveError(
+            f"{folder.parent}: can't be made a folder ({error.strerror}); name another folder"
+        ) from None
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as name:
         staging = Path(name)
         new, old = staging / "new", staging / "old"

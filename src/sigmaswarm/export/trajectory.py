@@ -33,6 +33,8 @@ def check_target(path: Path) -> None:
     """Raise `InputError` where `write_estimate` could not write, before any work is done."""
     if path.suffix not in _WRITERS:
         raise InputError(f"{path}: can't tell the format; end the name in {' or '.join(_WRITERS)}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; make it first")
 
@@ -40,8 +42,9 @@ def check_target(path: Path) -> None:
 def _csv(estimate: Estimate, path: Path) -> None:
     columns: dict[str, Array] = {"t": estimate.time}
     columns |= {name: estimate.mean[:, i] for i, name in enumerate(STATES)}
-    std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
-    columns |= {f"std_{name}": std[:, i] for i, name in enumerate(STATES)}
+    if estimate.covariance.size:  # dead reckoning has none
+        std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(STATES)}
     pl.DataFrame(columns).write_csv(path)
 
 

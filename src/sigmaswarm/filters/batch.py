@@ -105,7 +105,18 @@ def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, 
     k.run_lanes(*_arrays(replay), initial, constants, sums, final, record)
     mean, covariance = unpack_states(record[:, : k.N_STATE, 0].T)
     sound = (record[:, k.N_STATE, 0] == 1.0) & np.isfinite(record[:, :, 0]).all(axis=1)
-    return mean, covariance, sound
+    return mean, covariance, sound & _definite(covariance)
+
+
+def _definite(covariance: Array) -> NDArray[np.bool_]:
+    """Which of the covariances (n, 5, 5) are positive definite: all pivots of an elimination are positive."""
+    rest, sound = covariance.copy(), np.ones(len(covariance), dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        for _ in range(covariance.shape[1]):
+            pivot = rest[:, 0, 0]
+            sound &= pivot > 0
+            rest = rest[:, 1:, 1:] - rest[:, 1:, :1] * rest[:, :1, 1:] / pivot[:, None, None]
+    return sound
 
 
 def _arrays(replay: Replay) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.int64]]:

@@ -346,5 +346,7 @@ def run_lanes(steps, flags, fixes, targets, target_end, initial, constants, sums
             total += state[row, l]
         for row in range(N_SUMS):
             sums_out[row, l] = sums[row, l]
-        if not math.isfinite(total):
+        # Between fixes nothing looks at P; a variance that went negative since the last one shows here.
+        least = min(state[XX, l], state[YY, l], state[UU, l], state[VV, l], state[TT, l])
+        if not math.isfinite(total) or not least > 0.0:
             sums_out[OK, l] = 0.0

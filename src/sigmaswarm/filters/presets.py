@@ -11,11 +11,12 @@ Three presets stand for what people do by hand:
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 
 PresetName = Literal["defaults", "datasheet", "paper"]
@@ -59,4 +60,9 @@ def datasheet(drive: Drive) -> FilterParameters:
 
 def preset(name: PresetName, drive: Drive) -> FilterParameters:
     """The manual parameters of that name for a drive."""
-    return {"defaults": DEFAULTS, "paper": PAPER}.get(name) or datasheet(drive)
+    if name == "datasheet":
+        return datasheet(drive)
+    fixed = {"defaults": DEFAULTS, "paper": PAPER}
+    if name not in fixed:
+        raise InputError(f"no preset is called {name!r}; choose one of {', '.join(get_args(PresetName))}")
+    return fixed[name]

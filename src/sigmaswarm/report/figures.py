@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
@@ -95,13 +96,14 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
         for name, estimate in estimates.items():
             ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
         ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
-    _frame_on(whole, drive)
     whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
     half = FINE_SCALE / 2
     whole.plot(
         x0 + half * np.array([-1, 1, 1, -1, -1]), y0 + half * np.array([-1, -1, 1, 1, -1]), "0.4", lw=0.8
     )
-    close.set(xlim=(x0 - half, x0 + half), ylim=(y0 - half, y0 + half))
+    _frame_on(whole, drive)
+    close.set_xlim(x0 - half, x0 + half, auto=True)  # auto: equal axes may widen one, without a warning
+    close.set_ylim(y0 - half, y0 + half, auto=True)
     whole.set_title(drive.name, loc="left")
     close.set_title("close-up of the sharpest turn", loc="left")
     handles = whole.get_legend_handles_labels()
@@ -123,7 +125,7 @@ def errors(drive: Drive, parameters: FilterParameters) -> Figure:
     heading.fill_between(tuned.time, -sigma, sigma, color="0.9")
     for name, estimate in estimates.items():
         x, y, theta = (
-            np.interp(estimate.time, truth.time, column)
+            np.interp(estimate.time, truth.time, column, left=np.nan, right=np.nan)
             for column in (truth.x, truth.y, np.unwrap(truth.theta))
         )
         distance = np.hypot(estimate.mean[:, 0] - x, estimate.mean[:, 1] - y)
@@ -180,9 +182,10 @@ def _place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
     return np.array([np.interp(at, drive.gps.time, drive.gps.x), np.interp(at, drive.gps.time, drive.gps.y)])
 
 
-def _frame_on(ax: object, drive: Drive) -> None:
+def _frame_on(ax: Axes, drive: Drive) -> None:
     """Show the fixes and 8% around them: a filter that runs away must not set the scale."""
     low = np.array([drive.gps.x.min(), drive.gps.y.min()])
     high = np.array([drive.gps.x.max(), drive.gps.y.max()])
     margin = 0.08 * float((high - low).max())
-    ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))  # pyright: ignore
+    ax.set_xlim(low[0] - margin, high[0] + margin, auto=True)
+    ax.set_ylim(low[1] - margin, high[1] + margin, auto=True)

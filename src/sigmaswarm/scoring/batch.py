@@ -72,6 +72,11 @@ class Replayer:
             outage_replay(d, i, length=outage_length, seed=outage_seed) for d, i in pairs
         ] * outages
 
+    @property
+    def truth_moments(self) -> list[int]:
+        """How many moments of truth each drive is scored at."""
+        return [replay.targets.n_positions for replay in self._tracking]
+
     @cached_property
     def steps_per_set(self) -> int:
         """Filter steps that one parameter set costs, over all passes."""
@@ -79,6 +84,9 @@ class Replayer:
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
+        if not parameter_sets:
+            nothing = np.empty((0, len(self.drives)))
+            return Scores(*[nothing] * len(_NUMBERS), failed=nothing.astype(np.bool_))
         passes = self._run(self._tracking + self._outages, parameter_sets, executor)
         tracking, outages = passes[: len(self._tracking)], passes[len(self._tracking) :]
         shape = (len(parameter_sets), len(self.drives))

@@ -9,6 +9,7 @@ import polars as pl
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
@@ -113,6 +114,8 @@ def evaluate(
         If a drive never moves far enough to start a filter.
     """
     drives = [drives] if isinstance(drives, Drive) else list(drives)
+    if not drives:
+        raise InputError("no drives were given; name at least one drive folder")
     scores: dict[str, dict[str, Score]] = {}
     for drive in drives:
         replayer = Replayer([drive], outages=True, outage_length=outage_length, outage_seed=outage_seed)

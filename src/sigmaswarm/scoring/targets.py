@@ -39,18 +39,19 @@ def outage_replay(
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: int) -> Array:
     """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0."""
-    last = drive.imu.time[-1]
-    if drive.truth is not None:
-        last = min(last, drive.truth.time[-1])
+    reference = (drive.gps if drive.truth is None else drive.truth).time
+    last = min(drive.imu.time[-1], reference[-1])
     windows = random_windows(
-        initial.time,
+        max(
+            initial.time, float(reference[0]) - OUTAGE_FIRST_AFTER - length
+        ),  # so that no window ends earlier
         float(last),
         np.random.default_rng(seed),
         length=length,
         first_after=OUTAGE_FIRST_AFTER,
         apart=OUTAGE_APART,
     )
-    return snap_ends(windows, drive.imu.time)
+    return snap_ends(windows, drive.imu.time[drive.imu.time <= last])
 
 
 def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:

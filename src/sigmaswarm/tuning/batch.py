@@ -68,6 +68,7 @@ def run_batch(
     goal = objective_named(objective)
     check_drives(drives, goal)
     replayer = Replayer(drives, outages=goal.needs_outages, outage_seed=outage_seed)
+    check_scored(replayer, goal)
     if executor is None:
         with ThreadPoolExecutor() as pool:
             scores = replayer.scores(parameter_sets, pool)
@@ -88,3 +89,15 @@ def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
             "add truth.csv, leave the drive out, or use --objective gps-rmse"
         )
+
+
+def check_scored(replayer: Replayer, objective: Objective) -> None:
+    """Raise `InputError` where a drive's truth lies outside the time in which a filter runs."""
+    for drive, initial, moments in zip(
+        replayer.drives, replayer.initial, replayer.truth_moments, strict=True
+    ):
+        if objective.needs_truth and drive.truth is not None and not moments:
+            raise InputError(
+                f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
+                f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
+            )

@@ -55,13 +55,17 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # opened here, since np.load leaves a damaged file open
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         return arrays, json.loads(str(arrays.pop("notes")))
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{path}: not a readable checkpoint ({error}); delete it to redo this trial"
-        ) from None
+    except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
+        raise unreadable(path) from None
+
+
+def unreadable(checkpoint: Path) -> InputError:
+    """What to say of a checkpoint that is there, but can't be gone on with."""
+    return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
 
 
 def _short(key: str, config: dict[str, Any]) -> str:
@@ -111,9 +115,9 @@ class ResultFolder:
                 "or choose another --out"
             )
         try:
-            saved = json.loads(config_file.read_text())
-        except ValueError:
-            raise InputError(f"{config_file}: not readable JSON; choose another --out") from None
+            saved = dict(json.loads(config_file.read_text()))
+        except (ValueError, TypeError):
+            raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
         wanted = json.loads(json.dumps(config))
         for key in sorted(saved.keys() | wanted.keys()):
             if saved.get(key) != wanted.get(key):
@@ -131,9 +135,14 @@ class ResultFolder:
         folder = self.path / f"trial-{trial:03d}"
         if not folder.exists():
             return None
-        with np.load(folder / "history.npz", allow_pickle=False) as file:
-            history = {name: file[name] for name in file.files}
-        return json.loads((folder / "result.json").read_text()), history
+        try:
+            with (folder / "history.npz").open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+                history = {name: file[name] for name in file.files}
+            return json.loads((folder / "result.json").read_text()), history
+        except Exception:  # as of a damaged checkpoint
+            raise InputError(
+                f"{folder}: not a readable result; delete the folder to redo this trial"
+            ) from None
 
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
         """Keep a trial's result, then drop its checkpoint."""

@@ -19,17 +19,17 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters, ModelName, units
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.tuning.batch import check_drives
+from sigmaswarm.tuning.batch import check_drives, check_scored
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective, objective_named
 from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA, ParticleSwarm
 from sigmaswarm.tuning.space import Scale, SearchSpace, search_space
-from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, write_whole
+from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable, write_whole
 
 
 class TuneConfig(BaseModel):
     """What a tuning is asked for; saved with every result. Defaults are the paper's where it gives them."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     objective: str = "truth-rmse"
     scale: Scale = "log10"
@@ -176,13 +176,14 @@ def tune(
     objective = objective_named(settings.objective)
     check_drives(drives, objective)
     data = [_described(drive) for drive in drives]
-    folder = None
-    if out is not None:
-        asked = {**settings.model_dump(), "data": data, "versions": versions()}
-        folder = ResultFolder(Path(out), asked, resume=resume)
     interval = float(np.median([drive.nominal_interval for drive in drives]))
     space = search_space(settings.model, settings.scale, interval)
     replayer = Replayer(drives, outages=objective.needs_outages, outage_seed=settings.outage_seed)
+    check_scored(replayer, objective)
+    folder = None
+    if out is not None:  # made only once nothing is left that the user could have got wrong
+        asked = {**settings.model_dump(), "data": data, "versions": versions()}
+        folder = ResultFolder(Path(out), asked, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())
         search = _Search(settings, objective, space, replayer, pool, folder, progress)
@@ -282,12 +283,16 @@ class _Search:
 
     def _resumed(self, number: int, swarm: ParticleSwarm) -> tuple[list[float], list[float], int]:
         """Put the swarm where its checkpoint left it; the history so far."""
-        saved = load_checkpoint(self.folder.checkpoint(number)) if self.folder else None
-        if saved is None:
+        checkpoint = self.folder.checkpoint(number) if self.folder else None
+        saved = load_checkpoint(checkpoint) if checkpoint else None
+        if checkpoint is None or saved is None:
             return [], [], 0
         arrays, notes = saved
-        swarm.restore(arrays | {"rng": notes["rng"]})
-        return arrays["best"].tolist(), arrays["median"].tolist(), int(notes["failures"])
+        try:
+            swarm.restore(arrays | {"rng": notes["rng"]})
+            return arrays["best"].tolist(), arrays["median"].tolist(), int(notes["failures"])
+        except (KeyError, TypeError, ValueError):
+            raise unreadable(checkpoint) from None
 
     def _report(self, number: int, best: list[float]) -> None:
         if self.progress:

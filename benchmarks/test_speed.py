@@ -1,0 +1,125 @@
+"""sigmaswarm beside its rivals; `table.py` runs this and writes the table.
+
+Each benchmark says in ``extra_info`` how much work one round does: ``work`` counts parameter sets times IMU samples
+(or calls), and ``ns`` is the median time of one of them. ``times`` scales a part up to the whole job.
+"""
+
+import numpy as np
+import pytest
+
+from rival_pyswarms import Course, make_filter
+from rival_pyswarms import tune as tune_with_pyswarms
+from sigmaswarm import clip, initial_state, run_filter, run_reference, tune
+from sigmaswarm.scoring.batch import Replayer
+
+PART = 5.0
+"""s of the drive that the slow ones run over."""
+GENERATIONS, PARTICLES = 50, 30
+
+pytestmark = pytest.mark.usefixtures("turn")
+
+
+@pytest.fixture(scope="session")
+def part(drive):
+    return Course(drive, PART)
+
+
+@pytest.fixture(scope="session")
+def point(parameter_sets):
+    """The first parameter set as the rival writes it."""
+    p = parameter_sets[0]
+    return np.array([p.alpha, p.beta, p.kappa, *np.log10([*p.process_noise, *p.measurement_noise])])
+
+
+@pytest.fixture(scope="session")
+def replayer(drive, parameter_sets):
+    replayer = Replayer([drive], outages=False)
+    replayer.scores(parameter_sets)  # compiles, where the cache is empty
+    return replayer
+
+
+def measure(benchmark, run, *, work, rounds, times=1):
+    benchmark.pedantic(run, rounds=rounds, warmup_rounds=1)
+    if benchmark.stats:  # none with --benchmark-disable
+        ns = round(benchmark.stats.stats.median / work * 1e9, 3)
+        benchmark.extra_info.update(work=work, times=times, ns=ns)
+
+
+@pytest.mark.benchmark(group="filter")
+def test_filterpy_predict(benchmark, part, point):
+    ukf = make_filter(point, part.initial)
+    ukf.Q = np.diag(10.0 ** point[3:8])
+
+    def run():
+        ukf.x, ukf.P = part.initial.mean.copy(), part.initial.covariance.copy()
+        for dt, u in zip(part.dt, part.imu, strict=True):
+            ukf.predict(dt=dt, u=u)
+
+    measure(benchmark, run, work=len(part.dt), rounds=3)
+
+
+@pytest.mark.benchmark(group="filter")
+def test_filterpy_update(benchmark, part, point):
+    ukf = make_filter(point, part.initial)
+    ukf.predict(dt=part.dt[0], u=part.imu[0])
+    fix = part.fixes[0]
+
+    def run():
+        for _ in range(200):
+            ukf.update(fix)
+
+    measure(benchmark, run, work=200, rounds=3)
+
+
+@pytest.mark.benchmark(group="filter")
+def test_filterpy(benchmark, drive, part, point, parameter_sets):
+    # Both do the same work just if they end with the same error; their sigma points differ a little.
+    ours = run_filter(drive, parameter_sets[0]).mean[: part.n_samples, :2]
+    assert part.rmse(point) == pytest.approx(
+        np.sqrt(np.mean(np.sum((ours - part.truth) ** 2, axis=1))), rel=1e-3
+    )
+    measure(benchmark, lambda: part.rmse(point), work=part.n_samples, rounds=3)
+
+
+@pytest.mark.benchmark(group="filter")
+def test_textbook(benchmark, drive, part, parameter_sets):
+    short = clip(drive, drive.imu.time[0], part.initial.time + PART)
+    initial = initial_state(short)
+    samples = int((short.imu.time > initial.time).sum())
+    measure(
+        benchmark,
+        lambda: run_reference(short, parameter_sets[0], initial=initial),
+        work=samples,
+        rounds=3,
+    )
+
+
+@pytest.mark.benchmark(group="filter")
+def test_batch(benchmark, drive, replayer, parameter_sets):
+    samples = int((drive.imu.time > replayer.initial[0].time).sum())
+    assert not replayer.scores(parameter_sets).failed.any()
+    measure(benchmark, lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=10)
+
+
+@pytest.mark.benchmark(group="tuning")
+def test_tuning_pyswarms_filterpy(benchmark, part):
+    """One generation over a part of the drive; the whole job is as many times longer."""
+    measure(
+        benchmark,
+        lambda: tune_with_pyswarms(part, particles=PARTICLES, generations=1),
+        work=PARTICLES * part.n_samples,
+        rounds=1,
+        times=GENERATIONS / part.share,
+    )
+
+
+@pytest.mark.benchmark(group="tuning")
+def test_tuning_sigmaswarm(benchmark, drive, replayer):
+    """The whole job: alignment, time line, 30 x 50 filters over ten minutes, and the swarm itself."""
+    samples = int((drive.imu.time > replayer.initial[0].time).sum())
+    measure(
+        benchmark,
+        lambda: tune(drive, particles=PARTICLES, generations=GENERATIONS),
+        work=GENERATIONS * PARTICLES * samples,
+        rounds=2,
+    )

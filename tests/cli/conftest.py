@@ -1,0 +1,71 @@
+"""The command line in the tests' own process: what it prints, and how it ends."""
+
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from sigmaswarm.cli import main
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.simulation.kinematic import simulate
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Ended]
+
+
+@pytest.fixture
+def sigmaswarm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run `sigmaswarm` with arguments; warnings are shown, as they are to a user."""
+
+    def run(*arguments: object) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["sigmaswarm", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "120")
+        capsys.readouterr()
+        with warnings.catch_warnings(), pytest.raises(SystemExit) as caught:
+            warnings.simplefilter("default")
+            warnings.filterwarnings("ignore", message="Cyclopts application invoked without tokens")
+            main()
+        out, err = capsys.readouterr()
+        return Ended(int(caught.value.code or 0), out, err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two simulated drives."""
+    folder = tmp_path_factory.mktemp("cli") / "drives"
+    for seed in range(2):
+        drive = simulate(duration=40.0, seed=seed)
+        write_drive(drive, folder / drive.name)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of filter parameters."""
+    path = tmp_path_factory.mktemp("tuned") / "tuning.toml"
+    FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0), nominal_interval=0.01).save(
+        path
+    )
+    return path
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -1,0 +1,238 @@
+"""Each command does what its help says, for people and for machines."""
+
+import json
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import sigmaswarm as library
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+
+PNG = b"\x89PNG\r\n\x1a\n"
+COMMANDS = ["tune", "evaluate", "run", "split", "simulate", "demo"]
+METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
+
+
+def is_picture(path: Path) -> bool:
+    return path.read_bytes().startswith(PNG) and path.stat().st_size > 5000
+
+
+def test_help_names_every_command(sigmaswarm):
+    ended = sigmaswarm("--help")
+    assert ended.code == 0
+    assert [c for c in COMMANDS if c not in ended.out] == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_s_help_has_an_example_and_json(sigmaswarm, command: str):
+    ended = sigmaswarm(command, "--help")
+    assert ended.code == 0
+    assert f"sigmaswarm {command} " in ended.out
+    assert "--json" in ended.out
+
+
+def test_version(sigmaswarm):
+    assert sigmaswarm("--version").out.strip() == library.__version__
+
+
+def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here: Path):
+    ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
+    assert ended.code == 0
+    table = tomllib.loads(Path("t/tuning.toml").read_text())
+    assert f"cost {table['result']['cost']:.4f} (truth-rmse) on 2 drive(s)" in ended.out
+    assert table["config"]["particles"] == 4
+    assert [d["name"] for d in table["data"]] == ["simulated-000", "simulated-001"]
+    history = pl.read_csv("t/convergence.csv")
+    assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
+    assert history["generation"].to_list() == [1, 2, 3] * 2
+    assert history["best_cost"].min() == table["result"]["cost"]
+    assert is_picture(Path("t/convergence.png"))
+    assert is_picture(Path("t/training-track.png"))
+    for touched in table["result"]["touched_bounds"]:
+        assert touched in ended.out
+    # and again from what it wrote
+    again = sigmaswarm(
+        "tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2, "--resume"
+    )
+    assert again.code == 0
+    assert tomllib.loads(Path("t/tuning.toml").read_text()) == table
+
+
+def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
+    options = [
+        "--particles",
+        5,
+        "--generations",
+        3,
+        "--seed",
+        9,
+        "--objective",
+        "truth-pose",
+        "--scale",
+        "linear",
+    ]
+    more = ["--inertia", 0.6, "--zero-velocity-at-bounds", "--patience", 2, "--workers", 1]
+    ended = sigmaswarm(
+        "tune", drives / "simulated-001", drives / "simulated-000", "--out", "t", *options, *more, "--json"
+    )
+    said = json.loads(ended.out)
+    expected = library.tune(
+        [read_drive(drives / name) for name in ("simulated-001", "simulated-000")],
+        particles=5,
+        generations=3,
+        seed=9,
+        objective="truth-pose",
+        scale="linear",
+        inertia=0.6,
+        zero_velocity_at_bounds=True,
+        patience=2,
+    )
+    assert said == json.loads(json.dumps(expected.to_dict()))
+    assert said["filter"] == tomllib.loads(Path("t/tuning.toml").read_text())["filter"]
+
+
+def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
+    ended = sigmaswarm(
+        "tune",
+        drives,
+        "--out",
+        "t",
+        "--particles",
+        2,
+        "--generations",
+        1,
+        "--objective",
+        "gps-rmse",
+        "--json",
+    )
+    assert ended.code == 0
+    assert "warning: gps-rmse scores the filter against the GPS" in ended.err
+    json.loads(ended.out)
+    assert "Warning" not in ended.err  # one sentence, without a place in the source
+    assert "warning" not in sigmaswarm("tune", drives, "--out", "u", "--particles", 2, "--generations", 1).err
+
+
+def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    ended = sigmaswarm("evaluate", tuned, drives, "--json")
+    said = json.loads(ended.out)
+    read = [read_drive(drives / f"simulated-00{i}") for i in range(2)]
+    assert said == library.evaluate(FilterParameters.load(tuned), read).to_dict()
+    assert list(said["drives"]) == ["simulated-000", "simulated-001"]
+    assert list(said["mean"]) == METHODS
+    assert list(here.iterdir()) == []
+
+
+def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tuned: Path, here: Path, caplog):
+    ended = sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4)
+    assert ended.code == 0
+    said = json.loads(Path("e/scores.json").read_text())
+    for method in METHODS:
+        value = said["mean"][method]["position_rmse_m"]
+        assert (f"{value:.2f}" if value < 100 else f"{value:.0f}") in ended.out
+    improvement = said["improvement_percent"]["defaults"]["position_rmse_m"]
+    assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
+    assert "4 s outage" in ended.out
+    frame = pl.read_csv("e/scores.csv")
+    assert frame.filter(drive="simulated-001", method="tuned")["position_rmse_m"][0] == pytest.approx(
+        said["drives"]["simulated-001"]["tuned"]["position_rmse_m"]
+    )
+    names = {p.name for p in Path("e").glob("*.png")}
+    assert names == {"comparison.png"} | {
+        f"simulated-00{i}-{kind}.png" for i in range(2) for kind in ("track", "error")
+    }
+    assert all(is_picture(p) for p in Path("e").glob("*.png"))
+    assert all(name in ended.out for name in names)
+    assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
+
+
+def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    library.write_drive(library.simulate(duration=40.0, seed=3), "blind")
+    Path("blind/truth.csv").unlink()
+    ended = sigmaswarm("evaluate", tuned, "blind", "--out", "e", "--json")
+    assert ended.code == 0, ended.err
+    said = json.loads(ended.out)["mean"]
+    assert said["tuned"]["position_rmse_m"] is None
+    assert said["tuned"]["outage_drift_m"] > 0
+    assert not list(Path("e").glob("*-error.png"))
+    assert is_picture(Path("e/comparison.png"))
+
+
+def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    ended = sigmaswarm("run", tuned, drives / "simulated-000", "--out", "estimate.csv", "--json")
+    frame = pl.read_csv("estimate.csv")
+    states = ["x", "y", "vx", "vy", "theta"]
+    assert frame.columns == ["t", *states, *(f"std_{s}" for s in states)]
+    estimate = run_filter(read_drive(drives / "simulated-000"), FilterParameters.load(tuned))
+    np.testing.assert_array_equal(frame["t"], estimate.time)
+    np.testing.assert_array_equal(frame.select(states).to_numpy(), estimate.mean)
+    variances = np.stack([estimate.covariance[:, i, i] for i in range(5)], axis=1)
+    np.testing.assert_allclose(
+        frame.select([f"std_{s}" for s in states]).to_numpy() ** 2, variances, rtol=1e-12
+    )
+    assert json.loads(ended.out) == {
+        "out": "estimate.csv",
+        "estimates": len(frame),
+        "start_s": frame["t"][0],
+        "end_s": frame["t"][-1],
+    }
+
+
+def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    ended = sigmaswarm("run", tuned, drives / "simulated-000", "--out", "estimate.tum")
+    assert np.loadtxt("estimate.tum").shape[1] == 8
+    assert f"wrote {len(np.loadtxt('estimate.tum'))} estimates" in ended.out
+    assert list(here.iterdir()) == [here / "estimate.tum"]
+
+
+def test_simulate_is_repeatable(sigmaswarm, here: Path):
+    options = ("--runs", 2, "--duration", 30, "--gps-std", 0.5, "--seed", 7)
+    said = json.loads(sigmaswarm("simulate", "a", *options, "--json").out)
+    assert said == {"drives": ["a/simulated-007", "a/simulated-008"]}
+    assert "wrote 2 drive(s) to b" in sigmaswarm("simulate", "b", *options).out
+    for file in ("imu.csv", "gps.csv", "truth.csv", "drive.toml"):
+        assert Path(f"a/simulated-007/{file}").read_bytes() == Path(f"b/simulated-007/{file}").read_bytes()
+    assert Path("a/simulated-007/imu.csv").read_bytes() != Path("a/simulated-008/imu.csv").read_bytes()
+    drive = read_drive("a/simulated-007")
+    assert drive.duration == pytest.approx(30)
+    assert drive.metadata["gps_std_m"] == 0.5
+
+
+def test_split_in_time(sigmaswarm, drives: Path, here: Path):
+    ended = sigmaswarm("split", drives / "simulated-000", "parts", "--train-fraction", 0.5, "--json")
+    assert json.loads(ended.out) == {"drives": ["parts/simulated-000-train", "parts/simulated-000-test"]}
+    train, test = (read_drive(f"parts/simulated-000-{part}") for part in ("train", "test"))
+    assert train.imu.time[-1] < 20 <= test.imu.time[0]
+    assert len(train.imu) + len(test.imu) == len(read_drive(drives / "simulated-000").imu)
+
+
+def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
+    start = time.perf_counter()
+    ended = sigmaswarm("demo", "--out", "show")
+    assert time.perf_counter() - start < 60
+    assert ended.code == 0
+    for words in (
+        "never saw",
+        "tuned UKF",
+        "manual: defaults",
+        "raw GPS",
+        "lower than manual: defaults",
+        "pictures:",
+    ):
+        assert words in ended.out
+    pictures = list(Path("show").rglob("*.png"))
+    assert len(pictures) == 9
+    assert all(is_picture(p) for p in pictures)
+    assert FilterParameters.load("show/tuning").nominal_interval == pytest.approx(0.01)
+    said = json.loads(Path("show/evaluation/scores.json").read_text())
+    assert list(said["drives"]) == ["simulated-005", "simulated-006", "simulated-007"]
+    tuned = said["mean"].pop("tuned")["position_rmse_m"]
+    assert all(tuned < m["position_rmse_m"] for m in said["mean"].values())
+    assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
+    trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
+    assert trained.isdisjoint(said["drives"])

@@ -1,0 +1,263 @@
+"""Every mistake ends with exit code 2 and one line that names the place. `pytest -s` shows the table."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sigmaswarm as library
+from support import make_drive
+
+Edit = Callable[[Path], object]
+
+
+def cell(file: str, row: int, column: str, value: str) -> Edit:
+    """Write a value into a file's line ``row``, as an editor counts."""
+
+    def edit(folder: Path) -> None:
+        table = [line.split(",") for line in (folder / file).read_text().splitlines()]
+        table[row - 1][table[0].index(column)] = value
+        (folder / file).write_text("".join(",".join(r) + "\n" for r in table))
+
+    return edit
+
+
+def renamed(file: str, column: str, name: str) -> Edit:
+    def edit(folder: Path) -> None:
+        header, rest = (folder / file).read_text().split("\n", 1)
+        columns = [name if c == column else c for c in header.split(",")]
+        (folder / file).write_text(",".join(columns) + "\n" + rest)
+
+    return edit
+
+
+def first_rows(file: str, count: int) -> Edit:
+    def edit(folder: Path) -> None:
+        (folder / file).write_text("\n".join((folder / file).read_text().splitlines()[: count + 1]))
+
+    return edit
+
+
+def degrees(latitude: str) -> Edit:
+    def edit(folder: Path) -> None:
+        times = [line.split(",")[0] for line in (folder / "gps.csv").read_text().splitlines()[1:]]
+        lines = ["t,lat,lon", *(f"{t},{latitude if i == 3 else '50.1'},13.7" for i, t in enumerate(times))]
+        (folder / "gps.csv").write_text("\n".join(lines))
+        (folder / "drive.toml").write_text('frame = "wgs84"')
+
+    return edit
+
+
+def later(seconds: float) -> Edit:
+    def edit(folder: Path) -> None:
+        header, *rows = (folder / "gps.csv").read_text().splitlines()
+        moved = [f"{float(t) + seconds},{rest}" for t, rest in (r.split(",", 1) for r in rows)]
+        (folder / "gps.csv").write_text("\n".join([header, *moved]))
+
+    return edit
+
+
+def standing(folder: Path) -> None:
+    header, *rows = (folder / "gps.csv").read_text().splitlines()
+    (folder / "gps.csv").write_text("\n".join([header, *(f"{r.split(',')[0]},1.0,2.0" for r in rows)]))
+
+
+# what is done to the good drive, and what the line must say
+DRIVES: dict[str, tuple[Edit, list[str]]] = {
+    "missing-folder": (shutil.rmtree, ["bad", "does not exist", "folder"]),
+    "missing-imu": (lambda f: (f / "imu.csv").unlink(), ["bad/imu.csv", "missing"]),
+    "missing-gps": (lambda f: (f / "gps.csv").unlink(), ["bad/gps.csv", "missing"]),
+    "missing-toml": (lambda f: (f / "drive.toml").unlink(), ["bad/drive.toml", "missing", "frame"]),
+    "missing-column": (renamed("imu.csv", "gz", "yaw"), ["bad/imu.csv", "row 1", "gz", "add or rename"]),
+    "missing-truth-column": (renamed("truth.csv", "vx", "u"), ["bad/truth.csv", "row 1", "vx"]),
+    "not-a-number": (cell("imu.csv", 17, "ax", "fast"), ["bad/imu.csv", "row 17", "ax", "'fast'", "delete"]),
+    "nan": (cell("gps.csv", 8, "y", "nan"), ["bad/gps.csv", "row 8", "y", "'nan'", "delete"]),
+    "time-not-increasing": (cell("imu.csv", 30, "t", "0.1"), ["bad/imu.csv", "row 30", "t", "'0.1'", "sort"]),
+    "latitude-out-of-range": (degrees("91.5"), ["bad/gps.csv", "row 5", "lat", "'91.5'", "-90 to 90"]),
+    "no-overlap": (later(1e4), ["bad/", "imu.csv", "gps.csv", "overlap", "clock"]),
+    "too-few-fixes": (first_rows("gps.csv", 5), ["bad/gps.csv", "5 fixes", "too few", "at least"]),
+    "too-few-samples": (first_rows("imu.csv", 50), ["bad/", "too few"]),
+    "ragged-row": (cell("imu.csv", 12, "ax", "1,5"), ["bad/imu.csv", "row 12", "cells"]),
+    "no-csv": (lambda f: (f / "imu.csv").write_bytes(b"\x00\xff\xfe\x01" * 40), ["bad/imu.csv"]),
+    "broken-toml": (lambda f: (f / "drive.toml").write_text("name = "), ["bad/drive.toml", "TOML"]),
+    "never-moves": (standing, ["synthetic: ", "20 m", "heading"]),
+}
+
+
+def checked(ended, expected: list[str], case: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr with all that is expected."""
+    print(f"\n{case:>28} | {ended.err.strip()}")
+    assert ended.code == 2
+    assert ended.out == ""
+    assert ended.err.startswith("sigmaswarm: ")
+    assert ended.err.count("\n") == 1
+    assert ended.err.endswith("\n")
+    assert "Traceback" not in ended.err
+    assert "errors.pydantic.dev" not in ended.err
+    assert [part for part in expected if part not in ended.err] == []
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return library.write_drive(make_drive(duration=20.0), tmp_path_factory.mktemp("good") / "good")
+
+
+@pytest.mark.parametrize("case", DRIVES)
+def test_a_bad_drive(sigmaswarm, good: Path, here: Path, case: str):
+    edit, expected = DRIVES[case]
+    edit(shutil.copytree(good, "bad") and Path("bad"))
+    checked(sigmaswarm("tune", "bad", "--out", "t"), expected, case)
+    assert not Path("t").exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "run", "split"])
+def test_a_bad_drive_in_other_commands(sigmaswarm, good: Path, tuned: Path, here: Path, command: str):
+    edit, expected = DRIVES["not-a-number"]
+    edit(shutil.copytree(good, "bad") and Path("bad"))
+    arguments = {
+        "evaluate": [tuned, "bad"],
+        "run": [tuned, "bad", "--out", "x.csv"],
+        "split": ["bad", "parts"],
+    }
+    checked(sigmaswarm(command, *arguments[command]), expected, command)
+    assert {p.name for p in here.iterdir()} == {"bad"}
+
+
+def blind(folder: Path) -> None:
+    (folder / "good" / "truth.csv").unlink()
+
+
+def nothing(folder: Path) -> None:
+    pass
+
+
+def results(folder: Path) -> None:
+    library.tune(library.read_drive(folder / "good"), out=folder / "t", particles=2, generations=1)
+
+
+def file(name: str, content: str = "") -> Edit:
+    return lambda folder: (folder / name).write_text(content)
+
+
+def folder(name: str) -> Edit:
+    return lambda parent: (parent / name / "within").mkdir(parents=True)
+
+
+# what is there beside good/ and tuning.toml, the command, and what the line must say
+OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
+    "unknown-command": (nothing, "tone good", ["tone", "tune"]),
+    "unknown-option": (nothing, "tune good --out t --partikles 3", ["--partikles"]),
+    "no-drive": (nothing, "tune --out t", ["DRIVE"]),
+    "no-out": (nothing, "tune good", ["--out"]),
+    "folder-without-drives": (folder("empty"), "tune empty --out t", ["empty", "holds no drive", "imu.csv"]),
+    "unknown-objective": (
+        nothing,
+        "tune good --out t --objective rmse",
+        ["'rmse'", "truth-rmse", "gps-rmse"],
+    ),
+    "unknown-scale": (nothing, "tune good --out t --scale cubic", ["cubic", "--scale", "log10"]),
+    "unknown-model": (nothing, "tune good --out t --model planar9", ["planar9", "--model", "planar5"]),
+    "negative-particles": (nothing, "tune good --out t --particles -3", ["particles", "-3", "2"]),
+    "one-particle": (nothing, "tune good --out t --particles 1", ["particles", "1", "2"]),
+    "particles-no-number": (nothing, "tune good --out t --particles many", ["--particles", "many"]),
+    "no-generations": (nothing, "tune good --out t --generations 0", ["generations", "0", "1"]),
+    "no-trials": (nothing, "tune good --out t --trials 0", ["trials", "0", "1"]),
+    "negative-seed": (nothing, "tune good --out t --seed -1", ["seed", "-1"]),
+    "no-patience": (nothing, "tune good --out t --patience 0", ["patience", "0"]),
+    "inertia-nan": (nothing, "tune good --out t --inertia nan", ["inertia", "nan"]),
+    "no-workers": (nothing, "tune good --out t --workers 0", ["workers", "0"]),
+    "no-truth": (blind, "tune good --out t", ["synthetic: ", "no truth", "truth-rmse", "gps-rmse"]),
+    "no-truth-pose": (
+        blind,
+        "tune good --out t --objective truth-pose",
+        ["no truth", "truth-pose", "gps-rmse"],
+    ),
+    "out-exists": (
+        results,
+        "tune good --out t --particles 2 --generations 1",
+        ["t", "already holds", "--resume"],
+    ),
+    "out-of-another": (
+        results,
+        "tune good --out t --particles 3 --generations 1 --resume",
+        ["t/config.json", "particles = 2", "particles = 3"],
+    ),
+    "out-is-a-file": (file("t"), "tune good --out t", ["t:", "folder", "--out"]),
+    "out-below-a-file": (file("f"), "tune good --out f/t", ["f/t", "folder", "--out"]),
+    "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
+    "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
+    "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not a readable TOML file"]),
+    "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
+    "evaluate-out-is-a-file": (file("e"), "evaluate tuning.toml good --out e", ["e:", "folder", "--out"]),
+    "outage-length-zero": (nothing, "evaluate tuning.toml good --outage-length 0", ["--outage-length", "0"]),
+    "outage-length-infinite": (
+        nothing,
+        "evaluate tuning.toml good --outage-length inf",
+        ["outage-length", "inf"],
+    ),
+    "outage-seed-negative": (nothing, "evaluate tuning.toml good --outage-seed -1", ["outage-seed", "-1"]),
+    "run-unknown-suffix": (nothing, "run tuning.toml good --out x.xls", ["x.xls", ".csv", ".tum"]),
+    "run-no-suffix": (nothing, "run tuning.toml good --out x", ["x:", ".csv", ".tum"]),
+    "run-no-such-folder": (nothing, "run tuning.toml good --out no/x.csv", ["no", "no such folder"]),
+    "run-out-is-a-folder": (folder("x.csv"), "run tuning.toml good --out x.csv", ["x.csv", "folder"]),
+    "run-no-out": (nothing, "run tuning.toml good", ["--out"]),
+    "run-two-drives": (nothing, "run tuning.toml good good --out x.csv", ["good"]),
+    "run-negative-variance": (
+        file(
+            "p.toml",
+            "[filter]\nalpha=0.1\nbeta=2\nkappa=0\nprocess_noise=[1,1,1,-1,1]\nmeasurement_noise=[1,1]",
+        ),
+        "run p.toml good --out x.csv",
+        ["p.toml", "process_noise[3]", "-1", "positive"],
+    ),
+    "simulate-no-out": (nothing, "simulate", ["OUT"]),
+    "simulate-no-runs": (nothing, "simulate s --runs 0", ["--runs"]),
+    "simulate-too-short": (nothing, "simulate s --duration 3", ["--duration"]),
+    "simulate-endless": (nothing, "simulate s --duration inf", ["--duration"]),
+    "simulate-noise-nan": (nothing, "simulate s --gps-std nan", ["--gps-std"]),
+    "simulate-negative-seed": (nothing, "simulate s --seed -1", ["seed", "-1"]),
+    "simulate-out-is-a-file": (file("s"), "simulate s", ["s", "folder"]),
+    "simulate-twice": (folder("s/simulated-000"), "simulate s", ["simulated-000", "not empty"]),
+    "split-nothing-left": (nothing, "split good parts --train-fraction 1.5", ["1.5", "between 0 and 1"]),
+    "split-out-is-a-file": (file("parts"), "split good parts", ["parts", "folder"]),
+    "demo-elsewhere": (folder("d"), "demo --out d", ["d:", "not empty", "--out"]),
+    "demo-out-is-a-file": (file("d"), "demo --out d", ["d", "--out"]),
+    "demo-negative-seed": (nothing, "demo --out d --seed -1", ["seed", "-1"]),
+}
+
+
+@pytest.mark.parametrize("case", OPTIONS)
+def test_a_wrong_option(sigmaswarm, good: Path, tuned: Path, here: Path, case: str):
+    prepare, command, expected = OPTIONS[case]
+    shutil.copytree(good, "good")
+    shutil.copy(tuned, "tuning.toml")
+    prepare(here)
+    before = {p: p.stat().st_mtime_ns for p in here.rglob("*")}
+    checked(sigmaswarm(*command.split()), expected, f"{case}: {command}")
+    assert {p: p.stat().st_mtime_ns for p in here.rglob("*")} == before  # nothing made, nothing touched
+
+
+def test_a_failing_filter_writes_nothing(sigmaswarm, good: Path, tuned: Path, here: Path, monkeypatch):
+    """Variances in a file are positive, so a failure is planted behind them."""
+    text = tuned.read_text().replace("0.001", "1e308")
+    Path("huge.toml").write_text(text)
+    ended = sigmaswarm("run", "huge.toml", good, "--out", "x.csv")
+    checked(ended, ["filter failed at t ="], "filter fails")
+    assert not Path("x.csv").exists()
+
+
+def test_a_mistake_can_be_mended_and_the_command_repeated(sigmaswarm, good: Path, here: Path):
+    """A command that ended with a mistake leaves nothing that stops the next try."""
+    standing(shutil.copytree(good, "bad") and Path("bad"))
+    assert sigmaswarm("tune", "bad", "--out", "t").code == 2
+    ended = sigmaswarm("tune", good, "--out", "t", "--particles", 2, "--generations", 1)
+    assert ended.code == 0, ended.err
+
+
+def test_warnings_are_one_line_each(sigmaswarm, good: Path, tuned: Path, here: Path):
+    renamed("imu.csv", "gy", "temperature")(shutil.copytree(good, "odd") and Path("odd"))
+    ended = sigmaswarm("evaluate", tuned, "odd", "--json")
+    assert ended.code == 0
+    assert ended.err.startswith("warning: odd/imu.csv: ignoring 'temperature'")
+    assert ended.err.count("\n") == 1

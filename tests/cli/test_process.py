@@ -1,0 +1,93 @@
+"""The command in a process of its own: how fast it answers, what it imports, what it compiles."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+HEAVY = ["numba", "polars", "matplotlib", "scipy", "pydantic", "numpy"]
+PROGRAM = "from sigmaswarm.cli import main; main()"
+
+
+def sigmaswarm(*arguments: object, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", PROGRAM, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | environment,
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["tune", "--help"], ["--version"], ["tone"]], ids=" ".join)
+def test_help_imports_nothing_heavy(arguments: list[str]):
+    program = f"""
+import json, sys
+sys.argv[1:] = {arguments}
+from sigmaswarm.cli import main
+try:
+    main()
+except SystemExit:
+    pass
+print(json.dumps(sorted(set(sys.modules) & set({HEAVY}))), file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert json.loads(done.stderr.splitlines()[-1]) == []
+
+
+def test_help_answers_in_half_a_second():
+    """Processor time: other work on the machine is not the command's fault."""
+    took = []
+    for _ in range(2):
+        before = os.times()
+        assert sigmaswarm("--help").returncode == 0
+        after = os.times()
+        took.append(
+            after.children_user + after.children_system - before.children_user - before.children_system
+        )
+    assert min(took) < 0.5
+
+
+def test_a_mistake_is_one_line_and_exit_code_2():
+    done = sigmaswarm("evaluate", "nowhere", "nowhere")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr == "sigmaswarm: nowhere: no such file; give a tuning.toml or the folder that holds it\n"
+    )
+
+
+def test_without_arguments_it_helps():
+    done, helped = sigmaswarm(), sigmaswarm("--help")
+    assert (done.returncode, done.stdout) == (0, helped.stdout)
+
+
+def test_the_installed_command_answers():
+    script = Path(sys.executable).with_name("sigmaswarm")
+    if not script.exists():
+        pytest.skip("sigmaswarm is not installed as a command beside this Python")
+    done = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip()[0].isdigit()
+
+
+def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: Path):
+    """Numba itself says what it loads and what it saves."""
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_DEBUG_CACHE": "1"}
+    commands = [
+        ["run", tuned, drives / "simulated-000", "--out", tmp_path / "x.csv", "--json"],
+        ["evaluate", tuned, drives / "simulated-001", "--json"],
+    ]
+    said, took = [], []
+    for command in commands:
+        start = time.perf_counter()
+        done = sigmaswarm(*command, **environment)
+        took.append(time.perf_counter() - start)
+        assert done.returncode == 0, done.stderr
+        said.append([line for line in (done.stdout + done.stderr).splitlines() if line.startswith("[cache]")])
+    assert any("data saved" in line for line in said[0])
+    assert any("data loaded" in line for line in said[1])
+    assert [line for line in said[1] if "saved" in line] == []
+    print(f"first start {took[0]:.1f} s, second {took[1]:.1f} s")

@@ -1,0 +1,153 @@
+"""The merged time line, against a loop that walks through the moments one by one."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.drives.drive import Drive, Gps, Imu
+from sigmaswarm.drives.timeline import build_timeline
+from support import make_drive
+
+TICK = 1 / 64  # s: sums and differences of ticks are exact
+
+
+@dataclass
+class Naive:
+    """The steps as the issue's words have them."""
+
+    dt: list[float] = field(default_factory=list)
+    sample: list[int] = field(default_factory=list)
+    fix: list[int | None] = field(default_factory=list)
+    sampled: list[bool] = field(default_factory=list)
+
+
+def walk(drive: Drive, start: float) -> Naive:
+    imu, gps = drive.imu.time.tolist(), drive.gps.time.tolist()
+    steps, now = Naive(), start
+    for k, t_k in enumerate(imu):
+        if t_k <= start:
+            continue
+        waiting = [j for j, t in enumerate(gps) if now < t <= t_k]
+        for j in waiting:
+            steps.dt.append(gps[j] - now)
+            steps.sample.append(k)
+            steps.fix.append(j)
+            steps.sampled.append(gps[j] == t_k)
+            now = gps[j]
+        if now < t_k:
+            steps.dt.append(t_k - now)
+            steps.sample.append(k)
+            steps.fix.append(None)
+            steps.sampled.append(True)
+            now = t_k
+    return steps
+
+
+def drive_of(imu_ticks: list[int], gps_ticks: list[int]) -> Drive:
+    imu, gps = np.array(sorted(imu_ticks)) * TICK, np.array(sorted(gps_ticks)) * TICK
+    number = np.arange(len(imu), dtype=float)
+    return Drive(
+        "ticks",
+        Imu(time=imu, ax=number, ay=number + 1000, gz=number + 2000),
+        Gps(time=gps, x=np.arange(len(gps)) + 0.25, y=-np.arange(len(gps)) - 0.5),
+    )
+
+
+ticks = st.lists(st.integers(-100, 300), unique=True)
+
+
+@st.composite
+def drives_and_starts(draw) -> tuple[Drive, float]:
+    imu = draw(st.lists(st.integers(-100, 300), min_size=2, max_size=40, unique=True))
+    gps = draw(st.lists(st.integers(-150, 350), min_size=1, max_size=40, unique=True))
+    start = draw(st.integers(min(imu), max(imu) - 1)) * TICK
+    return drive_of(imu, gps), start
+
+
+@given(drives_and_starts())
+def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
+    drive, start = case
+    line, naive = build_timeline(drive, start), walk(drive, start)
+    assert line.start == start
+    assert line.dt.tolist() == naive.dt
+    assert line.ax.tolist() == [float(k) for k in naive.sample]
+    assert line.ay.tolist() == [1000.0 + k for k in naive.sample]
+    assert line.gz.tolist() == [2000.0 + k for k in naive.sample]
+    assert line.absorbs.tolist() == [j is not None for j in naive.fix]
+    assert line.sampled.tolist() == naive.sampled
+    absorbed = [j for j in naive.fix if j is not None]
+    assert line.fixes.tolist() == [[j + 0.25, -j - 0.5] for j in absorbed]
+    assert line.fix_time.tolist() == drive.gps.time[absorbed].tolist()
+    gaps = sorted(np.diff(drive.imu.time).tolist())
+    middle = len(gaps) // 2
+    median = gaps[middle] if len(gaps) % 2 else (gaps[middle - 1] + gaps[middle]) / 2
+    assert line.nominal_interval == median
+    assert line.q_scale.tolist() == [dt / median for dt in naive.dt]
+
+
+@given(drives_and_starts())
+def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
+    drive, start = case
+    line = build_timeline(drive, start)
+    end = drive.imu.time[-1]
+    assert np.all(line.dt > 0)
+    assert line.dt.sum() == end - start
+    assert line.sampled[-1]
+    assert line.imu_time.tolist() == [t for t in drive.imu.time if t > start]
+    assert line.sampled.sum() == len(line.imu_time)
+    assert line.fix_time.tolist() == [t for t in drive.gps.time if start < t <= end]
+    # the time that each sample drives is the time since the one before, however it is split
+    driven = {k: line.dt[line.ax == k].sum() for k in line.ax}
+    times = drive.imu.time
+    assert driven == {
+        k: times[k] - max(times[k - 1] if k else start, start) for k in range(len(times)) if times[k] > start
+    }
+
+
+def test_a_fix_between_two_samples_splits_the_step():
+    line = build_timeline(drive_of([0, 8, 16], [11]), 0.0)
+    assert (line.dt / TICK).tolist() == [8, 3, 5]
+    assert line.ax.tolist() == [1, 2, 2]  # both parts are driven by the sample at their end
+    assert line.absorbs.tolist() == [False, True, False]
+    assert line.sampled.tolist() == [True, False, True]
+    assert line.q_scale.tolist() == [1, 3 / 8, 5 / 8]  # together the whole step's Q
+
+
+def test_a_fix_at_a_sample_s_time_splits_nothing():
+    line = build_timeline(drive_of([0, 8, 16], [8]), 0.0)
+    assert (line.dt / TICK).tolist() == [8, 8]
+    assert line.absorbs.tolist() == [True, False]
+    assert line.sampled.tolist() == [True, True]
+
+
+def test_several_fixes_in_one_interval():
+    line = build_timeline(drive_of([0, 8, 16], [9, 10, 15]), 0.0)
+    assert (line.dt / TICK).tolist() == [8, 1, 1, 5, 1]
+    assert line.ax.tolist() == [1, 2, 2, 2, 2]
+    assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25]
+
+
+def test_fixes_up_to_the_start_and_after_the_last_sample_are_dropped():
+    drive = drive_of([0, 8, 16], [-3, 2, 3, 16, 17])
+    line = build_timeline(drive, 3 * TICK)  # the fix at the start was absorbed by the initial state
+    assert (line.fix_time / TICK).tolist() == [16]
+    assert (line.dt / TICK).tolist() == [5, 8]
+
+
+def test_process_noise_grows_with_a_gap():
+    line = build_timeline(drive_of([0, 8, 16, 24, 104, 112], [64]), 0.0)
+    assert line.q_scale.tolist() == [1, 1, 1, 5, 5, 1]  # a gap of ten intervals, split by a fix
+    assert line.nominal_interval == 8 * TICK
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_jittery_drive_is_merged_like_the_loop_does(seed: int):
+    drive = make_drive(duration=8.0, jitter=0.4, gps_rate=7.0, seed=seed)
+    line, naive = build_timeline(drive, 1.234), walk(drive, 1.234)
+    np.testing.assert_array_equal(line.dt, naive.dt)
+    np.testing.assert_array_equal(line.ax, drive.imu.ax[naive.sample])
+    np.testing.assert_array_equal(line.absorbs, [j is not None for j in naive.fix])
+    assert line.dt.sum() == pytest.approx(drive.imu.time[-1] - 1.234, abs=1e-12)

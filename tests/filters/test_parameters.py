@@ -1,0 +1,198 @@
+"""Parameters: exact on their way through a file, and refused with the place named where they are wrong."""
+
+import tomllib
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter, run_reference
+from sigmaswarm.tuning.tune import tune
+from support import make_drive
+
+GOOD = FilterParameters(0.1, 2.0, 0.5, (1.0, 2.0, 3.0, 4.0, 5.0), (6.0, 7.0))
+TOML = """
+[filter]
+model = "planar5"
+alpha = 0.1
+beta = 2.0
+kappa = 0.5
+process_noise = [1, 2, 3, 4, 5]
+measurement_noise = [6.0, 7.0]
+"""
+
+variances = st.floats(1e-300, 1e300)
+parameters = st.builds(
+    FilterParameters,
+    st.floats(1e-12, 1e6),
+    st.floats(-1e6, 1e6),
+    st.floats(-4.99, 1e9),
+    st.tuples(*[variances] * 5),
+    st.tuples(*[variances] * 2),
+    nominal_interval=st.one_of(st.none(), st.floats(1e-6, 10)),
+)
+
+
+@given(parameters)
+def test_saved_parameters_load_to_the_same_bits(tmp_path_factory, p: FilterParameters):
+    path = tmp_path_factory.getbasetemp() / "parameters.toml"
+    p.save(path)
+    assert FilterParameters.load(path) == p
+    assert FilterParameters.load(str(path)) == p
+
+
+def test_the_file_states_units_and_every_key(tmp_path: Path):
+    replace(GOOD, nominal_interval=0.01).save(tmp_path / "p.toml")
+    table = tomllib.loads((tmp_path / "p.toml").read_text())
+    assert table["filter"] == {
+        "model": "planar5",
+        "alpha": 0.1,
+        "beta": 2.0,
+        "kappa": 0.5,
+        "process_noise": [1, 2, 3, 4, 5],
+        "measurement_noise": [6, 7],
+        "nominal_interval": 0.01,
+    }
+    assert [unit.split()[0] for unit in table["units"]["process_noise"]] == [
+        "m2",
+        "m2",
+        "m2/s2",
+        "m2/s2",
+        "rad2",
+    ]
+    assert table["units"]["measurement_noise"] == ["m2", "m2"]
+
+
+def test_a_hand_written_file_loads(tmp_path: Path):
+    (tmp_path / "p.toml").write_text(TOML)
+    assert FilterParameters.load(tmp_path / "p.toml") == GOOD
+
+
+def test_positional_arguments_and_numpy_arrays():
+    q, r = np.array([1.0, 2, 3, 4, 5]), np.array([6.0, 7])
+    p = FilterParameters(0.1, 2.0, 0.5, q, r)
+    assert p == GOOD
+    assert p.process_noise == (1.0, 2.0, 3.0, 4.0, 5.0)
+    q[0] = 99.0
+    assert p == GOOD  # a copy
+    assert FilterParameters(np.float64(0.1), 2, 0.5, [1, 2, 3, 4, 5], [6, 7], model="planar5") == GOOD
+    assert hash(p) == hash(GOOD)
+
+
+def test_a_record_can_not_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        GOOD.alpha = 0.2  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"alpha": 0.0}, "alpha"),
+        ({"alpha": -0.1}, "alpha"),
+        ({"alpha": float("nan")}, "alpha"),
+        ({"beta": float("inf")}, "beta"),
+        ({"kappa": -5.0}, "kappa must be greater than -5"),
+        ({"process_noise": (1.0,) * 4}, "process_noise needs 5 variances for planar5, got 4"),
+        ({"process_noise": (1.0,) * 4 + (float("nan"),)}, "process_noise"),
+        ({"measurement_noise": (1.0,) * 3}, "measurement_noise needs 2 variances, got 3"),
+        ({"model": "planar8"}, "planar5"),
+        ({"nominal_interval": 0.0}, "nominal_interval"),
+    ],
+    ids=str,
+)
+def test_what_no_filter_can_run_with_is_refused(change: dict, word: str):
+    with pytest.raises(ValidationError, match=word):  # a ValueError
+        replace(GOOD, **change)
+
+
+def test_a_negative_variance_is_left_to_the_filter():
+    assert replace(GOOD, process_noise=(-1.0,) * 5).process_noise == (-1.0,) * 5
+
+
+def without(key: str) -> str:
+    return "\n".join(line for line in TOML.splitlines() if not line.startswith(key))
+
+
+def with_value(key: str, value: str) -> str:
+    return without(key) + f"\n{key} = {value}\n"
+
+
+BAD_FILES: dict[str, tuple[str, list[str]]] = {
+    "not-toml": ("alpha : 0.1", ["not a readable TOML file", "line 1"]),
+    "empty": ("", ["[filter]", "sigmaswarm tune"]),
+    "no-filter-table": ("[result]\ncost = 1", ["[filter]"]),
+    "filter-no-table": ("filter = 3", ["[filter]"]),
+    "key-missing": (without("alpha"), ["filter.alpha", "correct"]),
+    "unknown-key": (with_value("gamma", "3"), ["filter.gamma", "correct"]),
+    "not-a-number": (with_value("alpha", '"wide"'), ["filter.alpha", "'wide'", "correct"]),
+    "alpha-0": (with_value("alpha", "0"), ["filter.alpha", "greater than 0", "is 0"]),
+    "alpha-nan": (with_value("alpha", "nan"), ["filter.alpha", "is nan"]),
+    "kappa": (with_value("kappa", "-7"), ["kappa must be greater than -5", "-7"]),
+    "q-short": (with_value("process_noise", "[1, 2]"), ["process_noise needs 5 variances", "got 2"]),
+    "q-no-list": (with_value("process_noise", "1.0"), ["filter.process_noise", "1.0"]),
+    "q-negative": (
+        with_value("process_noise", "[1, 2, 3, -4, 5]"),
+        ["filter.process_noise[3]", "positive", "-4"],
+    ),
+    "q-infinite": (with_value("process_noise", "[1, 2, 3, inf, 5]"), ["filter.process_noise.3", "is inf"]),
+    "r-negative": (with_value("measurement_noise", "[-1, 2]"), ["filter.measurement_noise[0]", "-1"]),
+    "r-zero": (with_value("measurement_noise", "[1, 0]"), ["filter.measurement_noise[1]", "positive", "0"]),
+    "model": (with_value("model", '"planar7"'), ["filter.model", "'planar7'", "planar5"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_bad_file_is_refused_in_one_line(tmp_path: Path, case: str):
+    content, expected = BAD_FILES[case]
+    path = tmp_path / "p.toml"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        FilterParameters.load(path)
+    message = str(caught.value)
+    print(message)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    assert [part for part in expected if part not in message] == [], message
+
+
+def test_a_missing_file_and_a_folder_without_one(tmp_path: Path):
+    with pytest.raises(InputError, match=r"nowhere.toml: no such file; give a tuning.toml or the folder"):
+        FilterParameters.load(tmp_path / "nowhere.toml")
+    with pytest.raises(InputError, match=r"tuning.toml: no such file"):
+        FilterParameters.load(tmp_path)
+
+
+def test_bytes_that_are_no_text(tmp_path: Path):
+    (tmp_path / "p.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not a readable TOML file"):
+        FilterParameters.load(tmp_path / "p.toml")
+
+
+def test_a_tuning_loads_as_file_and_as_folder(tmp_path: Path):
+    tuning = tune(make_drive(duration=12.0), out=tmp_path / "out", particles=3, generations=2)
+    assert FilterParameters.load(tmp_path / "out" / "tuning.toml") == tuning.parameters
+    assert FilterParameters.load(tmp_path / "out") == tuning.parameters
+    assert tuning.parameters.nominal_interval == pytest.approx(0.01)
+
+
+def test_q_refers_to_the_stated_interval():
+    """A filter tuned at 100 Hz adds, on an IMU of 50 Hz, twice the variance a step."""
+    drive = make_drive(duration=15.0)
+    slow = replace(drive, imu=drive.imu.select(slice(None, None, 2)))
+    q, r = (1e-3, 2e-3, 3e-3, 4e-3, 1e-6), (1.0, 1.0)
+    stated = FilterParameters(0.5, 2.0, 0.0, q, r, nominal_interval=0.01)
+    doubled = FilterParameters(0.5, 2.0, 0.0, tuple(2 * v for v in q), r)
+    a, b = run_filter(slow, stated), run_filter(slow, doubled)
+    np.testing.assert_allclose(a.mean, b.mean, atol=1e-9)
+    np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-12)
+    textbook = run_reference(slow, stated)
+    np.testing.assert_allclose(textbook.covariance, a.covariance, rtol=1e-7, atol=1e-10)
+    assert np.max(np.abs(run_filter(slow, replace(stated, nominal_interval=None)).mean - a.mean)) > 1e-3
+    at_home = run_filter(drive, stated).mean, run_filter(drive, replace(stated, nominal_interval=None)).mean
+    np.testing.assert_allclose(*at_home, atol=1e-9)

@@ -1,0 +1,63 @@
+"""The manual filters: the published figures, and the data sheet's arithmetic."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import datasheet, preset
+from sigmaswarm.simulation.kinematic import simulate
+from support import make_drive
+
+DRIVE = make_drive(duration=12.0)
+
+
+def test_defaults_are_what_people_start_with():
+    assert preset("defaults", DRIVE) == FilterParameters(0.1, 2.0, 0.0, [1.0] * 5, [1.0] * 2)
+
+
+def test_paper_is_the_published_optimum():
+    assert preset("paper", DRIVE) == FilterParameters(0.03, 2.5, 0.48, [2.0] * 5, [0.1] * 2)
+
+
+def test_datasheet_of_an_unknown_sensor():
+    p = preset("datasheet", DRIVE)
+    assert p == datasheet(DRIVE)
+    assert (p.alpha, p.beta, p.kappa) == (0.1, 2.0, 0.0)
+    assert p.measurement_noise == pytest.approx((2.1**2, 2.1**2))
+    # MPU-6050: 0.24 m/s per root hour, 0.3 deg per root hour; an hour has 3600 s
+    velocity, heading = 0.24**2 / 3600 * 0.01, np.radians(0.3) ** 2 / 3600 * 0.01
+    assert p.process_noise[2:] == pytest.approx((velocity, velocity, heading), rel=1e-9)
+    assert p.process_noise[:2] == pytest.approx((velocity * 0.01**2 / 3,) * 2, rel=1e-9)
+    assert p.nominal_interval == pytest.approx(0.01)
+
+
+def test_datasheet_takes_what_the_drive_states():
+    stated = {"gps_std_m": 0.7, "accel_noise_density": 0.02, "gyro_noise_density": 0.001}
+    p = datasheet(replace(DRIVE, metadata=stated))
+    assert p.measurement_noise == pytest.approx((0.49, 0.49))
+    assert p.process_noise[2] == pytest.approx(0.02**2 * 0.01)
+    assert p.process_noise[4] == pytest.approx(0.001**2 * 0.01)
+
+
+def test_the_receiver_s_own_deviation_goes_before_the_file_s():
+    n = len(DRIVE.gps)
+    std = np.where(np.arange(n) < n // 2 - 1, 50.0, 1.5)  # the median forgives the start
+    drive = replace(
+        DRIVE, gps=replace(DRIVE.gps, std_x=std, std_y=np.full(n, 2.5)), metadata={"gps_std_m": 9.0}
+    )
+    assert datasheet(drive).measurement_noise == pytest.approx((1.5**2, 2.5**2))
+
+
+def test_the_velocity_spreads_as_the_density_says():
+    """Summed over a second, white noise of density s per root Hz makes a velocity of deviation s."""
+    drive = simulate(duration=10.0, accel_std=0.3, seed=1)
+    per_second = datasheet(drive).process_noise[2] / drive.nominal_interval
+    noise = np.random.default_rng(0).normal(0, 0.3, (4000, 100))  # 100 Hz, one second
+    assert np.sqrt(per_second) == pytest.approx(np.std(noise.sum(axis=1) * 0.01), rel=0.05)
+
+
+def test_an_unknown_preset_is_refused():
+    with pytest.raises(ValueError, match="default"):
+        preset("default", DRIVE)  # pyright: ignore

@@ -1,0 +1,193 @@
+"""Figures: what is on their axes, and the same bytes for the same result."""
+
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.report.figures import (
+    comparison,
+    convergence,
+    errors,
+    save_evaluation,
+    save_tuning_figures,
+    tracks,
+)
+from sigmaswarm.report.style import save
+from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.tuning.tune import Tuning, tune
+from support import make_drive
+
+DRIVE = make_drive(duration=30.0, seed=1, name="monday")
+GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
+BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def tuning() -> Tuning:
+    return tune(DRIVE, particles=4, generations=5, trials=3)
+
+
+def labels(figure: Figure) -> set[str]:
+    legends = [*figure.legends, *(ax.get_legend() for ax in figure.axes)]
+    return {text.get_text() for legend in legends if legend for text in legend.get_texts()}
+
+
+def lines(ax) -> dict[str, object]:
+    return {line.get_label(): line for line in ax.get_lines()}
+
+
+def test_convergence_shows_best_and_median_of_every_trial(tuning: Tuning):
+    figure = convergence(tuning)
+    (ax,) = figure.axes
+    assert ax.get_xlabel() == "generation"
+    assert ax.get_ylabel() == "cost: truth-rmse"
+    assert ax.get_yscale() == "log"
+    assert "3 trials" in ax.get_title(loc="left")
+    assert labels(figure) == {"best so far", "median of the swarm"}
+    drawn = [line.get_ydata() for line in ax.get_lines()]
+    for trial in tuning.trials:
+        assert any(np.array_equal(y, trial.best) for y in drawn)
+        assert any(np.array_equal(y, trial.median) for y in drawn)
+    np.testing.assert_array_equal(lines(ax)["best so far"].get_ydata(), tuning.trials[tuning.best_trial].best)
+    assert ax.get_lines()[0].get_xdata().tolist() == [1, 2, 3, 4, 5]
+
+
+def test_convergence_with_failures(tuning: Tuning):
+    infinite = replace(tuning.trials[0], median=np.full(5, np.inf))
+    save_free = convergence(replace(tuning, trials=(infinite,), best_trial=0))
+    assert save_free.axes[0].get_title(loc="left") == "Convergence"
+
+
+def test_tracks_show_the_whole_and_a_close_up():
+    figure = tracks(DRIVE, GOOD)
+    whole, close = figure.axes
+    for ax in (whole, close):
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("east, m", "north, m")
+        assert ax.get_aspect() == 1.0
+    assert whole.get_title(loc="left") == "monday"
+    expected = {"raw GPS", "truth", "tuned UKF", "manual: defaults", "manual: data sheet", "start"}
+    assert labels(figure) == expected
+    drawn = lines(whole)
+    np.testing.assert_array_equal(
+        drawn["truth"].get_xydata(), np.column_stack([DRIVE.truth.x, DRIVE.truth.y])
+    )
+    np.testing.assert_array_equal(drawn["raw GPS"].get_xydata(), np.column_stack([DRIVE.gps.x, DRIVE.gps.y]))
+    np.testing.assert_array_equal(drawn["tuned UKF"].get_xydata(), run_filter(DRIVE, GOOD).mean[:, :2])
+    np.testing.assert_array_equal(
+        drawn["manual: defaults"].get_xydata(), run_filter(DRIVE, DEFAULTS).mean[:, :2]
+    )
+    np.testing.assert_array_equal(drawn["start"].get_xydata(), [initial_state(DRIVE).mean[:2]])
+    low, high = close.get_xlim()
+    assert 30 < high - low < 200  # a close-up
+
+
+def test_tracks_without_truth_and_of_a_failing_filter():
+    assert "truth" not in labels(tracks(replace(DRIVE, truth=None), GOOD))
+    assert "tuned UKF" in labels(tracks(DRIVE, BROKEN))
+
+
+def test_errors_show_position_and_heading_over_time():
+    figure = errors(DRIVE, GOOD)
+    position, heading = figure.axes
+    assert position.get_ylabel() == "position error, m"
+    assert position.get_yscale() == "log"
+    assert (heading.get_ylabel(), heading.get_xlabel()) == ("heading error, deg", "time, s")
+    assert position.get_title(loc="left") == "monday: error against truth"
+    assert labels(figure) == {
+        "3 sigma of the tuned UKF",
+        "tuned UKF",
+        "manual: defaults",
+        "manual: data sheet",
+    }
+    estimate = run_filter(DRIVE, GOOD)
+    at = np.searchsorted(DRIVE.truth.time, estimate.time)
+    distance = np.hypot(estimate.mean[:, 0] - DRIVE.truth.x[at], estimate.mean[:, 1] - DRIVE.truth.y[at])
+    np.testing.assert_allclose(lines(position)["tuned UKF"].get_ydata(), distance, atol=1e-9)
+    turned = np.degrees(np.angle(np.exp(1j * (estimate.mean[:, 4] - DRIVE.truth.theta[at]))))
+    assert any(np.allclose(line.get_ydata(), turned, atol=1e-6) for line in heading.get_lines())
+    radius = 3 * np.sqrt(estimate.covariance[:, 0, 0] + estimate.covariance[:, 1, 1])
+    np.testing.assert_allclose(lines(position)["3 sigma of the tuned UKF"].get_ydata(), radius, rtol=1e-9)
+
+
+def test_errors_are_drawn_only_where_truth_is_known():
+    late = replace(DRIVE, truth=DRIVE.truth.select(DRIVE.truth.time > 20.0))
+    drawn = lines(errors(late, GOOD).axes[0])["tuned UKF"].get_xydata()
+    assert np.nanmax(drawn[:, 1]) < 20.0, "the time before truth is drawn against a truth that stands still"
+
+
+def test_errors_need_truth():
+    with pytest.raises(InputError, match="monday: has no truth"):
+        errors(replace(DRIVE, truth=None), GOOD)
+
+
+def test_comparison_has_bars_for_every_method():
+    evaluation = evaluate(GOOD, DRIVE)
+    figure = comparison(evaluation)
+    titles = ["position RMSE, m", "heading error, deg", "drift over an outage, m"]
+    assert [ax.get_title() for ax in figure.axes] == titles
+    said = evaluation.to_dict()["mean"]
+    names = ["tuned UKF", "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
+    for ax, measure in zip(
+        figure.axes, ("position_rmse_m", "heading_rmse_deg", "outage_drift_m"), strict=True
+    ):
+        values = [m[measure] for m in said.values()]
+        known = [(n, v) for n, v in zip(names, values, strict=True) if v is not None]
+        assert [t.get_text() for t in ax.get_yticklabels()] == [n for n, _ in known]
+        assert [patch.get_width() for patch in ax.patches] == [v for _, v in known]
+        assert [t.get_text().strip() for t in ax.texts] == [f"{v:.3g}" for _, v in known]
+        assert ax.get_xscale() == "log"
+
+
+def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning):
+    evaluation = evaluate(GOOD, DRIVE)
+    makers = {
+        "convergence": lambda: convergence(tuning),
+        "tracks": lambda: tracks(DRIVE, GOOD),
+        "errors": lambda: errors(DRIVE, GOOD),
+        "comparison": lambda: comparison(evaluation),
+    }
+    for name, make in makers.items():
+        first, second = (save(make(), tmp_path / f"{name}-{i}.png").read_bytes() for i in range(2))
+        assert first == second, name
+        assert first.startswith(b"\x89PNG\r\n\x1a\n")
+
+
+def test_a_tuning_s_folder_gets_history_and_pictures(tmp_path: Path, tuning: Tuning):
+    pictures = save_tuning_figures(tuning, [DRIVE], tmp_path)
+    assert {p.name for p in pictures} == {"convergence.png", "training-track.png"}
+    assert all(p.read_bytes().startswith(b"\x89PNG") for p in pictures)
+    with (tmp_path / "convergence.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["trial", "generation", "best_cost", "median_cost"]
+    for i, trial in enumerate(tuning.trials):
+        mine = [r for r in rows if r["trial"] == str(i)]
+        assert [int(r["generation"]) for r in mine] == [1, 2, 3, 4, 5]
+        assert [float(r["best_cost"]) for r in mine] == trial.best.tolist()
+        assert [float(r["median_cost"]) for r in mine] == trial.median.tolist()
+
+
+def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
+    written = save_evaluation(evaluate(BROKEN, DRIVE), BROKEN, [DRIVE], tmp_path / "deep" / "e")
+    assert all(path.stat().st_size > 0 for path in written)
+    names = {"scores.json", "scores.csv", "comparison.png", "monday-track.png", "monday-error.png"}
+    assert {p.name for p in written} == names
+
+
+def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path):
+    written = save_evaluation(evaluate(GOOD, [DRIVE, DRIVE]), GOOD, [DRIVE, DRIVE], tmp_path)
+    assert len(set(written)) == len(written) == 7
+
+
+def test_pyplot_is_not_touched():
+    tracks(DRIVE, GOOD)
+    assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()

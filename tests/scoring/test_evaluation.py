@@ -1,0 +1,171 @@
+"""The comparison: every method on the same drives, in the form that machines rely on."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.evaluation import Evaluation, evaluate
+from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
+from sigmaswarm.scoring.targets import outage_windows
+from support import make_drive
+
+GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
+BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
+METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
+MEASURES = ["position_rmse_m", "heading_rmse_deg", "outage_drift_m"]
+DRIVES = [make_drive(duration=40.0, seed=s, name=f"drive-{s}") for s in range(2)]
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Evaluation:
+    return evaluate(GOOD, DRIVES)
+
+
+def test_the_json_has_the_form_that_the_issue_states(evaluation: Evaluation):
+    said = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
+    assert list(said["drives"]) == ["drive-0", "drive-1"]
+    for methods in [*said["drives"].values(), said["mean"]]:
+        assert list(methods) == METHODS
+        for method, measures in methods.items():
+            assert list(measures) == MEASURES
+            for measure, value in measures.items():
+                missing = method == "raw_gps" and measure != "position_rmse_m"
+                assert (value is None) if missing else (isinstance(value, float) and value > 0), (
+                    method,
+                    measure,
+                )
+
+
+def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
+    said = evaluation.to_dict()["drives"]
+    for drive in DRIVES:
+        start = initial_state(drive)
+        sets = [GOOD, DEFAULTS, datasheet(drive)]
+        batch = Replayer([drive], outages=True).scores(sets)
+        for i, method in enumerate(METHODS[:3]):
+            assert said[drive.name][method] == {
+                "position_rmse_m": batch.position_rmse[i, 0],
+                "heading_rmse_deg": np.rad2deg(batch.heading_rmse[i, 0]),
+                "outage_drift_m": batch.outage_drift[i, 0],
+            }
+        assert said[drive.name]["raw_gps"]["position_rmse_m"] == score_raw_gps(drive, start).position_rmse
+        imu_only = score_estimate(drive, run_imu_only(drive, initial=start))
+        assert said[drive.name]["imu_only"]["position_rmse_m"] == imu_only.position_rmse
+        assert said[drive.name]["imu_only"]["heading_rmse_deg"] == np.rad2deg(imu_only.heading_rmse)
+
+
+def test_dead_reckoning_drifts_from_the_start_on(evaluation: Evaluation):
+    drive = DRIVES[0]
+    start = initial_state(drive)
+    estimate = run_imu_only(drive, initial=start)
+    ends = outage_windows(drive, start, length=5.0, seed=0)[:, 1]
+    at, true = np.searchsorted(estimate.time, ends), np.searchsorted(drive.truth.time, ends)
+    error = np.hypot(estimate.mean[at, 0] - drive.truth.x[true], estimate.mean[at, 1] - drive.truth.y[true])
+    said = evaluation.to_dict()["drives"]["drive-0"]["imu_only"]["outage_drift_m"]
+    assert said == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+
+
+def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
+    said = evaluation.to_dict()
+    for method in METHODS[:3]:
+        for measure in MEASURES:
+            each = [said["drives"][d.name][method][measure] for d in DRIVES]
+            assert said["mean"][method][measure] == pytest.approx(sum(each) / 2, rel=1e-12)
+    manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("defaults", "tuned"))
+    assert evaluation.improvement() == pytest.approx((manual - tuned) / manual * 100, rel=1e-12)
+    assert said["improvement_percent"]["defaults"]["position_rmse_m"] == evaluation.improvement()
+    sheet = said["mean"]["datasheet"]["heading_rmse_deg"]
+    expected = (sheet - said["mean"]["tuned"]["heading_rmse_deg"]) / sheet * 100
+    assert evaluation.improvement("datasheet", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
+
+
+def test_equation_5_in_round_numbers():
+    scores = {
+        "d": {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 1.0, 3.0, 9.0], strict=True)}
+    }
+    assert Evaluation(scores).improvement("defaults") == pytest.approx(25.0)
+    assert Evaluation(scores).improvement("datasheet") == pytest.approx(-50.0)
+    assert Evaluation(scores).improvement("raw_gps") == pytest.approx(50.0)
+    assert Evaluation(scores).improvement("defaults", "heading_rmse_deg") is None
+
+
+def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
+    frame = evaluation.to_frame()
+    assert frame.columns == ["drive", "method", *MEASURES]
+    assert frame["drive"].to_list() == [d.name for d in DRIVES for _ in METHODS]
+    assert frame["method"].to_list() == METHODS * 2
+    said = evaluation.to_dict()["drives"]
+    for row in frame.iter_rows(named=True):
+        assert {m: row[m] for m in MEASURES} == said[row["drive"]][row["method"]]
+
+
+def test_without_truth_only_the_drift_can_be_said():
+    said = evaluate(GOOD, replace(DRIVES[0], truth=None)).to_dict()
+    json.dumps(said, allow_nan=False)
+    for method in METHODS:
+        scores = said["drives"]["drive-0"][method]
+        assert scores["position_rmse_m"] is None
+        assert scores["heading_rmse_deg"] is None
+        assert (scores["outage_drift_m"] is None) == (method == "raw_gps")
+        assert said["mean"][method] == scores
+    assert said["improvement_percent"]["defaults"]["position_rmse_m"] is None
+    assert said["improvement_percent"]["defaults"]["outage_drift_m"] is not None
+
+
+def test_two_drives_of_one_name_do_not_hide_each_other():
+    same = [replace(drive, name="monday") for drive in (*DRIVES, DRIVES[0])]
+    said = evaluate(GOOD, same).to_dict()["drives"]
+    assert list(said) == ["monday", "monday (2)", "monday (3)"]
+    assert said["monday"] == said["monday (3)"]
+    assert said["monday"] != said["monday (2)"]
+
+
+def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Evaluation):
+    broken = evaluate(BROKEN, DRIVES)
+    said, sound = broken.to_dict(), evaluation.to_dict()
+    json.dumps(said, allow_nan=False)
+    assert said["drives"]["drive-0"]["tuned"] == dict.fromkeys(MEASURES)
+    assert said["mean"]["tuned"] == dict.fromkeys(MEASURES)
+    assert broken.scores["drive-0"]["tuned"].failed
+    assert broken.improvement() is None
+    for method in METHODS[1:]:
+        assert said["drives"]["drive-0"][method] == sound["drives"]["drive-0"][method]
+        assert said["mean"][method] == sound["mean"][method]
+
+
+def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
+    fine = {m: Score(position_rmse=1.0) for m in METHODS}
+    failed = fine | {"tuned": Score(failed=True)}
+    evaluation = Evaluation({"a": fine, "b": failed})
+    assert evaluation.mean("tuned", "position_rmse_m") is None
+    assert evaluation.mean("defaults", "position_rmse_m") == 1.0
+
+
+def test_the_outages_options_reach_the_outages():
+    one, other, longer = (
+        evaluate(GOOD, DRIVES[:1], **kw).to_dict()["mean"]["defaults"]
+        for kw in ({}, {"outage_seed": 3}, {"outage_length": 8.0})
+    )
+    assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
+    assert one["position_rmse_m"] == other["position_rmse_m"] == longer["position_rmse_m"]
+    expected = Replayer(DRIVES[:1], outages=True, outage_seed=3).scores([DEFAULTS]).outage_drift[0, 0]
+    assert other["outage_drift_m"] == expected
+
+
+def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):
+    turned = evaluate(GOOD, DRIVES[::-1]).to_dict()["drives"]
+    assert turned == evaluation.to_dict()["drives"]
+    assert sigmaswarm.evaluate(GOOD, DRIVES[1]).to_dict()["drives"]["drive-1"] == turned["drive-1"]
+
+
+def test_no_drives_are_refused():
+    with pytest.raises(ValueError, match="no drives"):
+        evaluate(GOOD, [])

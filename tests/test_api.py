@@ -1,0 +1,149 @@
+"""The names and shapes that other programs rely on, as the issue states them."""
+
+import inspect
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from support import make_drive
+
+PROMISED = [
+    "read_drive",
+    "write_drive",
+    "FilterParameters",
+    "initial_state",
+    "InitialState",
+    "run_filter",
+    "Estimate",
+    "run_batch",
+    "BatchResult",
+    "tune",
+    "Tuning",
+    "evaluate",
+]
+DRIVE = make_drive(duration=15.0)
+SET = sigmaswarm.FilterParameters(0.1, 2.0, 0.0, [1.0] * 5, [1.0] * 2)
+
+
+def test_every_public_name_is_there():
+    assert set(PROMISED) <= set(sigmaswarm.__all__)
+    assert sorted(sigmaswarm.__all__) == sigmaswarm.__all__
+    for name in sigmaswarm.__all__:
+        assert getattr(sigmaswarm, name).__doc__, name
+    assert set(sigmaswarm.__all__) <= set(dir(sigmaswarm))
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="'sigmaswarm' has no attribute 'tone'"):
+        sigmaswarm.tone  # noqa: B018
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    program = (
+        "import sys, sigmaswarm; print(sorted(set(sys.modules) & {'numba', 'numpy', 'polars', 'pydantic'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("name", "positional", "keyword_only"),
+    [
+        ("read_drive", ["path"], []),
+        ("write_drive", ["drive", "path"], []),
+        ("initial_state", ["drive"], []),
+        ("run_filter", ["drive", "parameters"], ["initial"]),
+        ("run_batch", ["drives", "parameter_sets"], ["objective"]),
+        ("evaluate", ["parameters", "drives"], []),
+        ("tune", ["drives"], []),
+        ("FilterParameters", ["alpha", "beta", "kappa", "process_noise", "measurement_noise", "model"], []),
+    ],
+)
+def test_signatures(name: str, positional: list[str], keyword_only: list[str]):
+    parameters = inspect.signature(getattr(sigmaswarm, name)).parameters
+    kinds = {p.name: p.kind for p in parameters.values()}
+    assert [n for n, kind in kinds.items() if kind is inspect.Parameter.POSITIONAL_OR_KEYWORD] == positional
+    assert {n for n, kind in kinds.items() if kind is inspect.Parameter.KEYWORD_ONLY} >= set(keyword_only)
+
+
+def test_defaults_of_the_signatures():
+    signature = inspect.signature
+    assert signature(sigmaswarm.run_batch).parameters["objective"].default == "truth-rmse"
+    assert signature(sigmaswarm.FilterParameters).parameters["model"].default == "planar5"
+    assert signature(sigmaswarm.run_filter).parameters["initial"].default is None
+
+
+def test_shapes():
+    start = sigmaswarm.initial_state(DRIVE)
+    assert (start.mean.shape, start.covariance.shape) == ((5,), (5, 5))
+    assert isinstance(start.time, float)
+    estimate = sigmaswarm.run_filter(DRIVE, SET)
+    n = int(np.sum(DRIVE.imu.time > start.time))
+    np.testing.assert_array_equal(estimate.time, DRIVE.imu.time[DRIVE.imu.time > start.time])
+    assert (estimate.mean.shape, estimate.covariance.shape) == ((n, 5), (n, 5, 5))
+    assert np.all((estimate.mean[:, 4] > -np.pi) & (estimate.mean[:, 4] <= np.pi))
+    assert estimate.failure is None
+    result = sigmaswarm.run_batch([DRIVE, DRIVE], [SET, SET, SET])
+    assert (result.costs.shape, result.failed.shape) == ((3,), (3,))
+    assert [len(row) for row in result.scores] == [2, 2, 2]
+    assert isinstance(result.scores[0][0], sigmaswarm.Score)
+
+
+def test_a_filter_starts_where_it_is_told():
+    later = sigmaswarm.InitialState(np.array([1.0, 2, 3, 4, 0.5]), np.eye(5), 9.0)
+    estimate = sigmaswarm.run_filter(DRIVE, SET, initial=later)
+    assert estimate.time[0] == DRIVE.imu.time[DRIVE.imu.time > 9.0][0]
+    assert estimate.initial is later
+    assert np.hypot(*(estimate.mean[0, :2] - [1, 2])) < 1.0
+
+
+def test_a_failed_filter_says_when_and_leaves_no_numbers_after_it():
+    bad = replace(SET, process_noise=(1.0, 1.0, -3.0, 1.0, 1.0))
+    estimate = sigmaswarm.run_filter(DRIVE, bad)
+    assert estimate.failure.startswith("synthetic: the filter failed at t = ")
+    first = int(np.flatnonzero(np.isnan(estimate.mean[:, 0]))[0])
+    assert f"t = {estimate.time[first]:.3f} s" in estimate.failure
+    assert np.isnan(estimate.mean[first:]).all()
+    assert np.isfinite(estimate.mean[:first]).all()
+    assert np.linalg.eigvalsh(estimate.covariance[:first]).min(initial=np.inf) > 0
+
+
+def test_a_filter_fails_without_a_fix_to_tell_it():
+    start = sigmaswarm.initial_state(DRIVE)
+    blind = replace(DRIVE, gps=DRIVE.gps.select(DRIVE.gps.time <= start.time))
+    bad = replace(SET, process_noise=(1.0, 1.0, -3.0, 1.0, 1.0))
+    assert sigmaswarm.run_filter(blind, bad, initial=start).failure
+    assert sigmaswarm.run_batch([blind], [bad], objective="truth-rmse").failed.all()
+
+
+def test_the_whole_way_through_files(tmp_path: Path):
+    """What another program does: read, tune, load, run, evaluate."""
+    sigmaswarm.write_drive(DRIVE, tmp_path / "drive")
+    drive = sigmaswarm.read_drive(tmp_path / "drive")
+    tuning = sigmaswarm.tune([drive], out=tmp_path / "out", particles=4, generations=3)
+    parameters = sigmaswarm.FilterParameters.load(tmp_path / "out" / "tuning.toml")
+    assert sigmaswarm.run_batch([drive], [parameters]).costs[0] == tuning.cost
+    assert (
+        sigmaswarm.evaluate(parameters, [drive]).to_dict()["mean"]["tuned"]["position_rmse_m"] == tuning.cost
+    )
+    estimate = sigmaswarm.run_filter(drive, parameters)
+    direct = sigmaswarm.run_filter(DRIVE, tuning.parameters)
+    assert estimate.mean.tobytes() == direct.mean.tobytes()
+
+
+def test_truth_never_reaches_a_filter(tmp_path: Path):
+    """The issue's own words: estimates are bit-identical with truth.csv deleted."""
+    sigmaswarm.write_drive(DRIVE, tmp_path / "drive")
+    with_truth = sigmaswarm.read_drive(tmp_path / "drive")
+    (tmp_path / "drive" / "truth.csv").unlink()
+    without = sigmaswarm.read_drive(tmp_path / "drive")
+    assert with_truth.truth is not None
+    assert without.truth is None
+    for run in (sigmaswarm.run_filter, sigmaswarm.run_reference):
+        a, b = run(with_truth, SET), run(without, SET)
+        assert (a.mean.tobytes(), a.covariance.tobytes()) == (b.mean.tobytes(), b.covariance.tobytes())

@@ -1,0 +1,101 @@
+"""`run_batch`: costs and scores of sets by drives, whatever the company."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.errors import AlignmentError, InputError
+from sigmaswarm.filters.presets import DEFAULTS, PAPER
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.scoring.score import score_estimate
+from sigmaswarm.tuning.batch import run_batch
+from support import make_drive
+
+DRIVES = [make_drive(duration=30.0, seed=s, name=f"d{s}") for s in range(2)]
+SETS = [DEFAULTS, PAPER, replace(DEFAULTS, alpha=0.5, process_noise=(1e-3,) * 4 + (1e-6,))]
+
+
+def test_costs_are_the_mean_score_over_drives():
+    result = run_batch(DRIVES, SETS)
+    assert result.costs.shape == result.failed.shape == (3,)
+    for i, parameters in enumerate(SETS):
+        each = [score_estimate(d, run_filter(d, parameters)) for d in DRIVES]
+        assert result.costs[i] == pytest.approx(np.mean([s.position_rmse for s in each]), rel=1e-9)
+        for j, score in enumerate(each):
+            assert result.scores[i][j].position_rmse == pytest.approx(score.position_rmse, rel=1e-9)
+            assert result.scores[i][j].heading_rmse == pytest.approx(score.heading_rmse, rel=1e-9)
+
+
+def test_outages_run_only_where_the_objective_has_them():
+    assert math.isnan(run_batch(DRIVES, SETS).scores[0][0].outage_drift)
+    pose = run_batch(DRIVES, SETS, objective="truth-pose")
+    for i in range(3):
+        terms = [
+            s.position_rmse + 0.1 * np.degrees(s.heading_rmse) + 0.1 * s.outage_drift for s in pose.scores[i]
+        ]
+        assert pose.costs[i] == pytest.approx(np.mean(terms), rel=1e-12)
+    moved = run_batch(DRIVES, SETS, objective="truth-pose", outage_seed=5)
+    assert moved.scores[0][0].outage_drift != pose.scores[0][0].outage_drift
+
+
+def test_a_failing_set_costs_infinity_and_changes_no_other_bit():
+    bad = replace(DEFAULTS, process_noise=(1.0, 1.0, 1.0, 1.0, -1e3))
+    clean, mixed = run_batch(DRIVES, SETS), run_batch(DRIVES, [SETS[0], bad, *SETS[1:]])
+    assert mixed.failed.tolist() == [False, True, False, False]
+    assert math.isinf(mixed.costs[1])
+    np.testing.assert_array_equal(np.delete(mixed.costs, 1), clean.costs)
+    assert mixed.scores[1][0].failed
+    assert run_batch(DRIVES, [bad]).costs.tolist() == [np.inf]
+
+
+def test_nan_in_one_drive_fails_that_drive_only():
+    ax = DRIVES[1].imu.ax.copy()
+    ax[-50] = np.nan
+    broken = replace(DRIVES[1], imu=replace(DRIVES[1].imu, ax=ax))
+    result = run_batch([DRIVES[0], broken], SETS)
+    assert result.failed.all()
+    assert np.isinf(result.costs).all()
+    clean = run_batch(DRIVES, SETS)
+    for i in range(3):
+        assert not result.scores[i][0].failed
+        assert result.scores[i][0].position_rmse == clean.scores[i][0].position_rmse
+        assert result.scores[i][1].failed
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_the_executor_changes_no_bit(workers: int):
+    sets = SETS * 13  # more than one chunk of lanes
+    with ThreadPoolExecutor(workers) as pool:
+        threaded = run_batch(DRIVES, sets, executor=pool)
+    np.testing.assert_array_equal(threaded.costs, run_batch(DRIVES, sets).costs)
+    np.testing.assert_array_equal(threaded.costs, np.tile(run_batch(DRIVES, SETS).costs, 13))
+
+
+def test_one_drive_needs_no_list():
+    np.testing.assert_array_equal(run_batch(DRIVES[0], SETS).costs, run_batch(DRIVES[:1], SETS).costs)
+
+
+def test_no_sets_give_no_costs():
+    assert run_batch(DRIVES, []).costs.shape == (0,)
+
+
+def test_without_truth_only_the_paper_s_objective_is_possible():
+    blind = [DRIVES[0], replace(DRIVES[1], truth=None)]
+    for objective in ("truth-rmse", "truth-pose"):
+        with pytest.raises(InputError, match=f"d1: has no truth, which the objective {objective} needs"):
+            run_batch(blind, SETS, objective=objective)
+    assert np.isfinite(run_batch(blind, SETS, objective="gps-rmse").costs).all()
+
+
+def test_what_can_not_be_run_is_refused():
+    with pytest.raises(InputError, match="no drives"):
+        run_batch([], SETS)
+    with pytest.raises(InputError, match="'nll'"):
+        run_batch(DRIVES, SETS, objective="nll")
+    zero = np.zeros(len(DRIVES[0].gps))
+    still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
+    with pytest.raises(AlignmentError, match="d0: never travels"):
+        run_batch([DRIVES[1], still], SETS)

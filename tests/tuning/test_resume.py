@@ -1,0 +1,309 @@
+"""Interrupted tunings: resumed, they end in the same bits; what can't be resumed says why."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.scoring.batch import Scores
+from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
+from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, write_whole
+from sigmaswarm.tuning.tune import Progress, tune
+from support import make_drive
+
+DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]
+OPTIONS = {"particles": 5, "generations": 6, "trials": 2, "seed": 3}
+KILLS = 5
+GENERATIONS = 400
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file of a result, by its name."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+class Interruption(Exception):
+    """As if the process had died."""
+
+
+def interrupted(drives: list[Drive], out: Path, at: int, *, resume: bool = False, **options) -> None:
+    """Tune until ``at`` generations are done."""
+
+    def stop(progress: Progress) -> None:
+        if progress.done >= at:
+            raise Interruption
+
+    with pytest.raises(Interruption):
+        tune(drives, out=out, resume=resume, progress=stop, **options)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("whole")
+    tune(DRIVES, out=folder, **OPTIONS)
+    return contents(folder)
+
+
+def test_a_finished_tuning_leaves_these_files(uninterrupted: dict[str, bytes]):
+    assert sorted(uninterrupted) == [
+        "config.json",
+        "trial-000/history.npz",
+        "trial-000/result.json",
+        "trial-001/history.npz",
+        "trial-001/result.json",
+        "tuning.toml",
+    ]
+
+
+@pytest.mark.parametrize("generation", [1, 2, 5, 6, 7, 11, 12])
+def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, uninterrupted, generation: int):
+    out = tmp_path / "out"
+    interrupted(DRIVES, out, generation, **OPTIONS)
+    assert not (out / "tuning.toml").exists()
+    tune(DRIVES, out=out, resume=True, **OPTIONS)
+    assert contents(out) == uninterrupted
+
+
+def test_interrupted_after_every_generation(tmp_path: Path, uninterrupted):
+    out = tmp_path / "out"
+    for generation in range(1, 13):
+        interrupted(DRIVES, out, generation, resume=generation > 1, **OPTIONS)
+    told: list[Progress] = []
+    tune(DRIVES, out=out, resume=True, progress=told.append, **OPTIONS)
+    assert told == []  # nothing was left to do but to finish
+    assert contents(out) == uninterrupted
+
+
+def test_resuming_a_finished_tuning_computes_nothing(tmp_path: Path, uninterrupted):
+    out = tmp_path / "out"
+    tuning = tune(DRIVES, out=out, **OPTIONS)
+    again = tune(DRIVES, out=out, resume=True, progress=pytest.fail, **OPTIONS)
+    assert again.parameters == tuning.parameters
+    assert again.to_dict() == tuning.to_dict()
+    assert contents(out) == uninterrupted
+
+
+def test_resuming_what_was_never_started_starts(tmp_path: Path, uninterrupted):
+    tune(DRIVES, out=tmp_path / "new" / "out", resume=True, **OPTIONS)
+    assert contents(tmp_path / "new" / "out") == uninterrupted
+
+
+def test_patience_counts_on_after_an_interruption(tmp_path: Path):
+    options = {"particles": 3, "generations": 40, "seed": 3, "patience": 3}
+    whole = tune(DRIVES[:1], out=tmp_path / "whole", **options)
+    length = len(whole.trials[0].best)
+    assert 4 < length < 40
+    interrupted(DRIVES[:1], tmp_path / "cut", length - 1, **options)
+    tune(DRIVES[:1], out=tmp_path / "cut", resume=True, **options)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+def test_failures_are_counted_over_an_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """In the paper's box no filter fails, so an objective that can't score everything stands in."""
+
+    def picky(scores: Scores) -> np.ndarray:
+        return np.where(scores.position_rmse > 2.0, np.nan, scores.position_rmse)
+
+    monkeypatch.setitem(OBJECTIVES, "picky", Objective("picky", "for this test", picky))
+    options = {"particles": 12, "generations": 6, "seed": 3, "objective": "picky"}
+    (whole,) = tune(DRIVES, out=tmp_path / "whole", **options).trials
+    assert 0 < whole.failures < whole.evaluations
+    interrupted(DRIVES, tmp_path / "cut", 3, **options)
+    (resumed,) = tune(DRIVES, out=tmp_path / "cut", resume=True, **options).trials
+    assert (resumed.failures, resumed.evaluations) == (whole.failures, whole.evaluations)
+    assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
+
+
+# --- Killed ------------------------------------------------------------------------------------------------
+
+
+def test_killed_five_times_it_ends_in_the_same_bytes(tmp_path: Path):
+    """SIGKILL at random moments between the first checkpoint and the end, as the issue asks."""
+    for drive in DRIVES:
+        write_drive(drive, tmp_path / "drives" / drive.name)
+    options = ["--generations", str(GENERATIONS), "--particles", "20", "--seed", "8"]
+    program = "from sigmaswarm.cli import main; main()"
+    command = [sys.executable, "-c", program, "tune", str(tmp_path / "drives"), *options]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    checkpoint = killed / "checkpoint-000.npz"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+
+    uninterrupted = subprocess.Popen([*command, "--out", whole], **quiet)
+    chance = random.Random(2024)
+    saved = [0]  # generations that each kill left behind
+    for moment in sorted(chance.sample(range(1, GENERATIONS * 8 // 10), KILLS)):
+        run = subprocess.Popen([*command, "--out", killed, *["--resume"] * (len(saved) > 1)], **quiet)
+        while generations_in(checkpoint) <= max(moment, saved[-1]):
+            assert run.poll() is None, "it ended before it could be killed"
+            time.sleep(0.005)
+        time.sleep(chance.uniform(0.0, 0.01))  # anywhere within a generation, in the middle of saving too
+        run.send_signal(signal.SIGKILL)
+        assert run.wait() == -signal.SIGKILL
+        saved.append(generations_in(checkpoint))
+        assert not (killed / "trial-000").exists()
+    assert saved == sorted(set(saved))  # each run went on where the one before was killed
+    print(f"killed after generations {saved[1:]} of {GENERATIONS}")
+
+    subprocess.run([*command, "--out", killed, "--resume"], **quiet, check=True)
+    assert uninterrupted.wait() == 0
+    assert {"tuning.toml", "trial-000/result.json", "trial-000/history.npz"} <= set(contents(whole))
+    assert contents(killed) == contents(whole)
+
+
+def generations_in(checkpoint: Path) -> int:
+    saved = load_checkpoint(checkpoint)
+    return len(saved[0]["best"]) if saved else 0
+
+
+# --- What can't be resumed ---------------------------------------------------------------------------------
+
+
+def refusal(drives, out: Path, **options) -> str:
+    before = contents(out)
+    with pytest.raises(InputError) as caught:
+        tune(drives, out=out, **options)
+    message = str(caught.value)
+    print(message)
+    assert "\n" not in message
+    assert str(out) in message
+    assert contents(out) == before  # and nothing is lost
+    return message
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Path:
+    interrupted(DRIVES, tmp_path / "out", 3, **OPTIONS)
+    return tmp_path / "out"
+
+
+def test_a_folder_with_results_needs_resume(started: Path):
+    assert "already holds a tuning; add --resume" in refusal(DRIVES, started, **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"particles": 7}, "particles = 5, now asked for particles = 7"),
+        ({"seed": 4}, "seed = 3, now asked for seed = 4"),
+        ({"generations": 9}, "generations = 6"),
+        ({"scale": "linear"}, "scale = log10, now asked for scale = linear"),
+        ({"objective": "truth-pose"}, "objective = truth-rmse, now asked for objective = truth-pose"),
+        ({"inertia": 0.5}, "inertia = 0.7298, now asked for inertia = 0.5"),
+        ({"patience": 5}, "patience = None, now asked for patience = 5"),
+    ],
+    ids=lambda v: next(iter(v)) if isinstance(v, dict) else "",
+)
+def test_another_configuration_is_named(started: Path, change: dict, said: str):
+    assert said in refusal(DRIVES, started, resume=True, **(OPTIONS | change))
+
+
+def test_other_drives_are_named(started: Path):
+    message = refusal(DRIVES[:1], started, resume=True, **OPTIONS)
+    assert "drives d0 (" in message
+    assert "d1 (" in message
+    moved = replace(DRIVES[1], gps=replace(DRIVES[1].gps, x=DRIVES[1].gps.x + 1e-6))
+    assert "the drives" in refusal([DRIVES[0], moved], started, resume=True, **OPTIONS)
+    assert "the drives" in refusal(DRIVES[::-1], started, resume=True, **OPTIONS)
+
+
+CORRUPTIONS = {
+    "empty": lambda good: b"",
+    "cut-short": lambda good: good[: len(good) // 2],
+    "cut-at-the-end": lambda good: good[:-30],
+    "text": lambda good: b"this is no checkpoint\n",
+    "zip-magic-only": lambda good: b"PK\x03\x04" + b"x" * 100,
+    "flipped": lambda good: good[:200] + bytes(b ^ 0xFF for b in good[200:400]) + good[400:],
+}
+
+
+@pytest.mark.parametrize("corruption", CORRUPTIONS)
+def test_a_corrupted_checkpoint_is_named(started: Path, corruption: str):
+    file = started / "checkpoint-000.npz"
+    file.write_bytes(CORRUPTIONS[corruption](file.read_bytes()))
+    message = refusal(DRIVES, started, resume=True, **OPTIONS)
+    assert message.startswith(f"{file}: not a readable checkpoint")
+    assert "delete it to redo this trial" in message
+    file.unlink()
+    tune(DRIVES, out=started, resume=True, **OPTIONS)
+
+
+def test_a_checkpoint_that_lacks_something_is_named(started: Path):
+    file = started / "checkpoint-000.npz"
+    arrays, notes = load_checkpoint(file)
+    del arrays["velocities"]
+    save_checkpoint(file, arrays, notes)
+    assert "not a readable checkpoint" in refusal(DRIVES, started, resume=True, **OPTIONS)
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "3"])
+def test_a_corrupted_configuration_is_named(started: Path, content: str):
+    (started / "config.json").write_text(content)
+    assert "config.json" in refusal(DRIVES, started, resume=True, **OPTIONS)
+
+
+@pytest.mark.parametrize("file", ["result.json", "history.npz"])
+@pytest.mark.parametrize("content", [b"", b"nonsense", None])
+def test_a_corrupted_trial_is_named(tmp_path: Path, file: str, content: bytes | None):
+    out = tmp_path / "out"
+    interrupted(DRIVES, out, 8, **OPTIONS)
+    broken = out / "trial-000" / file
+    broken.unlink() if content is None else broken.write_bytes(content)
+    message = refusal(DRIVES, out, resume=True, **OPTIONS)
+    assert str(out / "trial-000") in message
+
+
+# --- Writing -----------------------------------------------------------------------------------------------
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = tmp_path / "a.txt"
+    write_whole(file, b"first")
+
+    def crash(_: int) -> None:
+        raise OSError("power cut")
+
+    monkeypatch.setattr(os, "fsync", crash)
+    with pytest.raises(OSError, match="power cut"):
+        write_whole(file, b"second, and longer")
+    assert file.read_bytes() == b"first"
+
+
+def test_a_crash_while_saving_keeps_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = tmp_path / "c.npz"
+    save_checkpoint(file, {"a": np.arange(3)}, {"n": 1})
+
+    def crash(_: int) -> None:
+        raise OSError("power cut")
+
+    monkeypatch.setattr(os, "fsync", crash)
+    with pytest.raises(OSError, match="power cut"):
+        save_checkpoint(file, {"a": np.arange(9)}, {"n": 2})
+    arrays, notes = load_checkpoint(file)
+    assert arrays["a"].tolist() == [0, 1, 2]
+    assert notes == {"n": 1}
+    assert load_checkpoint(tmp_path / "none.npz") is None
+
+
+def test_a_checkpoint_keeps_a_generator_s_big_numbers(tmp_path: Path):
+    state = np.random.default_rng(5).bit_generator.state
+    save_checkpoint(tmp_path / "c.npz", {"x": np.array([np.inf, np.nan, 1e-320])}, {"rng": state})
+    arrays, notes = load_checkpoint(tmp_path / "c.npz")
+    assert notes["rng"] == state
+    assert arrays["x"].tobytes() == np.array([np.inf, np.nan, 1e-320]).tobytes()
+
+
+def test_the_configuration_says_what_was_asked(started: Path):
+    config = json.loads((started / "config.json").read_text())
+    assert OPTIONS.items() <= config.items()
+    assert [d["name"] for d in config["data"]] == ["d0", "d1"]

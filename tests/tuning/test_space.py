@@ -1,0 +1,92 @@
+"""The search space: every point is a filter inside the paper's box, and bounds are exact."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.space import search_space
+
+LOWEST = [1e-3, 0.0, 0.0] + [1e-5] * 7
+HIGHEST = [1.0, 3.0, 5.0] + [10.0] * 7
+NAMES = ("alpha", "beta", "kappa", "q_x", "q_y", "q_vx", "q_vy", "q_theta", "r_x", "r_y")
+SCALES = pytest.mark.parametrize("scale", ["log10", "linear"])
+
+
+def values(parameters) -> list[float]:
+    p = parameters
+    return [p.alpha, p.beta, p.kappa, *p.process_noise, *p.measurement_noise]
+
+
+@SCALES
+def test_it_is_the_paper_s_box(scale):
+    space = search_space("planar5", scale)
+    assert space.names == NAMES
+    assert space.lowest.tolist() == LOWEST
+    assert space.highest.tolist() == HIGHEST
+
+
+@SCALES
+def test_the_bounds_are_exact(scale):
+    space = search_space("planar5", scale)
+    low, high = space.decode(np.array([space.low, space.high]))
+    assert values(low) == LOWEST
+    assert values(high) == HIGHEST
+
+
+@SCALES
+@given(shares=st.lists(st.floats(0, 1), min_size=10, max_size=10))
+def test_every_point_of_the_box_is_a_filter_in_the_box(scale, shares: list[float]):
+    space = search_space("planar5", scale)
+    point = np.clip(space.low + np.array(shares) * (space.high - space.low), space.low, space.high)
+    decoded = values(space.decode(point[None])[0])
+    assert all(lo <= v <= hi for lo, v, hi in zip(LOWEST, decoded, HIGHEST, strict=True))
+    for i, (share, v) in enumerate(zip(shares, decoded, strict=True)):
+        if scale == "log10" and i >= 3:
+            expected = 1e-5 * (10 / 1e-5) ** share
+        else:
+            expected = LOWEST[i] + share * (HIGHEST[i] - LOWEST[i])
+        assert v == pytest.approx(expected, rel=1e-9)
+
+
+def test_uniform_points_are_log_uniform_variances():
+    rng = np.random.default_rng(0)
+    log, linear = search_space("planar5", "log10"), search_space("planar5", "linear")
+    small = [
+        np.mean([p.process_noise[0] < 1e-2 for p in s.decode(rng.uniform(s.low, s.high, (2000, 10)))])
+        for s in (log, linear)
+    ]
+    assert small[0] == pytest.approx(0.5, abs=0.05)  # half of the decades
+    assert small[1] < 0.01
+    alphas = [p.alpha for p in log.decode(rng.uniform(log.low, log.high, (2000, 10)))]
+    assert np.mean(alphas) == pytest.approx(0.5, abs=0.03)  # not logarithmic
+
+
+@SCALES
+def test_touched_bounds_are_named(scale):
+    space = search_space("planar5", scale)
+    middle = (space.low + space.high) / 2
+    assert space.touched(middle) == []
+    point = middle.copy()
+    point[[0, 5]] = space.low[[0, 5]]
+    point[8] = space.high[8]
+    assert space.touched(point) == [
+        "alpha at its lower bound (0.001)",
+        "q_vx at its lower bound (1e-05)",
+        "r_x at its upper bound (10)",
+    ]
+    almost = middle.copy()
+    almost[8] = space.high[8] - 1e-3 * (space.high[8] - space.low[8])
+    assert space.touched(almost) == []
+
+
+def test_the_interval_is_passed_on():
+    space = search_space("planar5", "log10", 0.02)
+    assert space.decode(space.low[None])[0].nominal_interval == 0.02
+    assert search_space("planar5", "log10").decode(space.low[None])[0].nominal_interval is None
+
+
+def test_an_unknown_scale_is_refused():
+    with pytest.raises(InputError, match="scale must be log10 or linear, not 'cubic'"):
+        search_space("planar5", "cubic")  # pyright: ignore

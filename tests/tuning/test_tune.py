@@ -1,0 +1,237 @@
+"""`tune`: the same bits for the same seed, better than chance, and honest about objectives and bounds."""
+
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.errors import AlignmentError, InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.simulation.kinematic import simulate
+from sigmaswarm.tuning.batch import run_batch
+from sigmaswarm.tuning.space import search_space
+from sigmaswarm.tuning.tune import Progress, Tuning, tune
+from support import make_drive
+
+DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}") for s in range(2)]
+SMALL = {"particles": 6, "generations": 5}
+
+
+def bits(tuning: Tuning) -> list[bytes]:
+    arrays = [a for t in tuning.trials for a in (t.point, t.best, t.median)]
+    return [a.tobytes() for a in arrays] + [repr((tuning.parameters, tuning.cost)).encode()]
+
+
+def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():
+    # more particles than lanes, so that there is work to share
+    options = {"particles": 40, "generations": 4, "objective": "truth-pose", "trials": 2, "seed": 5}
+    results = [tune(DRIVES, **options)]
+    for workers in (1, 2, 4):
+        with ThreadPoolExecutor(workers) as pool:
+            results.append(tune(DRIVES, executor=pool, **options))
+    assert all(bits(r) == bits(results[0]) for r in results)
+    assert bits(tune(DRIVES, **(options | {"seed": 6}))) != bits(results[0])
+
+
+def test_trials_differ_and_the_best_is_kept():
+    tuning = tune(DRIVES, trials=4, seed=2, **SMALL)
+    costs = [trial.cost for trial in tuning.trials]
+    assert len(set(costs)) == 4
+    assert tuning.cost == min(costs)
+    assert tuning.best_trial == costs.index(min(costs))
+    assert tuning.to_dict()["result"]["trial_costs"] == costs
+    # a trial does not depend on how many others there are
+    assert tune(DRIVES, trials=1, seed=2, **SMALL).trials[0].best.tolist() == tuning.trials[0].best.tolist()
+
+
+def test_the_cost_is_that_of_the_parameters():
+    for objective in ("truth-rmse", "truth-pose", "gps-rmse"):
+        tuning = tune(DRIVES, objective=objective, **SMALL)
+        assert run_batch(DRIVES, [tuning.parameters], objective=objective).costs[0] == tuning.cost
+
+
+def test_the_history_is_that_of_a_swarm():
+    tuning = tune(DRIVES, particles=6, generations=7)
+    (trial,) = tuning.trials
+    assert trial.best.shape == trial.median.shape == (7,)
+    assert np.all(np.diff(trial.best) <= 0)
+    assert np.all(trial.median >= trial.best)
+    assert trial.best[-1] == trial.cost == tuning.cost
+    assert (trial.evaluations, trial.failures) == (42, 0)
+    # the first generation is the first random placement
+    rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(0,)))
+    space = search_space("planar5", "log10", tuning.parameters.nominal_interval)
+    costs = run_batch(DRIVES, space.decode(rng.uniform(space.low, space.high, (6, 10)))).costs
+    assert trial.best[0] == costs.min()
+    assert trial.median[0] == np.median(costs)
+
+
+@pytest.mark.parametrize("scale", ["log10", "linear"])
+def test_it_beats_random_search_and_the_defaults(scale: str):
+    wins = []
+    for seed in range(5):
+        tuning = tune(DRIVES, scale=scale, particles=15, generations=20, seed=seed)
+        space = search_space("planar5", scale, tuning.parameters.nominal_interval)
+        points = np.random.default_rng(seed + 100).uniform(space.low, space.high, (300, 10))
+        wins.append(tuning.cost < run_batch(DRIVES, space.decode(points)).costs.min())
+        assert tuning.cost < run_batch(DRIVES, [DEFAULTS]).costs[0]
+    assert sum(wins) >= 4
+
+
+def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
+    tuning = tune(DRIVES, particles=10, generations=15, seed=1)
+    p = tuning.parameters
+    for variance in (*p.process_noise, *p.measurement_noise):
+        assert 1e-5 <= variance <= 10
+    names = ("q_x", "q_y", "q_vx", "q_vy", "q_theta", "r_x", "r_y")
+    variances = (*p.process_noise, *p.measurement_noise)
+    at_bound = {name: v in (1e-5, 10.0) for name, v in zip(names, variances, strict=True)}
+    at_bound |= {
+        "alpha": p.alpha in (1e-3, 1.0),
+        "beta": p.beta in (0.0, 3.0),
+        "kappa": p.kappa in (0.0, 5.0),
+    }
+    assert {t.split(" at its ")[0] for t in tuning.touched_bounds} == {
+        name for name, at in at_bound.items() if at
+    }
+    assert tuning.touched_bounds  # an exact IMU wants less Q than the box allows
+
+
+def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
+    drives = [simulate(duration=60.0, seed=s) for s in range(2)]
+    options = {"particles": 20, "generations": 20}
+    honest, copying = (tune(drives, objective=o, **options).parameters for o in ("truth-rmse", "gps-rmse"))
+    ratio = [np.mean(p.measurement_noise) / np.mean(p.process_noise[:2]) for p in (honest, copying)]
+    assert ratio[1] < 1e-2 * ratio[0]
+    fixes = run_batch(drives, [honest, copying], objective="gps-rmse").costs
+    truth = run_batch(drives, [honest, copying]).costs
+    assert fixes[1] < 0.05
+    assert fixes[1] < 0.2 * fixes[0]
+    assert truth[1] > 1.4 * truth[0]
+
+
+def test_the_search_scale_reaches_the_search():
+    log, linear = (tune(DRIVES, scale=scale, **SMALL) for scale in ("log10", "linear"))
+    for tuning, value in ((log, lambda v: 10**v), (linear, lambda v: v)):
+        point = tuning.trials[0].point
+        assert tuning.parameters.alpha == point[0]
+        variances = (*tuning.parameters.process_noise, *tuning.parameters.measurement_noise)
+        assert variances == pytest.approx(value(point[3:]), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"inertia": 0.3}, {"cognitive": 0.1}, {"social": 0.1}, {"zero_velocity_at_bounds": True}],
+    ids=str,
+)
+def test_each_constant_reaches_the_swarm(change: dict):
+    plain, changed = tune(DRIVES, **SMALL), tune(DRIVES, **SMALL, **change)
+    assert changed.trials[0].best[0] == plain.trials[0].best[0]
+    assert changed.trials[0].median[-1] != plain.trials[0].median[-1]
+
+
+def test_patience_ends_a_trial_that_stalls():
+    full = tune(DRIVES[:1], particles=3, generations=40, seed=3).trials[0].best
+    patience = 3
+    stalled = [g for g in range(patience, 40) if full[g] >= full[g - patience]]
+    assert stalled[0] < 35  # or the test says nothing
+    cut = tune(DRIVES[:1], particles=3, generations=40, seed=3, patience=patience)
+    assert cut.trials[0].best.tolist() == full[: stalled[0] + 1].tolist()
+    assert cut.trials[0].evaluations == 3 * (stalled[0] + 1)
+    assert tune(DRIVES[:1], particles=3, generations=6, patience=40).trials[0].best.size == 6
+
+
+def test_progress_is_told_after_every_generation():
+    told: list[Progress] = []
+    tuning = tune(DRIVES, trials=2, progress=told.append, **SMALL)
+    assert [(p.trial, p.generation) for p in told] == [(t, g) for t in range(2) for g in range(1, 6)]
+    assert [p.done for p in told] == list(range(1, 11))
+    assert {p.total for p in told} == {10}
+    assert [p.best_cost for p in told] == [*tuning.trials[0].best, *tuning.trials[1].best]
+
+
+def test_the_file_holds_all_that_is_needed_to_run_it_again(tmp_path: Path):
+    tuning = tune(DRIVES, out=tmp_path / "out", seed=4, objective="truth-pose", **SMALL)
+    table = tomllib.loads((tmp_path / "out" / "tuning.toml").read_text())
+    assert FilterParameters.load(tmp_path / "out") == tuning.parameters
+    assert table["result"]["cost"] == tuning.cost
+    assert table["result"]["touched_bounds"] == tuning.touched_bounds
+    assert set(table["versions"]) == {"sigmaswarm", "python", "numpy", "numba"}
+    assert [d["name"] for d in table["data"]] == ["d0", "d1"]
+    assert table["data"][0]["imu_samples"] == len(DRIVES[0].imu)
+    assert table["data"][0]["fixes"] == len(DRIVES[0].gps)
+    assert table["config"]["seed"] == 4
+    assert table["units"]["states"] == ["x", "y", "vx", "vy", "theta"]
+    assert bits(tune(DRIVES, **table["config"])) == bits(tuning)
+
+
+def test_the_fingerprint_tells_data_apart():
+    print_of = [
+        tune(d, particles=2, generations=1).data[0]["sha256"] for d in (DRIVES[0], DRIVES[0], DRIVES[1])
+    ]
+    assert print_of[0] == print_of[1] != print_of[2]
+    changed = replace(DRIVES[0], truth=replace(DRIVES[0].truth, x=DRIVES[0].truth.x + 1e-9))
+    assert tune(changed, particles=2, generations=1).data[0]["sha256"] != print_of[0]
+
+
+def test_nothing_is_written_without_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    tune(DRIVES, **SMALL)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "name"),
+    [
+        ({"particles": 1}, "particles"),
+        ({"particles": -3}, "particles"),
+        ({"generations": 0}, "generations"),
+        ({"trials": 0}, "trials"),
+        ({"seed": -1}, "seed"),
+        ({"patience": 0}, "patience"),
+        ({"scale": "cubic"}, "scale"),
+        ({"model": "planar9"}, "model"),
+        ({"objective": "nll"}, "'nll'"),
+        ({"particle": 5}, "particle"),
+        ({"inertia": float("nan")}, "inertia"),
+        ({"social": float("inf")}, "social"),
+    ],
+    ids=str,
+)
+def test_a_wrong_option_is_named(option: dict, name: str):
+    with pytest.raises(InputError) as caught:
+        tune(DRIVES, **option)
+    assert name in str(caught.value)
+    assert str(next(iter(option.values()))) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
+    with pytest.raises(InputError, match="no drives"):
+        tune([])
+    with pytest.raises(
+        InputError, match=r"d0: has no truth, which the objective truth-rmse needs; .*gps-rmse"
+    ):
+        tune(replace(DRIVES[0], truth=None), out=tmp_path / "out")
+    zero = np.zeros(len(DRIVES[0].gps))
+    still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
+    with pytest.raises(AlignmentError, match="d0: never travels 20 m"):
+        tune(still, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()  # a mistake leaves nothing that stands in the way of the next try
+
+
+def test_truth_of_another_time_is_refused():
+    late = replace(DRIVES[0], truth=replace(DRIVES[0].truth, time=DRIVES[0].truth.time + 1e4))
+    with pytest.raises(InputError, match=r"d0.*truth"):
+        tune(late, **SMALL)
+
+
+def test_filters_that_all_fail_are_an_error():
+    ax = DRIVES[0].imu.ax.copy()
+    ax[-5] = np.nan
+    with pytest.raises(InputError, match=r"no parameter set gave a finite cost.*NaN"):
+        tune(replace(DRIVES[0], imu=replace(DRIVES[0].imu, ax=ax)), **SMALL)
