@@ -2,14 +2,15 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.maneuvers import MANEUVERS
-from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
+from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
+from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
 
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 """The paper's five."""
@@ -23,6 +24,7 @@ def simulate_many(
     executor: Executor | None = None,
     workers: int | None = None,
     use: Callable[[Drive], Any] | None = None,
+    leave_out: Container[str] = (),
     **options: Any,
 ) -> Iterator[Any]:
     """Simulate every maneuver in every environment `runs` times, in threads.
@@ -40,26 +42,48 @@ def simulate_many(
     use : callable, optional
         Called with each drive where it was made, for example to write it; its result is yielded instead of
         the drive.
+    leave_out : container of str
+        Names of drives not to make, such as those that an interrupted call has left.
     **options
-        As for `simulate`.
+        As for `simulate`; a duration holds for "urban" alone.
 
     Yields
     ------
     Drive, or what `use` made of it
         In the order maneuver, environment, run, whatever the number of workers; as soon as each is ready.
+
+    Raises
+    ------
+    InputError
+        As from `simulate`, before any drive is made.
     """
+    duration = options.pop("duration", None)
+    _check(maneuvers, environments, runs, duration)
 
     def one(maneuver: str, environment: str, run: int) -> Any:
-        drive = simulate(maneuver, environment, run=run, **options)
+        seconds = duration if maneuver == "urban" else None
+        drive = simulate(maneuver, environment, run=run, duration=seconds, **options)
         return drive if use is None else use(drive)
 
     names = [(m, e, r) for m in maneuvers for e in environments for r in range(runs)]
+    names = [name for name in names if drive_name(*name) not in leave_out]
     pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
     try:
         yield from _in_order(pool, one, names)
     finally:
         if executor is None:
             pool.shutdown(cancel_futures=True)
+
+
+def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
+    """Refuse what only a later drive would stumble over; all else is wrong in the first one too."""
+    for maneuver in maneuvers:
+        find_maneuver(maneuver)
+    for environment in environments:
+        find_environment(environment)
+    if runs < 1:
+        raise InputError(f"runs is {runs}; choose 1 or more")
+    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)
 
 
 def _in_order(

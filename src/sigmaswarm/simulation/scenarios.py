@@ -133,7 +133,7 @@ def simulate(
         "outages": [list(window) for window in journey.outages],
     }
     return Drive(
-        name=f"{maneuver}-{where.name}-{run:02d}",
+        name=drive_name(maneuver, where.name, run),
         imu=measure_imu(ticks, felt, imu_grade, stream("imu")),
         gps=fixes,
         truth=_truth(nominal, true),
@@ -147,6 +147,11 @@ def simulate(
             "achieved": achieved_figures(maneuver, journey, fixes.time),
         },
     )
+
+
+def drive_name(maneuver: str, environment: str, run: int) -> str:
+    """Return the name of a simulated drive, which is also that of its folder."""
+    return f"{maneuver}-{environment}-{run:02d}"
 
 
 def _truth(times: Array, true: Motion) -> Truth:
@@ -178,7 +183,12 @@ def _check(
     for what, value in (("jitter", jitter), ("vibration", vibration)):
         if not 0 <= value < math.inf:
             raise InputError(f"{what} is {value:g}; choose 0 or more")
-    if duration is not None and (maneuver != "urban" or not duration >= 30):
+    check_duration(maneuver, duration)
+
+
+def check_duration(maneuver: str, duration: float | None) -> None:
+    """Raise `InputError` for a duration (s) that a maneuver can't have."""
+    if duration is not None and (maneuver != "urban" or not 30 <= duration < math.inf):
         raise InputError(
             f"duration is {duration:g} s for {maneuver!r}; only 'urban' has one, of 30 s or more"
         )
