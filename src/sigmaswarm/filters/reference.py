@@ -46,10 +46,10 @@ class SigmaPoints:
 
     def weights(self, n: int) -> tuple[Array, Array]:
         """Weights for the mean and for the covariance, each of shape (2n + 1,)."""
-        lambda_ = self.alpha**2 * (n + self.kappa) - n
-        wm = np.full(2 * n + 1, 0.5 / (n + lambda_))
+        gamma2 = self.alpha**2 * (n + self.kappa)  # n + lambda, without the digits that lambda - n loses
+        wm = np.full(2 * n + 1, 0.5 / gamma2)
         wc = wm.copy()
-        wm[0] = lambda_ / (n + lambda_)
+        wm[0] = 1 - n / gamma2
         wc[0] = wm[0] + 1 - self.alpha**2 + self.beta
         return wm, wc
 
@@ -93,7 +93,7 @@ class UnscentedKalmanFilter:
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: push the propagated ones through h
         (FilterPy 1.4.5, what the paper most likely ran).
     angles : sequence of int
-        States that are angles. Their differences from the centre point are wrapped before they are averaged:
+        States that are angles. What f changes of their differences from the centre point is wrapped:
         a circular mean would not do, since the centre's weight is hugely negative for a small alpha.
 
     Attributes
@@ -126,9 +126,12 @@ class UnscentedKalmanFilter:
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Push the state through ``f`` over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         wm, wc = self.points.weights(len(self.mean))
-        sigmas = np.array([self.f(s, dt, u) for s in self.points.draw(self.mean, self.covariance)])
+        drawn = self.points.draw(self.mean, self.covariance)
+        sigmas = np.array([self.f(s, dt, u) for s in drawn])
         offsets = sigmas - sigmas[0]
-        offsets[:, self.angles] = np.pi - np.mod(np.pi - offsets[:, self.angles], 2 * np.pi)
+        # An offset may be more than half a turn; what f has made of it in one step may not.
+        turned = (offsets - (drawn - drawn[0]))[:, self.angles]
+        offsets[:, self.angles] -= 2 * np.pi * np.round(turned / (2 * np.pi))
         shift = wm @ offsets  # the weights add up to one, so this is the mean seen from the centre
         spread = offsets - shift
         self.mean = sigmas[0] + shift

@@ -1,0 +1,158 @@
+"""A filter that fails is marked, costs inf, says when it failed, and changes nothing for the others."""
+
+from dataclasses import replace
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+
+from oracles.extended_ukf import box_table
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.batch import Replay, Targets, run_replay
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.reference import NotPositiveDefiniteError
+from sigmaswarm.filters.run import run_filter, run_reference
+from sigmaswarm.tuning.batch import run_batch
+from support import make_drive
+
+pytestmark = pytest.mark.skipif(
+    numba.config.DISABLE_JIT, reason="whole drives take minutes without the compiler"
+)
+
+SOUND = FilterParameters(0.1, 2.0, 0.0, (1e-2,) * 5, (1.0, 1.0))
+VARIANCES = [("process_noise", i) for i in range(5)] + [("measurement_noise", i) for i in range(2)]
+EACH_VARIANCE = pytest.mark.parametrize(("field", "i"), VARIANCES)
+
+
+@cache
+def drive() -> Drive:
+    return make_drive(duration=30, seed=2)
+
+
+def planted(field: str, i: int, value: float) -> FilterParameters:
+    """Sound parameters but for one variance."""
+    variances = list(getattr(SOUND, field))
+    variances[i] = value
+    return replace(SOUND, **{field: tuple(variances)})
+
+
+def with_nan(sensor: str, column: str, after: float) -> tuple[Drive, float]:
+    """The drive with one value of a sensor lost, and when."""
+    table = getattr(drive(), sensor)
+    row = int(np.searchsorted(table.time, after))
+    values = getattr(table, column).copy()
+    values[row] = np.nan
+    return replace(drive(), **{sensor: replace(table, **{column: values})}), float(table.time[row])
+
+
+# --- One lane ----------------------------------------------------------------------------------------------
+
+
+# -1 soon ends in a NaN; -0.01 leaves numbers that look like numbers.
+@pytest.mark.parametrize("value", [-1.0, -0.01])
+@EACH_VARIANCE
+def test_a_negative_variance_costs_inf_and_leaves_the_others_bits(field: str, i: int, value: float):
+    table = box_table(32 + 20, seed=4)[32:]
+    company = [FilterParameters(*map(float, row[:3]), tuple(row[3:8]), tuple(row[8:])) for row in table]
+    alone = run_batch(drive(), company)
+    assert not alone.failed.any()
+    mixed = list(company)
+    mixed[3] = mixed[17] = planted(field, i, value)  # one in each chunk of lanes
+    result = run_batch(drive(), mixed)
+    others = np.setdiff1d(np.arange(20), [3, 17])
+    assert result.failed[[3, 17]].all()
+    assert np.isinf(result.costs[[3, 17]]).all()
+    assert result.scores[3][0].failed
+    assert np.isnan(result.scores[3][0].position_rmse)
+    assert not result.failed[others].any()
+    assert result.costs[others].tobytes() == alone.costs[others].tobytes()
+    # repr, since an outage drift that was not asked for is NaN
+    assert [repr(result.scores[j]) for j in others] == [repr(alone.scores[j]) for j in others]
+
+
+@EACH_VARIANCE
+def test_textbook_filter_fails_too(field: str, i: int):
+    short = make_drive(duration=12, seed=2)
+    with pytest.raises(NotPositiveDefiniteError):
+        run_reference(short, planted(field, i, -1.0))
+
+
+def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
+    # Each fix leaves a negative variance of the position negative; so little that S stays positive.
+    initial = initial_state(drive())
+    timeline = build_timeline(drive(), initial.time)
+    sets = [replace(SOUND, process_noise=(*q, 1e-5, 1e-5, 1e-5), measurement_noise=(10.0, 10.0))
+            for q in ((-1e-3, 1e-5), (1e-5, -1e-3))]  # fmt: skip
+    for parameters in sets:
+        with pytest.raises(NotPositiveDefiniteError):
+            run_reference(drive(), parameters)
+    assert run_replay(Replay(timeline, initial, Targets.none(timeline)), sets).failed.all()
+
+
+def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
+    initial = initial_state(drive())
+    timeline = build_timeline(drive(), initial.time)
+    quiet = replace(SOUND, process_noise=(1e-9,) * 5, measurement_noise=(10.0, 10.0))
+    for i, j in ((0, 1), (0, 2), (1, 3)):
+        covariance = initial.covariance.copy()
+        covariance[i, j] = covariance[j, i] = 1.1 * np.sqrt(covariance[i, i] * covariance[j, j])
+        start = replace(initial, covariance=covariance)
+        assert run_replay(Replay(timeline, start, Targets.none(timeline)), [quiet]).failed.all(), (i, j)
+
+
+# --- Whole drives ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sensor", "column"), [("imu", "ax"), ("imu", "ay"), ("imu", "gz"), ("gps", "x"), ("gps", "y")]
+)
+def test_nan_in_the_data_is_noticed_and_its_time_said(sensor: str, column: str):
+    spoiled, when = with_nan(sensor, column, after=20.0)
+    result = run_batch(spoiled, [SOUND, SOUND])
+    assert result.failed.all()
+    assert np.isinf(result.costs).all()
+
+    estimate = run_filter(spoiled, SOUND)
+    assert estimate.failure is not None
+    first = estimate.time[np.searchsorted(estimate.time, when)]  # the first sample that knows of it
+    assert f"t = {first:.3f} s" in estimate.failure
+    assert spoiled.name in estimate.failure
+    failed = estimate.time >= first
+    assert np.isnan(estimate.mean[failed]).all()
+    assert np.isnan(estimate.covariance[failed]).all()
+    sound = run_filter(drive(), SOUND)
+    assert estimate.mean[~failed].tobytes() == sound.mean[~failed].tobytes()
+
+
+def test_nan_on_one_drive_fails_the_set_but_not_its_other_scores():
+    spoiled, _ = with_nan("imu", "gz", after=20.0)
+    both, good = run_batch([drive(), spoiled], [SOUND]), run_batch(drive(), [SOUND])
+    assert np.isinf(both.costs[0])
+    assert both.scores[0][1].failed
+    assert repr(both.scores[0][0]) == repr(good.scores[0][0])
+
+
+def test_nan_in_the_last_sample_is_noticed():
+    # No fix looks at it any more, nothing is compared with truth, and the covariance does not know the yaw rate.
+    spoiled, _ = with_nan("imu", "gz", after=float(drive().imu.time[-1]))
+    initial = initial_state(spoiled)
+    timeline = build_timeline(spoiled, initial.time)
+    assert run_filter(spoiled, SOUND).failure is not None
+    assert run_replay(Replay(timeline, initial, Targets.none(timeline)), [SOUND]).failed.all()
+
+
+def test_failure_of_a_negative_variance_is_said():
+    estimate = run_filter(drive(), planted("measurement_noise", 0, -1.0))
+    assert estimate.failure is not None
+    first = estimate.time[np.flatnonzero(np.isnan(estimate.mean[:, 0]))[0]]
+    assert f"t = {first:.3f} s" in estimate.failure
+    assert "variances positive" in estimate.failure
+
+
+def test_a_sound_filter_says_nothing():
+    estimate = run_filter(drive(), SOUND)
+    assert estimate.failure is None
+    assert np.isfinite(estimate.mean).all()

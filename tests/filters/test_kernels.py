@@ -1,0 +1,153 @@
+"""What the compiled kernel promises beside parity: its sine, its vector instructions, and lanes on their own."""
+
+import platform
+import re
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from oracles.extended_ukf import box_table
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.filters import kernels as k
+from sigmaswarm.filters.batch import Replay, Sums, run_replay
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.tuning.batch import run_batch
+from support import make_drive
+
+EPS = np.finfo(float).eps
+compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled, or it takes minutes")
+
+
+@cache
+def short_replay() -> Replay:
+    drive = make_drive(duration=12, jitter=0.3, seed=3)
+    return tracking_replay(drive, initial_state(drive))
+
+
+@cache
+def many_sets() -> tuple[FilterParameters, ...]:
+    table = box_table(40 + 32, seed=11)[32:]
+    return tuple(FilterParameters(*map(float, row[:3]), tuple(row[3:8]), tuple(row[8:])) for row in table)
+
+
+@cache
+def all_sums() -> np.ndarray:
+    return as_bits(run_replay(short_replay(), many_sets()))
+
+
+def as_bits(sums: Sums) -> np.ndarray:
+    """(sets, sums), to be compared as they are."""
+    return np.column_stack([np.asarray(column, dtype=float) for column in vars(sums).values()])
+
+
+# --- The sine ----------------------------------------------------------------------------------------------
+
+
+def angles() -> np.ndarray:
+    rng = np.random.default_rng(5)
+    edges = np.pi / 4 * np.arange(-40, 41)
+    size = 10.0 ** rng.uniform(-300, 5, 5000)
+    near_zeros = np.pi / 2 * rng.integers(-60_000, 60_000, 2000)
+    all_of = [edges, np.nextafter(edges, 9e9), np.nextafter(edges, -9e9), size, -size, near_zeros,
+              rng.uniform(-1e5, 1e5, 10_000), rng.uniform(-4, 4, 10_000), [0.0]]  # fmt: skip
+    return np.concatenate(all_of)
+
+
+def test_sincos_is_as_good_as_a_library():
+    x = angles()
+    ours = np.array([k._sincos(value) for value in x]).T
+    true = np.array([np.sin(x.astype(np.longdouble)), np.cos(x.astype(np.longdouble))])
+    assert np.max(np.abs(ours - true)) < 3e-16
+    # Small values keep their digits: sin(d/2)^2 is what the closed form lives on at alpha = 1e-3.
+    small = np.abs(x) < 0.7
+    assert np.max(np.abs(ours[0] - true[0])[small] / np.maximum(np.abs(true[0][small]), 1e-290)) < 2 * EPS
+
+
+@compiled
+def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
+    # The flag "reassoc" lets the compiler join the three parts of pi/2, so that far from zero the error is no
+    # longer 3e-16, but still less than half a unit in the last place of the angle itself.
+    # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
+    headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
+    initial = np.zeros((k.N_STATE, k.LANES))
+    initial[[k.XX, k.YY, k.UU, k.VV, k.TT]] = 1e-40
+    constants = np.ones((k.N_CONSTANTS, k.LANES))
+    out, final = np.empty((k.N_SUMS, k.LANES)), np.empty((k.N_STATE, k.LANES))
+    velocity = []
+    for chunk in headings.reshape(-1, k.LANES):
+        initial[k.T] = chunk
+        k.run_lanes(
+            np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
+            np.array([k.IMU]),
+            np.empty((0, 2)),
+            np.empty((0, 5)),
+            np.zeros(1, dtype=np.int64),
+            initial,
+            constants,
+            out,
+            final,
+            np.empty((0, k.N_STATE + 1, 0)),
+        )
+        velocity.append(final[[k.U, k.V]].copy())
+    x = headings.astype(np.longdouble)
+    error = np.concatenate(velocity, axis=1) - np.array([np.cos(x), np.sin(x)])
+    assert np.all(np.abs(error) < 3e-16 + 0.5 * EPS * np.abs(headings))
+
+
+# --- The machine code --------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 instructions")
+@compiled
+def test_loops_over_lanes_are_vector_instructions():
+    run_replay(short_replay(), many_sets()[:1])  # so that it has a signature
+    # Machine code that came from the cache can't be read: compile once more, without one.
+    options = {name: value for name, value in k.run_lanes.targetoptions.items() if name != "nopython"}
+    fresh = numba.njit(**options)(k.run_lanes.py_func)
+    signature = k.run_lanes.signatures[0]
+    fresh.compile(signature)
+    instructions = Counter(re.findall(r"^\s+(v?f?n?m?[a-z]+\d*[ps]d)\b", fresh.inspect_asm(signature), re.M))
+    for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused, vfmadd231pd and its like
+        packed, scalar = (
+            sum(n for name, n in instructions.items() if operation in name and name.endswith(kind))
+            for kind in ("pd", "sd")
+        )
+        if operation == "madd" and packed + scalar == 0:
+            continue  # a processor without fused instructions
+        # The few scalar ones belong to dt^2/2 and its like, once a step.
+        assert packed > 0, operation
+        assert packed >= 8 * scalar, f"{operation}: {packed} packed, {scalar} scalar"
+
+
+# --- Lanes on their own ------------------------------------------------------------------------------------
+
+
+@compiled
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(order=st.lists(st.integers(0, 39), min_size=1, max_size=50))
+def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
+    sums = as_bits(run_replay(short_replay(), [many_sets()[i] for i in order]))
+    assert sums.tobytes() == all_sums()[order].tobytes()
+
+
+@compiled
+@pytest.mark.parametrize("threads", [1, 2, 4])
+def test_threads_change_no_bit(threads: int):
+    drives = [make_drive(duration=40, jitter=0.3, seed=seed) for seed in (3, 4)]
+    replayer = Replayer(drives, outages=True)
+    alone = replayer.scores(many_sets())
+    with ThreadPoolExecutor(threads) as pool:
+        together = replayer.scores(many_sets(), pool)
+        batch = run_batch(drives, many_sets(), objective="truth-pose", executor=pool)
+    for name, column in vars(alone).items():
+        assert column.tobytes() == getattr(together, name).tobytes(), name
+        assert np.isfinite(column).all(), name
+    assert batch.costs.tobytes() == run_batch(drives, many_sets(), objective="truth-pose").costs.tobytes()
