@@ -72,7 +72,8 @@ def _inline(function):
 def _sincos(x):
     """Sine and cosine without branches or library calls.
 
-    The error is about 3e-16 + 4e-17 |x|, below half a unit in the last place of the angle itself. Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c).
+    The error is about 3e-16 + 4e-17 |x|, below half a unit in the last place of the angle itself. Cody-Waite
+    reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c).
     """
     n = math.floor(x * (2 / math.pi) + 0.5)
     r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
