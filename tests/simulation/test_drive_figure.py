@@ -25,6 +25,9 @@ def test_a_simulated_drive_shows_outages_and_figures():
     cells = {cell.get_text().get_text() for table in tables for cell in table.get_celld().values()}
     assert {"target", "achieved", "outage_1_s", "peak_slip_percent"} <= cells
     assert labels == []
+    (errors,) = (axes for axes in figure.axes if "error" in axes.get_ylabel())
+    for line in errors.lines[:2]:  # the third is the zero
+        assert np.isnan(line.get_ydata()).sum() == 2  # broken at both outages
 
 
 @pytest.mark.parametrize("keep", ["no truth", "no speed"])

@@ -123,9 +123,12 @@ def _draw_fixes(axes: Axes, drive: Drive, origin: float) -> None:
         axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=_FIX, ms=3)
         axes.set_ylabel("time from fix\nto fix, s")
         return
+    # NaN where fixes are missing, so that no line pretends to know the error there.
+    after_gaps = np.searchsorted(gps.time, [end for _, end in _gaps(gps.time)])
+    when = np.insert(gps.time - origin, after_gaps, np.nan)
     for values, true, color, name in ((gps.x, truth.x, _TRUTH, "east"), (gps.y, truth.y, _FIX, "north")):
         error = values - np.interp(gps.time, truth.time, true)
-        axes.plot(gps.time - origin, error, ".-", color=color, ms=3, lw=0.5, label=name)
+        axes.plot(when, np.insert(error, after_gaps, np.nan), ".-", color=color, ms=3, lw=0.5, label=name)
     axes.axhline(0, color="black", lw=0.5)
     axes.set_ylabel("error of the\nfixes, m")
     _legend_above(axes)
