@@ -38,7 +38,7 @@ def turn(request):
 @pytest.fixture(scope="session")
 def drive():
     """Ten minutes through a town, IMU at 100 Hz, GPS at 5 Hz."""
-    return simulate(duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1)
+    return simulate("urban", duration=600.0, imu_rate=100.0, gps_rate=5.0, seed=1)
 
 
 @pytest.fixture(scope="session")

@@ -110,7 +110,7 @@ def main():
     parser.add_argument("--seconds", type=float, default=math.inf, help="how much of the drive; default: all")
     parser.add_argument("--generations", type=int, default=50)
     options = parser.parse_args()
-    course = Course(simulate(duration=600.0, seed=1), options.seconds)
+    course = Course(simulate("urban", duration=600.0, seed=1), options.seconds)
     cost, point = tune(course, generations=options.generations)
     print(
         f"position RMSE {cost:.3f} m over {course.n_samples} IMU samples with {np.round(point, 3).tolist()}"

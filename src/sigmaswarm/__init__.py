@@ -45,7 +45,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.run import Estimate, run_filter, run_reference
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score
-    from sigmaswarm.simulation.kinematic import simulate
+    from sigmaswarm.simulation.conditions import simulate_many
+    from sigmaswarm.simulation.scenarios import simulate
     from sigmaswarm.tuning.batch import BatchResult, run_batch
     from sigmaswarm.tuning.tune import TuneConfig, Tuning, tune
 
@@ -63,7 +64,8 @@ _HOMES = {
     "filters.run": ("Estimate", "run_filter", "run_reference"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),
-    "simulation.kinematic": ("simulate",),
+    "simulation.conditions": ("simulate_many",),
+    "simulation.scenarios": ("simulate",),
     "tuning.batch": ("BatchResult", "run_batch"),
     "tuning.tune": ("TuneConfig", "Tuning", "tune"),
 }
@@ -101,6 +103,7 @@ __all__ = [
     "run_filter",
     "run_reference",
     "simulate",
+    "simulate_many",
     "split_drives",
     "split_time",
     "tune",

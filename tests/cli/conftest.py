@@ -11,7 +11,7 @@ import pytest
 from sigmaswarm.cli import main
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.simulation.kinematic import simulate
+from sigmaswarm.simulation import simulate
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ def sigmaswarm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with two simulated drives."""
     folder = tmp_path_factory.mktemp("cli") / "drives"
-    for seed in range(2):
-        drive = simulate(duration=40.0, seed=seed)
+    for run in range(2):
+        drive = simulate("urban", run=run, duration=40.0, gps="white-1m")
         write_drive(drive, folder / drive.name)
     return folder
 

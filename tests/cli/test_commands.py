@@ -15,7 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 
 PNG = b"\x89PNG\r\n\x1a\n"
-COMMANDS = ["tune", "evaluate", "run", "split", "simulate", "demo"]
+COMMANDS = ["tune", "evaluate", "run", "split", "simulate", "plot", "demo"]
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
 
 
@@ -47,7 +47,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     table = tomllib.loads(Path("t/tuning.toml").read_text())
     assert f"cost {table['result']['cost']:.4f} (truth-rmse) on 2 drive(s)" in ended.out
     assert table["config"]["particles"] == 4
-    assert [d["name"] for d in table["data"]] == ["simulated-000", "simulated-001"]
+    assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
     history = pl.read_csv("t/convergence.csv")
     assert history.columns == ["trial", "generation", "best_cost", "median_cost"]
     assert history["generation"].to_list() == [1, 2, 3] * 2
@@ -79,11 +79,11 @@ def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path)
     ]
     more = ["--inertia", 0.6, "--zero-velocity-at-bounds", "--patience", 2, "--workers", 1]
     ended = sigmaswarm(
-        "tune", drives / "simulated-001", drives / "simulated-000", "--out", "t", *options, *more, "--json"
+        "tune", drives / "urban-clear-01", drives / "urban-clear-00", "--out", "t", *options, *more, "--json"
     )
     said = json.loads(ended.out)
     expected = library.tune(
-        [read_drive(drives / name) for name in ("simulated-001", "simulated-000")],
+        [read_drive(drives / name) for name in ("urban-clear-01", "urban-clear-00")],
         particles=5,
         generations=3,
         seed=9,
@@ -121,9 +121,9 @@ def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
 def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: Path, here: Path):
     ended = sigmaswarm("evaluate", tuned, drives, "--json")
     said = json.loads(ended.out)
-    read = [read_drive(drives / f"simulated-00{i}") for i in range(2)]
+    read = [read_drive(drives / f"urban-clear-0{i}") for i in range(2)]
     assert said == library.evaluate(FilterParameters.load(tuned), read).to_dict()
-    assert list(said["drives"]) == ["simulated-000", "simulated-001"]
+    assert list(said["drives"]) == ["urban-clear-00", "urban-clear-01"]
     assert list(said["mean"]) == METHODS
     assert list(here.iterdir()) == []
 
@@ -139,12 +139,12 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
     assert "4 s outage" in ended.out
     frame = pl.read_csv("e/scores.csv")
-    assert frame.filter(drive="simulated-001", method="tuned")["position_rmse_m"][0] == pytest.approx(
-        said["drives"]["simulated-001"]["tuned"]["position_rmse_m"]
+    assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
+        said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]
     )
     names = {p.name for p in Path("e").glob("*.png")}
     assert names == {"comparison.png"} | {
-        f"simulated-00{i}-{kind}.png" for i in range(2) for kind in ("track", "error")
+        f"urban-clear-0{i}-{kind}.png" for i in range(2) for kind in ("track", "error")
     }
     assert all(is_picture(p) for p in Path("e").glob("*.png"))
     assert all(name in ended.out for name in names)
@@ -152,7 +152,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
 
 
 def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, here: Path):
-    library.write_drive(library.simulate(duration=40.0, seed=3), "blind")
+    library.write_drive(library.simulate(duration=40.0, run=3), "blind")
     Path("blind/truth.csv").unlink()
     ended = sigmaswarm("evaluate", tuned, "blind", "--out", "e", "--json")
     assert ended.code == 0, ended.err
@@ -164,11 +164,11 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
-    ended = sigmaswarm("run", tuned, drives / "simulated-000", "--out", "estimate.csv", "--json")
+    ended = sigmaswarm("run", tuned, drives / "urban-clear-00", "--out", "estimate.csv", "--json")
     frame = pl.read_csv("estimate.csv")
     states = ["x", "y", "vx", "vy", "theta"]
     assert frame.columns == ["t", *states, *(f"std_{s}" for s in states)]
-    estimate = run_filter(read_drive(drives / "simulated-000"), FilterParameters.load(tuned))
+    estimate = run_filter(read_drive(drives / "urban-clear-00"), FilterParameters.load(tuned))
     np.testing.assert_array_equal(frame["t"], estimate.time)
     np.testing.assert_array_equal(frame.select(states).to_numpy(), estimate.mean)
     variances = np.stack([estimate.covariance[:, i, i] for i in range(5)], axis=1)
@@ -184,31 +184,18 @@ def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
 
 
 def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
-    ended = sigmaswarm("run", tuned, drives / "simulated-000", "--out", "estimate.tum")
+    ended = sigmaswarm("run", tuned, drives / "urban-clear-00", "--out", "estimate.tum")
     assert np.loadtxt("estimate.tum").shape[1] == 8
     assert f"wrote {len(np.loadtxt('estimate.tum'))} estimates" in ended.out
     assert list(here.iterdir()) == [here / "estimate.tum"]
 
 
-def test_simulate_is_repeatable(sigmaswarm, here: Path):
-    options = ("--runs", 2, "--duration", 30, "--gps-std", 0.5, "--seed", 7)
-    said = json.loads(sigmaswarm("simulate", "a", *options, "--json").out)
-    assert said == {"drives": ["a/simulated-007", "a/simulated-008"]}
-    assert "wrote 2 drive(s) to b" in sigmaswarm("simulate", "b", *options).out
-    for file in ("imu.csv", "gps.csv", "truth.csv", "drive.toml"):
-        assert Path(f"a/simulated-007/{file}").read_bytes() == Path(f"b/simulated-007/{file}").read_bytes()
-    assert Path("a/simulated-007/imu.csv").read_bytes() != Path("a/simulated-008/imu.csv").read_bytes()
-    drive = read_drive("a/simulated-007")
-    assert drive.duration == pytest.approx(30)
-    assert drive.metadata["gps_std_m"] == 0.5
-
-
 def test_split_in_time(sigmaswarm, drives: Path, here: Path):
-    ended = sigmaswarm("split", drives / "simulated-000", "parts", "--train-fraction", 0.5, "--json")
-    assert json.loads(ended.out) == {"drives": ["parts/simulated-000-train", "parts/simulated-000-test"]}
-    train, test = (read_drive(f"parts/simulated-000-{part}") for part in ("train", "test"))
+    ended = sigmaswarm("split", drives / "urban-clear-00", "parts", "--train-fraction", 0.5, "--json")
+    assert json.loads(ended.out) == {"drives": ["parts/urban-clear-00-train", "parts/urban-clear-00-test"]}
+    train, test = (read_drive(f"parts/urban-clear-00-{part}") for part in ("train", "test"))
     assert train.imu.time[-1] < 20 <= test.imu.time[0]
-    assert len(train.imu) + len(test.imu) == len(read_drive(drives / "simulated-000").imu)
+    assert len(train.imu) + len(test.imu) == len(read_drive(drives / "urban-clear-00").imu)
 
 
 def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
@@ -230,7 +217,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert all(is_picture(p) for p in pictures)
     assert FilterParameters.load("show/tuning").nominal_interval == pytest.approx(0.01)
     said = json.loads(Path("show/evaluation/scores.json").read_text())
-    assert list(said["drives"]) == ["simulated-005", "simulated-006", "simulated-007"]
+    assert list(said["drives"]) == ["urban-clear-05", "urban-clear-06", "urban-clear-07"]
     tuned = said["mean"].pop("tuned")["position_rmse_m"]
     assert all(tuned < m["position_rmse_m"] for m in said["mean"].values())
     assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10

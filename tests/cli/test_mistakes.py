@@ -111,7 +111,7 @@ def test_a_bad_drive(sigmaswarm, good: Path, here: Path, case: str):
     assert not Path("t").exists()
 
 
-@pytest.mark.parametrize("command", ["evaluate", "run", "split"])
+@pytest.mark.parametrize("command", ["evaluate", "run", "split", "plot"])
 def test_a_bad_drive_in_other_commands(sigmaswarm, good: Path, tuned: Path, here: Path, command: str):
     edit, expected = DRIVES["not-a-number"]
     edit(shutil.copytree(good, "bad") and Path("bad"))
@@ -119,6 +119,7 @@ def test_a_bad_drive_in_other_commands(sigmaswarm, good: Path, tuned: Path, here
         "evaluate": [tuned, "bad"],
         "run": [tuned, "bad", "--out", "x.csv"],
         "split": ["bad", "parts"],
+        "plot": ["bad"],
     }
     checked(sigmaswarm(command, *arguments[command]), expected, command)
     assert {p.name for p in here.iterdir()} == {"bad"}
@@ -213,12 +214,40 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     ),
     "simulate-no-out": (nothing, "simulate", ["OUT"]),
     "simulate-no-runs": (nothing, "simulate s --runs 0", ["--runs"]),
-    "simulate-too-short": (nothing, "simulate s --duration 3", ["--duration"]),
-    "simulate-endless": (nothing, "simulate s --duration inf", ["--duration"]),
-    "simulate-noise-nan": (nothing, "simulate s --gps-std nan", ["--gps-std"]),
+    "simulate-negative-runs": (nothing, "simulate s --runs -2", ["--runs", "-2"]),
+    "simulate-unknown-maneuver": (
+        nothing,
+        "simulate s --maneuver brake drift",
+        ["'drift'", "cruise", "urban"],
+    ),
+    "simulate-unknown-environment": (
+        nothing,
+        "simulate s --environment rain hail",
+        ["'hail'", "clear", "slippery"],
+    ),
+    "simulate-unknown-imu": (nothing, "simulate s --imu golden", ["IMU", "'golden'", "icm-20602"]),
+    "simulate-unknown-gps": (nothing, "simulate s --gps golden", ["GPS", "'golden'", "ublox-m8"]),
+    "simulate-unknown-vehicle": (nothing, "simulate s --vehicle trabant", ["'trabant'", "model3"]),
+    "simulate-too-short": (nothing, "simulate s --maneuver brake urban --duration 3", ["duration", "30 s"]),
+    "simulate-endless": (nothing, "simulate s --maneuver urban --duration inf", ["duration", "30 s"]),
+    "simulate-duration-of-nothing": (nothing, "simulate s --duration 60", ["duration", "'urban'"]),
+    "simulate-no-workers": (nothing, "simulate s --workers 0", ["workers", "0"]),
     "simulate-negative-seed": (nothing, "simulate s --seed -1", ["seed", "-1"]),
-    "simulate-out-is-a-file": (file("s"), "simulate s", ["s", "folder"]),
-    "simulate-twice": (folder("s/simulated-000"), "simulate s", ["simulated-000", "not empty"]),
+    "simulate-out-is-a-file": (file("s"), "simulate s", ["s", "is a file", "folder"]),
+    "simulate-out-below-a-file": (file("f"), "simulate f/s", ["f/s", "f is a file", "folder"]),
+    "simulate-twice": (folder("s/cruise-clear-00"), "simulate s", ["s:", "cruise-clear-00", "--resume"]),
+    "simulate-beside-others": (nothing, "simulate .", [".:", "good", "--resume"]),
+    "simulate-resume-something-else": (
+        folder("s/cruise-clear-00"),
+        "simulate s --resume",
+        ["s/cruise-clear-00", "no drive that simulate wrote"],
+    ),
+    "plot-no-drive": (nothing, "plot", ["DRIVE"]),
+    "plot-nowhere": (nothing, "plot nowhere", ["nowhere", "does not exist"]),
+    "plot-unknown-suffix": (nothing, "plot good --out x.xls", ["x.xls", ".png"]),
+    "plot-no-such-folder": (nothing, "plot good --out no/x.png", ["no", "no such folder"]),
+    "plot-out-is-a-folder": (folder("x.png"), "plot good --out x.png", ["x.png", "folder"]),
+    "plot-in-the-way": (folder("synthetic.png"), "plot good", ["synthetic.png", "folder"]),
     "split-nothing-left": (nothing, "split good parts --train-fraction 1.5", ["1.5", "between 0 and 1"]),
     "split-out-is-a-file": (file("parts"), "split good parts", ["parts", "folder"]),
     "demo-elsewhere": (folder("d"), "demo --out d", ["d:", "not empty", "--out"]),

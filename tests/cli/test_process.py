@@ -77,8 +77,8 @@ def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: 
     """Numba itself says what it loads and what it saves."""
     environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_DEBUG_CACHE": "1"}
     commands = [
-        ["run", tuned, drives / "simulated-000", "--out", tmp_path / "x.csv", "--json"],
-        ["evaluate", tuned, drives / "simulated-001", "--json"],
+        ["run", tuned, drives / "urban-clear-00", "--out", tmp_path / "x.csv", "--json"],
+        ["evaluate", tuned, drives / "urban-clear-01", "--json"],
     ]
     said, took = [], []
     for command in commands:

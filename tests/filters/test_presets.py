@@ -7,7 +7,7 @@ import pytest
 
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import datasheet, preset
-from sigmaswarm.simulation.kinematic import simulate
+from sigmaswarm.simulation import ImuGrade, Triad, simulate
 from support import make_drive
 
 DRIVE = make_drive(duration=12.0)
@@ -52,9 +52,11 @@ def test_the_receiver_s_own_deviation_goes_before_the_file_s():
 
 def test_the_velocity_spreads_as_the_density_says():
     """Summed over a second, white noise of density s per root Hz makes a velocity of deviation s."""
-    drive = simulate(duration=10.0, accel_std=0.3, seed=1)
+    grade = ImuGrade("white", accel=Triad(noise_density=0.03))
+    drive, exact = (simulate("brake", imu=imu) for imu in (grade, "ideal"))
     per_second = datasheet(drive).process_noise[2] / drive.nominal_interval
-    noise = np.random.default_rng(0).normal(0, 0.3, (4000, 100))  # 100 Hz, one second
+    std = np.std(np.stack([getattr(drive.imu, a) - getattr(exact.imu, a) for a in ("ax", "ay")]))
+    noise = np.random.default_rng(0).normal(0, std, (4000, 100))  # 100 Hz, one second
     assert np.sqrt(per_second) == pytest.approx(np.std(noise.sum(axis=1) * 0.01), rel=0.05)
 
 

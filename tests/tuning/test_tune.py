@@ -11,7 +11,7 @@ import pytest
 from sigmaswarm.errors import AlignmentError, InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.simulation.kinematic import simulate
+from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.space import search_space
 from sigmaswarm.tuning.tune import Progress, Tuning, tune
@@ -102,7 +102,7 @@ def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
 
 
 def test_gps_rmse_copies_the_gps_and_is_worse_against_truth():
-    drives = [simulate(duration=60.0, seed=s) for s in range(2)]
+    drives = [simulate("urban", run=run, duration=60.0, gps="white-1m") for run in range(2)]
     options = {"particles": 20, "generations": 20}
     honest, copying = (tune(drives, objective=o, **options).parameters for o in ("truth-rmse", "gps-rmse"))
     ratio = [np.mean(p.measurement_noise) / np.mean(p.process_noise[:2]) for p in (honest, copying)]

@@ -9,6 +9,7 @@ from cyclopts import App, CycloptsError
 import sigmaswarm
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.evaluate import evaluate
+from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
@@ -26,10 +27,10 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
     sigmaswarm evaluate tuned drives/friday
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-No drives at hand? `sigmaswarm demo` makes some and shows the whole way in a minute.""",
+No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_format="markdown",
 )
-for command in (tune, evaluate, run, split, simulate, demo):
+for command in (tune, evaluate, run, split, simulate, plot, demo):
     app.command(command)
 
 
@@ -43,9 +44,7 @@ def main() -> NoReturn:
         print(f"sigmaswarm: {' '.join(str(error).split())}{hint}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print(
-            "sigmaswarm: interrupted; what was saved is kept, --resume goes on with a tuning", file=sys.stderr
-        )
+        print("sigmaswarm: interrupted; what was saved is kept, --resume goes on with it", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         sys.stderr.close()

@@ -55,26 +55,32 @@ def _finite(content: Any) -> Any:
 @contextmanager
 def tuning_progress(title: str) -> "Generator[Callable[[Progress], None]]":
     """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
+    with progress_bar(title, "generations, best cost {task.fields[cost]}, remaining", cost="-") as show:
+        yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
+
+
+@contextmanager
+def progress_bar(title: str, counted: str, **fields: Any) -> Generator[Callable[..., None]]:
+    """A bar on stderr, with the time that remains; yields the function that moves it: done, total, fields."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("generations, best cost {task.fields[cost]}, remaining"),
+        TextColumn(counted),
         TimeRemainingColumn(),
     )
-    bar = Bar(*columns, console=Console(stderr=True))
-    task = bar.add_task(title, total=None, cost="-")
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task(title, total=None, **fields)
 
-    def told(progress: "Progress") -> None:
+    def show(done: int, total: int, **changed: Any) -> None:
         bar.start()  # not before there is progress: a mistake is to be told in one line
-        bar.update(task, total=progress.total, completed=progress.done, cost=f"{progress.best_cost:.3f}")
+        bar.update(task, total=total, completed=done, **changed)
 
     try:
-        yield told
+        yield show
     finally:
         if bar.live.is_started:
             bar.stop()

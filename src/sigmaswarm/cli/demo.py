@@ -40,12 +40,17 @@ def demo(
         raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
     shutil.rmtree(out, ignore_errors=True)
     console = stdout()
-    drives = [sigmaswarm.simulate(seed=100 * seed + i) for i in range(8)]
+    # A car's IMU, shaken, and fixes whose noise a filter can average: as far as manual filters go, a real car.
+    drives = list(
+        sigmaswarm.simulate_many(
+            ("urban",), ("clear",), 8, seed=seed, duration=90.0, gps="white-1m", vibration=1.0
+        )
+    )
     for drive in drives:
         sigmaswarm.write_drive(drive, out / "drives" / drive.name)
     training, held_out = drives[:5], drives[5:]
     if not json:
-        console.print(f"1. simulated {len(drives)} drives of 90 s: {out / 'drives'}")
+        console.print(f"1. simulated {len(drives)} drives of 90 s through a town: {out / 'drives'}")
         console.print(f"2. tuning on {len(training)} of them (30 particles, 50 generations) ...")
     with tuning_progress("   tuning") as progress:
         tuning = sigmaswarm.tune(

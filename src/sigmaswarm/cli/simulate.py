@@ -1,58 +1,176 @@
 """`sigmaswarm simulate`."""
 
-from math import inf
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
+
+JITTER = 0.002
+"""s, standard deviation of a sample's time with --jitter."""
+VIBRATION = 1.0
+"""The level of two recordings of real cars."""
+
+_Names = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
+_Flag = Annotated[bool, Parameter(negative=())]
 
 
 def simulate(
     out: Annotated[Path, Parameter(name="OUT")],
     /,
     *,
-    runs: int = 6,
-    duration: float = 90.0,
-    gps_std: float = 1.0,
+    maneuver: _Names = None,
+    environment: _Names = None,
+    runs: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 20,
+    imu: str = "icm-20602",
+    gps: str = "ublox-m8",
+    vehicle: str = "model3",
     seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    duration: float | None = None,
+    jitter: _Flag = False,
+    vibration: _Flag = False,
+    gnss_degradation: _Flag = False,
+    workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
+    resume: _Flag = False,
+    json: _Flag = False,
 ) -> None:
-    """Make drives to try things on: a car going through a town, in the plane, with noise and biases.
+    """Make drives with known truth: a Tesla Model 3, the paper's maneuvers and weathers, real sensors' errors.
+
+    By default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
 
     Examples:
 
         sigmaswarm simulate drives
-        sigmaswarm simulate drives --runs 20 --duration 120 --seed 1
+        sigmaswarm simulate town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
+        sigmaswarm simulate wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
 
     Parameters
     ----------
     out
-        Folder in which the drive folders are made.
+        Folder in which the drive folders are made. It must not hold drives yet.
+    maneuver
+        cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
+    environment
+        clear, night, rain, fog, slippery; all by default. Clear, night and fog share one physics.
     runs
-        How many drives.
-    duration
-        Seconds of each.
-    gps_std
-        Standard deviation of a fix, m per axis.
+        Drives of each maneuver in each environment.
+    imu
+        ideal, mpu-6050, icm-20602, adis16465, adis16405, adis16488, gnss-ins-sim-low, gnss-ins-sim-mid,
+        gnss-ins-sim-high or carla.
+    gps
+        ideal, ublox-m8 (errors correlated over a minute), white-1m, gnss-ins-sim, f9p-rtk or carla.
+    vehicle
+        model3, or model3-carla with CARLA's pedals and weak brakes.
     seed
-        Decides routes and noise; the same seed gives the same bytes.
+        Decides routes and noise.
+    duration
+        Seconds of an urban drive, 30 or more; 180 by default.
+    jitter
+        Let the sensors' clocks jitter by 2 ms.
+    vibration
+        Let road and engine shake the IMU as in two recordings of real cars.
+    gnss_degradation
+        Let weather spoil the fixes: an assumption, no measurement is behind its factors.
+    workers
+        Threads; all cores by default. The result does not depend on it.
+    resume
+        Keep the drives that are there and make those that are missing.
     json
         Print what was written for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.common import print_json, progress_bar, stdout
+    from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
+    from sigmaswarm.simulation.scenarios import drive_name
+
+    maneuvers = list(dict.fromkeys(maneuver or PAPER_MANEUVERS))
+    environments = list(dict.fromkeys(environment or ENVIRONMENTS))
+    options: dict[str, Any] = {
+        "seed": seed,
+        "imu": imu,
+        "gps": gps,
+        "vehicle": vehicle,
+        "duration": duration,
+        "jitter": JITTER if jitter else 0.0,
+        "vibration": VIBRATION if vibration else 0.0,
+        "gnss_degradation": gnss_degradation,
+    }
+    names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
+    kept = _kept(out, names, resume, options)
+    made = sigmaswarm.simulate_many(
+        maneuvers,
+        environments,
+        runs,
+        workers=workers,
+        use=lambda drive: sigmaswarm.write_drive(drive, out / drive.name),
+        leave_out=kept,
+        **options,
+    )
+    written = 0
+    with progress_bar("simulating", "drives, remaining") as show:
+        for written, _ in enumerate(made, 1):
+            show(written, len(names) - len(kept))
+    if json:
+        print_json({"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)})
+        return
+    console = stdout()
+    console.print(f"wrote {written} drive(s) to {out}" + (f", kept {len(kept)}" if kept else ""))
+    if len({"clear", "night", "fog"} & set(environments)) > 1:
+        console.print("note: clear, night and fog share one physics; only their random numbers differ")
+    console.print(f"next: sigmaswarm plot {out / names[0]}")
+
+
+def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]) -> set[str]:
+    """Names of the drives that are there and stay; whatever is in the way is told before any work."""
     from sigmaswarm.errors import InputError
 
-    if runs < 1 or not 30 <= duration < inf or not 0 <= gps_std < inf:
+    there = next(path for path in (out, *out.parents) if path.exists())
+    if not there.is_dir():
+        raise InputError(f"{out}: {there} is a file; name another folder")
+    found = {name for name in names if (out / name).exists()}
+    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.csv")})
+    if drives and not resume:
         raise InputError(
-            "simulate needs --runs of 1 or more, --duration of 30 s or more, --gps-std of 0 or more"
+            f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"
         )
-    written: list[str] = []
-    for i in range(runs):
-        drive = sigmaswarm.simulate(duration=duration, gps_std=gps_std, seed=seed + i)
-        sigmaswarm.write_drive(drive, out / drive.name)
-        written.append(str(out / drive.name))
-    if json:
-        print_json({"drives": written})
-    else:
-        stdout().print(f"wrote {runs} drive(s) to {out}: {written[0]} ...")
+    for name in sorted(found):
+        _require_made_with(out / name / "drive.toml", options)
+    return found
+
+
+def _require_made_with(file: Path, options: dict[str, Any]) -> None:
+    """Refuse to go on beside a drive that other options made."""
+    import tomllib
+
+    from sigmaswarm.errors import InputError
+
+    try:
+        about = tomllib.loads(file.read_text(encoding="utf-8"))
+        scenario = about["scenario"]
+        made = {
+            "seed": scenario["seed"],
+            "imu": about["imu_noise"]["grade"],
+            "gps": about["gps_noise"]["grade"],
+            "vehicle": about["vehicle"],
+            "duration": about["target"].get("duration_s"),
+            "jitter": scenario["jitter_s"],
+            "vibration": scenario["vibration"],
+            "gnss_degradation": scenario["gnss_degradation"],
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None
+    urban = made["duration"] is not None
+    for key, value in made.items():
+        wanted = options[key]
+        if key == "duration":
+            wanted = _urban_duration(wanted) if urban else None
+        if value != wanted:
+            raise InputError(
+                f"{file}: was made with {key} {value}, not {wanted}; name another folder, or the same options"
+            )
+
+
+def _urban_duration(wanted: float | None) -> float:
+    from sigmaswarm.simulation.journey import URBAN_DURATION
+
+    return URBAN_DURATION if wanted is None else wanted

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.evaluation import METHODS
 
 # Okabe and Ito's palette (2008), and line styles that differ too, so that a grey print stays legible.
@@ -41,3 +42,13 @@ def save(figure: Figure, path: Path) -> Path:
     with rc_context({"svg.hashsalt": "sigmaswarm"}):
         figure.savefig(path, dpi=130, metadata={"Software": None})
     return path
+
+
+def check_picture(path: Path) -> None:
+    """Raise `InputError` where `save` could not write, before any work is done."""
+    if path.suffix != ".png":
+        raise InputError(f"{path}: can't tell the format; end the name in .png")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent}: no such folder; make it first")

@@ -1,1 +1,30 @@
-"""sigmaswarm.simulation."""
+"""The simulator: drives of a Tesla Model 3 with seeded sensors, without a CARLA server.
+
+    maneuvers -> planning -> dynamics -> journey -> motion -> imu, gps -> scenarios -> Drive
+
+`simulate` makes one drive, `simulate_many` all conditions. What is modelled, and what is not:
+docs/simulator.md.
+"""
+
+from sigmaswarm.simulation.conditions import PAPER_MANEUVERS, simulate_many
+from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment
+from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade
+from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad
+from sigmaswarm.simulation.maneuvers import MANEUVERS
+from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.simulation.vehicle import VEHICLES
+
+__all__ = [
+    "ENVIRONMENTS",
+    "GPS_GRADES",
+    "IMU_GRADES",
+    "MANEUVERS",
+    "PAPER_MANEUVERS",
+    "VEHICLES",
+    "Environment",
+    "GpsGrade",
+    "ImuGrade",
+    "Triad",
+    "simulate",
+    "simulate_many",
+]

@@ -1,0 +1,48 @@
+"""`sigmaswarm plot`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def plot(
+    drive: Annotated[Path, Parameter(name="DRIVE")],
+    /,
+    *,
+    out: Path | None = None,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Draw a drive on one page: path, speed, IMU, fixes and outages.
+
+    Of a simulated drive it also shows what was wanted and achieved.
+
+    Examples:
+
+        sigmaswarm plot drives/friday
+        sigmaswarm plot drives/brake-rain-00 --out brake.png
+
+    Parameters
+    ----------
+    drive
+        A drive folder.
+    out
+        NAME.png; by default the drive's name, in the current folder.
+    json
+        Print what was written for machines.
+    """
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.report.drive_figure import drive_figure
+    from sigmaswarm.report.style import check_picture, save
+
+    if out is not None:
+        check_picture(out)
+    read = sigmaswarm.read_drive(drive)
+    picture = out or Path(f"{read.name.replace('/', '-')}.png")
+    check_picture(picture)
+    save(drive_figure(read), picture)
+    if json:
+        print_json({"out": str(picture)})
+    else:
+        stdout().print(f"wrote {picture}")

@@ -1,0 +1,99 @@
+"""All conditions times all runs, in threads: the compiled car leaves the interpreter free."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Container, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from typing import Any
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
+from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
+from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
+
+PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
+"""The paper's five."""
+
+
+def simulate_many(
+    maneuvers: Sequence[str] = PAPER_MANEUVERS,
+    environments: Sequence[str] = tuple(ENVIRONMENTS),
+    runs: int = 20,
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    use: Callable[[Drive], Any] | None = None,
+    leave_out: Container[str] = (),
+    **options: Any,
+) -> Iterator[Any]:
+    """Simulate every maneuver in every environment `runs` times, in threads.
+
+    Parameters
+    ----------
+    maneuvers, environments : sequence of str
+        Names; the paper's 25 conditions by default.
+    runs : int
+        Drives of each condition.
+    executor : concurrent.futures.Executor, optional
+        Where to work; a pool of threads of its own by default.
+    workers : int, optional
+        Threads of that pool; as many as the machine has cores by default.
+    use : callable, optional
+        Called with each drive where it was made, for example to write it; its result is yielded instead of
+        the drive.
+    leave_out : container of str
+        Names of drives not to make, such as those that an interrupted call has left.
+    **options
+        As for `simulate`; a duration holds for "urban" alone.
+
+    Yields
+    ------
+    Drive, or what `use` made of it
+        In the order maneuver, environment, run, whatever the number of workers; as soon as each is ready.
+
+    Raises
+    ------
+    InputError
+        As from `simulate`, before any drive is made.
+    """
+    duration = options.pop("duration", None)
+    _check(maneuvers, environments, runs, duration)
+
+    def one(maneuver: str, environment: str, run: int) -> Any:
+        seconds = duration if maneuver == "urban" else None
+        drive = simulate(maneuver, environment, run=run, duration=seconds, **options)
+        return drive if use is None else use(drive)
+
+    names = [(m, e, r) for m in maneuvers for e in environments for r in range(runs)]
+    names = [name for name in names if drive_name(*name) not in leave_out]
+    pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
+    try:
+        yield from _in_order(pool, one, names)
+    finally:
+        if executor is None:
+            pool.shutdown(cancel_futures=True)
+
+
+def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
+    """Refuse what only a later drive would stumble over; all else is wrong in the first one too."""
+    for maneuver in maneuvers:
+        find_maneuver(maneuver)
+    for environment in environments:
+        find_environment(environment)
+    if runs < 1:
+        raise InputError(f"runs is {runs}; choose 1 or more")
+    check_duration("urban" if "urban" in maneuvers else maneuvers[0], duration)
+
+
+def _in_order(
+    pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int = 16
+) -> Iterator[Any]:
+    """Results in the order of the names, with at most `ahead` drives waiting, so that memory stays small."""
+    waiting: deque[Future[Any]] = deque()
+    for name in names:
+        waiting.append(pool.submit(work, *name))
+        if len(waiting) > ahead:
+            yield waiting.popleft().result()
+    for future in waiting:
+        yield future.result()

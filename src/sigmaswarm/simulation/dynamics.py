@@ -1,0 +1,454 @@
+"""The car and its driver, compiled: a two-track model under a closed-loop driver.
+
+Every kernel lives in this file, because Numba's cache does not notice a change in a kernel that was imported
+from another file. The model, from the road up:
+
+- each tire relaxes towards its slip and yields a force inside the friction circle (combined slip);
+- each wheel spins between motor, brake, rolling resistance and tire; anti-lock and traction control cut the
+  torque of a wheel that slips beyond the peak of its tire;
+- the body moves in the plane under the four forces and the drag of the air; roll and pitch follow the
+  accelerations as second-order responses, and what their springs and dampers carry is the load transfer.
+
+The integration is the classical Runge-Kutta method at 1 kHz. The driver looks and acts at 100 Hz.
+
+Frames: local east-north and body (x forward, y left, z up). Wheels: front left, front right, rear left, rear
+right. [P] on the lines: H. B. Pacejka, "Tire and Vehicle Dynamics" (similarity method, transient tires, low speed).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""m/s2, as in CARLA."""
+STEP = 0.001
+"""s, of the integration."""
+STEPS_PER_LOOK = 10
+"""Integration steps between two looks of the driver."""
+AIR_DENSITY = 1.204
+"""kg/m3, at 20 degrees and sea level."""
+
+# The state's components. A wheel's own states follow one another: WHEEL + 0 ... WHEEL + 3.
+X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
+WHEEL, KAPPA, ALPHA = 12, 16, 20
+STATES = 24
+# What is recorded: the first twelve of the state, and these.
+AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE = range(12, 20)
+RECORDED = 20
+
+_LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
+_NOTHING = 1e-60  # of any state; what dies away further would reach denormal numbers, which are slow
+_LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
+_BRAKE_VISCOSITY = 1000.0  # N m s/rad; a brake's dry friction, made continuous around standstill
+
+
+class Vehicle(NamedTuple):
+    """A car's parameters, SI units. Values with their sources: `sigmaswarm.simulation.vehicle`."""
+
+    mass: float  # kg
+    yaw_inertia: float  # kg m2
+    front: float  # m, centre of gravity to front axle
+    rear: float  # m, centre of gravity to rear axle
+    track: float  # m
+    height: float  # m, of the centre of gravity
+    drag_area: float  # m2, drag coefficient times frontal area
+    rolling_resistance: float  # force over load
+    wheel_radius: float  # m
+    wheel_inertia: float  # kg m2, with its share of the motor
+    slip_stiffness: float  # longitudinal force over load, per unit of slip
+    cornering_front: float  # lateral force over load, per rad, compliances of the suspension included
+    cornering_rear: float
+    load_sensitivity: float  # loss of the three above at twice the wheel's static load
+    tire_shape: float  # C of the magic formula
+    relaxation_longitudinal: float  # m
+    relaxation_lateral: float  # m
+    drive_front_share: float
+    brake_front_share: float
+    roll_front_share: float  # of the roll moment
+    steer_max: float  # rad, at the road wheel
+    steer_rate: float  # rad/s
+    steer_lag: float  # s
+    pedal_rate: float  # full strokes per s
+    pedal_lag: float  # s, of motor and brake together
+    roll_gain: float  # rad per m/s2
+    roll_frequency: float  # rad/s
+    roll_damping: float
+    pitch_gain: float  # rad per m/s2
+    pitch_frequency: float  # rad/s
+    pitch_damping: float
+    pedal_speed: Array  # m/s, knots of the three maps below
+    full_throttle: Array  # m/s2
+    coast: Array  # m/s2, both pedals released
+    full_brake: Array  # m/s2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lookup(x: float, knots: Array, values: Array) -> float:
+    """Linear interpolation, constant beyond both ends."""
+    if x <= knots[0]:
+        return values[0]
+    for i in range(1, len(knots)):
+        if x < knots[i]:
+            return values[i - 1] + (values[i] - values[i - 1]) * (x - knots[i - 1]) / (
+                knots[i] - knots[i - 1]
+            )
+    return values[-1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _clip(x: float, low: float, high: float) -> float:
+    return min(max(x, low), high)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
+    """Vertical load on each wheel, N, under the accelerations (m/s2) that the suspension carries."""
+    front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
+    rear = car.mass * GRAVITY - front
+    across = car.mass * car.height * ay / car.track
+    at_front = car.roll_front_share * across
+    at_rear = across - at_front
+    return (
+        max(front / 2 - at_front, 0.0),
+        max(front / 2 + at_front, 0.0),
+        max(rear / 2 - at_rear, 0.0),
+        max(rear / 2 + at_rear, 0.0),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tire(
+    kappa: float,
+    alpha: float,
+    cornering: float,
+    load: float,
+    static_load: float,
+    friction: float,
+    car: Vehicle,
+) -> tuple[float, float, float, float]:
+    """Force of a tire, N, with its longitudinal and its combined slip, both over what linear grip would need.
+
+    The similarity method: slips normalized by stiffness over friction add up as a vector, whose length goes
+    through the magic formula [P]. So the force never leaves the circle friction x load.
+    """
+    stiffness = 1.0 - car.load_sensitivity * (load / static_load - 1.0)
+    slip_x = car.slip_stiffness * stiffness * kappa / friction
+    slip_y = cornering * stiffness * alpha / friction
+    slip = math.hypot(slip_x, slip_y)
+    share = 1.0 if slip < 1e-9 else math.sin(car.tire_shape * math.atan(slip / car.tire_shape)) / slip
+    force = friction * load * share
+    return force * slip_x, force * slip_y, slip_x, slip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _relax(rate: float, deflection: float, sliding: bool) -> float:
+    """A tire that already slides does not deflect any further."""
+    return 0.0 if sliding and rate * deflection > 0.0 else rate
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
+    """Torques, N m, that the pedals ask of all motors and of all brakes together.
+
+    The pedal goes from coasting to full throttle, or from coasting to full brake.
+    """
+    speed = max(s[VX], 0.0)
+    coast = _lookup(speed, car.pedal_speed, car.coast)
+    drive = coast + max(s[PEDAL], 0.0) * (_lookup(speed, car.pedal_speed, car.full_throttle) - coast)
+    brake = max(-s[PEDAL], 0.0) * (coast - _lookup(speed, car.pedal_speed, car.full_brake))
+    # The maps are accelerations of the whole car, turning wheels included.
+    lever = (car.mass + 4.0 * car.wheel_inertia / car.wheel_radius**2) * car.wheel_radius
+    return drive * lever, brake * lever
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spin_up(
+    spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
+) -> float:
+    """Angular acceleration of a wheel, rad/s2, under torques (N m) and its tire's force (N).
+
+    Anti-lock and traction control, idealized: from the slip of the tire's peak (1) on the torques fade, and
+    are gone at twice that slip.
+    """
+    control = _clip(2.0 - slip, 0.0, 1.0)
+    most = control * brake
+    torque = control * drive - _clip(_BRAKE_VISCOSITY * spin, -most, most)
+    torque -= car.rolling_resistance * load * car.wheel_radius * spin / math.sqrt(spin * spin + 0.25)
+    return (torque - car.wheel_radius * force) / car.wheel_inertia
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wheel(
+    i: int,
+    s: Array,
+    rate: Array,
+    tangent: float,
+    peak: float,
+    load: float,
+    drive: float,
+    brake: float,
+    friction: float,
+    car: Vehicle,
+) -> tuple[float, float, float]:
+    """Force of wheel i along the body's axes, N, and its moment, N m; fills the rates of its own states.
+
+    `tangent` is the steering angle's, `peak` the slip where the tire's force peaks: the same for all wheels.
+    """
+    at_front = i < 2
+    along = car.front if at_front else -car.rear
+    across = 0.5 * car.track if i % 2 == 0 else -0.5 * car.track
+    wheelbase = car.front + car.rear
+    # Ackermann: all wheels turn about one point on the rear axle's line.
+    turned = wheelbase * tangent / (wheelbase - across * tangent) if at_front else 0.0
+    cos = 1.0 / math.sqrt(1.0 + turned * turned)
+    sin = turned * cos
+
+    hub_x = s[VX] - s[YAW_RATE] * across
+    hub_y = s[VY] + s[YAW_RATE] * along
+    roll_speed = cos * hub_x + sin * hub_y
+    side_speed = cos * hub_y - sin * hub_x
+    slide_speed = car.wheel_radius * s[WHEEL + i] - roll_speed
+
+    damping = _LOW_SPEED_DAMPING * max(0.0, 1.0 - abs(roll_speed) / _LOW_SPEED)
+    kappa, alpha = s[KAPPA + i], s[ALPHA + i]
+    fx, fy, slip_x, slip = _tire(
+        kappa + damping * slide_speed,
+        alpha - damping * side_speed,
+        car.cornering_front if at_front else car.cornering_rear,
+        load,
+        0.5 * car.mass * GRAVITY * (car.rear if at_front else car.front) / wheelbase,
+        friction,
+        car,
+    )
+    sliding = slip > 3.0 * peak
+    travel = abs(roll_speed)
+    # A tire's slip follows that of its wheel over a way, the relaxation length [P].
+    kappa_rate = (slide_speed - travel * kappa) / car.relaxation_longitudinal
+    alpha_rate = (-side_speed - travel * alpha) / car.relaxation_lateral
+    rate[KAPPA + i] = _relax(kappa_rate, kappa, sliding)
+    rate[ALPHA + i] = _relax(alpha_rate, alpha, sliding)
+    drive *= 0.5 * (car.drive_front_share if at_front else 1.0 - car.drive_front_share)
+    brake *= 0.5 * (car.brake_front_share if at_front else 1.0 - car.brake_front_share)
+    rate[WHEEL + i] = _spin_up(s[WHEEL + i], abs(slip_x) / peak, load, fx, drive, brake, car)
+
+    force_x = cos * fx - sin * fy
+    force_y = sin * fx + cos * fy
+    return force_x, force_y, along * force_y - across * force_x
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
+    """Second derivative of a second-order response."""
+    return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _derivative(
+    s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
+) -> tuple[float, float, float]:
+    """Fill `rate` with the state's rate of change, under wanted steering (rad) and pedal.
+
+    Returns
+    -------
+    ax, ay : float
+        m/s2, acceleration of the centre of gravity along the body's axes.
+    use : float
+        Force of all tires together over friction times weight.
+    """
+    vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
+    # What springs and dampers carry of the accelerations is what loads the wheels.
+    loads = _wheel_loads(
+        car,
+        s[PITCH] + 2.0 * car.pitch_damping / car.pitch_frequency * s[PITCH_RATE],
+        s[ROLL] + 2.0 * car.roll_damping / car.roll_frequency * s[ROLL_RATE],
+    )
+    drive, brake = _torques(s, car)
+    tangent = math.tan(s[STEER])
+    peak = car.tire_shape * math.tan(0.5 * math.pi / car.tire_shape)  # of the magic formula
+    force_x = force_y = moment = 0.0
+    for i in range(4):
+        fx, fy, m = _wheel(i, s, rate, tangent, peak, loads[i], drive, brake, friction, car)
+        force_x += fx
+        force_y += fy
+        moment += m
+    drag = 0.5 * AIR_DENSITY * car.drag_area * math.hypot(vx, vy)
+    ax = (force_x - drag * vx) / car.mass
+    ay = (force_y - drag * vy) / car.mass
+
+    cos, sin = math.cos(s[YAW]), math.sin(s[YAW])
+    rate[X] = cos * vx - sin * vy
+    rate[Y] = sin * vx + cos * vy
+    rate[YAW] = yaw_rate
+    rate[VX] = ax + yaw_rate * vy
+    rate[VY] = ay - yaw_rate * vx
+    rate[YAW_RATE] = moment / car.yaw_inertia
+    rate[STEER] = _clip((steer - s[STEER]) / car.steer_lag, -car.steer_rate, car.steer_rate)
+    rate[PEDAL] = _clip((pedal - s[PEDAL]) / car.pedal_lag, -car.pedal_rate, car.pedal_rate)
+    # Roll and pitch are kept as the acceleration (m/s2) that would hold the body there.
+    rate[ROLL] = s[ROLL_RATE]
+    rate[ROLL_RATE] = _swing(ay, s[ROLL], s[ROLL_RATE], car.roll_frequency, car.roll_damping)
+    rate[PITCH] = s[PITCH_RATE]
+    rate[PITCH_RATE] = _swing(ax, s[PITCH], s[PITCH_RATE], car.pitch_frequency, car.pitch_damping)
+    return ax, ay, math.hypot(force_x, force_y) / (friction * car.mass * GRAVITY)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float) -> None:
+    row[:12] = s[:12]
+    row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
+    row[YAW_ACCEL], row[ROLL_ACCEL], row[PITCH_ACCEL] = rate[YAW_RATE], rate[ROLL_RATE], rate[PITCH_RATE]
+    row[PEAK_KAPPA] = row[PEAK_ALPHA] = 0.0
+    for i in range(4):
+        row[PEAK_KAPPA] = max(row[PEAK_KAPPA], abs(s[KAPPA + i]))
+        row[PEAK_ALPHA] = max(row[PEAK_ALPHA], abs(s[ALPHA + i]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _advance(
+    s: Array, k: Array, trial: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
+) -> None:
+    """One Runge-Kutta step of the state, in place; `row` records the state before it. k: (4, states)."""
+    ax, ay, use = _derivative(s, k[0], steer, pedal, friction, car)
+    _record(row, s, k[0], ax, ay, use)
+    for stage in range(1, 4):
+        h = STEP if stage == 3 else 0.5 * STEP
+        for i in range(STATES):
+            trial[i] = s[i] + h * k[stage - 1, i]
+        _derivative(trial, k[stage], steer, pedal, friction, car)
+    for i in range(STATES):
+        s[i] += STEP / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
+        if abs(s[i]) < _NOTHING:
+            s[i] = 0.0
+    s[STEER] = _clip(s[STEER], -car.steer_max, car.steer_max)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> Array:
+    """Return the state, shape (24,), of a car that rolls straight ahead at `speed` (m/s)."""
+    s = np.zeros(STATES)
+    s[X], s[Y], s[YAW], s[VX] = x, y, yaw, speed
+    s[WHEEL : WHEEL + 4] = speed / car.wheel_radius
+    return s
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
+    """Drive with given commands.
+
+    Parameters
+    ----------
+    car : Vehicle
+        Its parameters.
+    friction : float
+        Of tire on road.
+    start : ndarray, shape (24,)
+        See `start_state`.
+    steer : ndarray, shape (n,)
+        rad, wanted angle of the road wheels at each millisecond.
+    pedal : ndarray, shape (n,)
+        From -1, full brake, to 1, full throttle.
+
+    Returns
+    -------
+    ndarray, shape (n, 20)
+        The recorded columns (AX, ...) at each millisecond.
+    """
+    record = np.empty((len(steer), RECORDED))
+    k = np.zeros((4, STATES))
+    trial = np.empty(STATES)
+    s = start.copy()
+    for i in range(len(steer)):
+        _advance(s, k, trial, record[i], steer[i], pedal[i], friction, car)
+    return record
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
+    """Wanted steering angle, rad; the nearest point's index; the way gone along the path, m.
+
+    Feedforward of the previewed curvature, and feedback that lets an offset die like a second-order system
+    whose frequency grows with speed up to 1.5 rad/s.
+    """
+    while nearest < len(path) - 2:
+        dx, dy = s[X] - path[nearest + 1, 0], s[Y] - path[nearest + 1, 1]
+        if dx * math.cos(path[nearest + 1, 2]) + dy * math.sin(path[nearest + 1, 2]) < 0.0:
+            break
+        nearest += 1
+    cos, sin = math.cos(path[nearest, 2]), math.sin(path[nearest, 2])
+    dx, dy = s[X] - path[nearest, 0], s[Y] - path[nearest, 1]
+    beyond = dx * cos + dy * sin
+    offset = dy * cos - dx * sin
+
+    speed = max(s[VX], 0.1)
+    course = s[YAW] + math.atan2(s[VY], max(s[VX], 1.0)) - path[nearest, 2] - beyond * path[nearest, 3]
+    course -= 2.0 * math.pi * math.floor(course / (2.0 * math.pi) + 0.5)
+    ahead = nearest + int((beyond + speed * (car.steer_lag + 0.05)) / spacing)
+    curvature = path[min(ahead, len(path) - 1), 3]
+
+    wheelbase = car.front + car.rear
+    understeer = (1.0 / car.cornering_front - 1.0 / car.cornering_rear) / GRAVITY  # rad per m/s2
+    effective = wheelbase + understeer * speed**2
+    frequency = min(1.5, speed / 5.0)
+    per_meter = effective * (frequency / speed) ** 2
+    per_radian = 2.0 * 0.8 * effective * frequency / speed
+    angle = effective * curvature - per_meter * offset - per_radian * course
+    return _clip(math.atan(angle), -car.steer_max, car.steer_max), nearest, nearest * spacing + beyond
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
+    """Wanted pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, way m."""
+    if soon[0] < 0.02 and abs(s[VX]) < 0.3:
+        return -0.25  # stand on the brake
+    speed = max(s[VX], 0.0)
+    wanted = soon[1] + 4.0 * (now[0] - s[VX]) + 0.3 * _clip(now[2] - gone, -2.0, 2.0)
+    wanted += car.rolling_resistance * GRAVITY + 0.5 * AIR_DENSITY * car.drag_area * speed**2 / car.mass
+    coast = _lookup(speed, car.pedal_speed, car.coast)
+    if wanted > coast:
+        return min((wanted - coast) / (_lookup(speed, car.pedal_speed, car.full_throttle) - coast), 1.0)
+    return max((wanted - coast) / (coast - _lookup(speed, car.pedal_speed, car.full_brake)), -1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def run_closed_loop(
+    car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
+) -> Array:
+    """Let the driver follow a path and a plan of speed.
+
+    Parameters
+    ----------
+    car : Vehicle
+        Its parameters.
+    friction : float
+        Of tire on road.
+    start : ndarray, shape (24,)
+        See `start_state`.
+    path : ndarray, shape (p, 4)
+        East m, north m, heading rad (not wrapped), curvature 1/m, every `spacing` m.
+    spacing : float
+        m.
+    plan : ndarray, shape (m, 3)
+        Speed m/s, acceleration m/s2 and way along the path m at each look of the driver (10 ms).
+
+    Returns
+    -------
+    ndarray, shape (10 m, 20)
+        The recorded columns (AX, ...) at each millisecond.
+    """
+    record = np.empty((len(plan) * STEPS_PER_LOOK, RECORDED))
+    k = np.zeros((4, STATES))
+    trial = np.empty(STATES)
+    s = start.copy()
+    nearest = 0
+    lead = round(car.pedal_lag / (STEP * STEPS_PER_LOOK))
+    for look in range(len(plan)):
+        steer, nearest, gone = _steer(s, path, spacing, nearest, car)
+        pedal = _press(s, plan[look], plan[min(look + lead, len(plan) - 1)], gone, car)
+        for i in range(STEPS_PER_LOOK):
+            _advance(s, k, trial, record[look * STEPS_PER_LOOK + i], steer, pedal, friction, car)
+    return record

@@ -1,0 +1,156 @@
+"""The GPS receiver: grades with their sources, and how each grade's errors get onto the true motion.
+
+Sources: gnss-ins-sim; u-blox data sheets (M8: 2.5 m CEP, which is 2.1 m per axis; 0.05 m/s); the CARLA
+Leaderboard's sensor set-up (5e-6 deg). Position errors of real receivers are correlated over about a minute
+(Sensors 2020, 20, 6050).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Gps
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.carla import METERS_PER_DEGREE, from_geolocation, to_geolocation
+from sigmaswarm.simulation.imu import gauss_markov
+from sigmaswarm.simulation.motion import LeverArm, Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GpsGrade:
+    """A named quality of receiver.
+
+    Attributes
+    ----------
+    white_std, markov_std : float
+        m per axis: noise of each fix; stationary deviation of the first-order Gauss-Markov error.
+    markov_time : float
+        s, correlation time.
+    velocity_std : float or None
+        m/s per axis; None for a receiver that tells neither speed nor course.
+    latency : float
+        s, by which a fix is older than its time stamp says. 0 in all grades: loggers stamp fixes with the
+        time that they are valid for; receivers talk 0.05-0.2 s later.
+    lever_arm : tuple of float
+        m forward, left, up from the IMU to the antenna.
+    stated_factor : float
+        The receiver's stated standard deviation over the true one.
+    loss : float
+        Probability that a fix goes missing.
+    carla : bool
+        The noise is white in degrees and passes through CARLA's geodesy.
+    """
+
+    name: str
+    white_std: float
+    markov_std: float = 0.0
+    markov_time: float = 60.0
+    velocity_std: float | None = None
+    latency: float = 0.0
+    lever_arm: LeverArm = (0.0, 0.0, 0.0)
+    stated_factor: float = 1.0
+    loss: float = 0.0
+    carla: bool = False
+    source: str = ""
+
+    @property
+    def std(self) -> float:
+        """Standard deviation per axis in all, m."""
+        return math.hypot(self.white_std, self.markov_std)
+
+
+GPS_GRADES = {
+    g.name: g
+    for g in (
+        GpsGrade("ideal", 0.0, velocity_std=0.0, source="no errors at all"),
+        GpsGrade(
+            "ublox-m8",
+            0.5,
+            math.sqrt(2.1**2 - 0.5**2),
+            velocity_std=0.05,
+            source="u-blox M8 data sheet; its split into 0.5 m white and the rest correlated is recalled",
+        ),
+        GpsGrade("white-1m", 1.0, source="1 m of white noise: the simplest comparison"),
+        GpsGrade("gnss-ins-sim", 5.0, velocity_std=0.05, source="gnss-ins-sim: 5 m, 0.05 m/s, white"),
+        GpsGrade("f9p-rtk", 0.01, velocity_std=0.05, source="u-blox ZED-F9P with RTK, recalled"),
+        GpsGrade(
+            "carla", 5e-6 * METERS_PER_DEGREE, carla=True, source="CARLA Leaderboard sensor set-up (5e-6 deg)"
+        ),
+    )
+}
+"""Grades by name."""
+
+
+def find_gps(grade: str | GpsGrade) -> GpsGrade:
+    """Return a grade given by name or as a record; InputError for an unknown name."""
+    if isinstance(grade, GpsGrade):
+        return grade
+    if grade not in GPS_GRADES:
+        raise InputError(f"no GPS grade is called {grade!r}; there are {', '.join(GPS_GRADES)}")
+    return GPS_GRADES[grade]
+
+
+def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
+    """Return the grade with its position and velocity errors multiplied: weather, as an assumption."""
+    velocity = None if grade.velocity_std is None else factor * grade.velocity_std
+    return replace(
+        grade, white_std=factor * grade.white_std, markov_std=factor * grade.markov_std, velocity_std=velocity
+    )
+
+
+def measure_gps(
+    times: Array,
+    antenna: Motion,
+    grade: GpsGrade,
+    rng: np.random.Generator,
+    outages: list[tuple[float, float]],
+) -> Gps:
+    """Measure the antenna's motion with a receiver of a grade.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        s, the fixes' time stamps.
+    antenna : Motion
+        At `times` less the grade's latency.
+    grade : GpsGrade
+        The receiver.
+    rng : numpy.random.Generator
+        Draws do not depend on the grade, only their sizes do.
+    outages : list of (start, end)
+        s, without fixes.
+    """
+    interval = float(np.median(np.diff(times)))
+    white = grade.white_std * rng.standard_normal((len(times), 2))
+    markov = grade.markov_std * gauss_markov(rng, len(times), 2, interval / grade.markov_time)
+    velocity = antenna.velocity[:, :2] + (grade.velocity_std or 0.0) * rng.standard_normal((len(times), 2))
+    keep = rng.random(len(times)) >= grade.loss
+    for start, end in outages:
+        keep &= (times < start) | (times >= end)
+
+    place = antenna.position[:, :2]
+    x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
+    stated = np.full(len(times), grade.stated_factor * grade.std)
+    moving = grade.velocity_std is not None
+    fixes = Gps(
+        time=times,
+        x=x,
+        y=y,
+        std_x=stated,
+        std_y=stated,
+        speed=np.hypot(*velocity.T) if moving else None,
+        course=np.arctan2(velocity[:, 1], velocity[:, 0]) if moving else None,
+    )
+    return fixes.select(keep)
+
+
+def _through_degrees(place: Array, noise: Array) -> Array:
+    """Add the noise (n, 2), m, in degrees, as CARLA does on a map whose origin is at 0, 0; back in m."""
+    lat, lon = to_geolocation(place[:, 0], -place[:, 1], 0.0, 0.0)
+    lon, lat = lon + noise[:, 0] / METERS_PER_DEGREE, lat + noise[:, 1] / METERS_PER_DEGREE
+    x, south = from_geolocation(lat, lon, 0.0, 0.0)
+    return np.column_stack([x, -south])

@@ -1,0 +1,207 @@
+"""The IMU: grades with their sources, and how each grade's errors get onto the true motion.
+
+Sources, cited behind the values:
+
+[T] the datasheet of the chip. [I] i2Nav's awesome-gins-datasets: found by tuning on a car. [N] NaveGo.
+[G] gnss-ins-sim. [L] the CARLA Leaderboard's sensor set-up. [R] recalled, not verified.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sigmaswarm.drives.drive import Imu
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.dynamics import GRAVITY
+from sigmaswarm.simulation.motion import Motion
+
+Array = NDArray[np.float64]
+
+_DEG = math.pi / 180
+_G = 9.80665  # m/s2, the standard gravity of datasheets
+
+
+@dataclass(frozen=True)
+class Triad:
+    """Errors of three accelerometers (m/s2) or three gyros (rad/s).
+
+    Attributes
+    ----------
+    noise_density : float
+        Unit per sqrt(Hz); a sample's standard deviation is this times sqrt(rate).
+    bias_std : float
+        Standard deviation of the first-order Gauss-Markov bias.
+    turn_on : float
+        The constant bias of a run is drawn evenly from +- this.
+    scale, misalignment : float
+        Shares; drawn evenly from +- this for each axis and for each pair of axes.
+    reach : float
+        Largest value that can be told.
+    resolution : float
+        Smallest step; 0 for none.
+    """
+
+    noise_density: float = 0.0
+    bias_std: float = 0.0
+    turn_on: float = 0.0
+    scale: float = 0.0
+    misalignment: float = 0.0
+    reach: float = math.inf
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True)
+class ImuGrade:
+    """A named quality of IMU; `bias_time` (s) is the correlation time of both Gauss-Markov biases."""
+
+    name: str
+    accel: Triad = field(default_factory=Triad)
+    gyro: Triad = field(default_factory=Triad)
+    bias_time: float = 100.0
+    carla: bool = False
+    source: str = ""
+
+
+def _accel(per_sqrt_hour: float, bias: float, **more: float) -> Triad:
+    """Accelerometers from m/s/sqrt(h) and m/s2."""
+    return Triad(per_sqrt_hour / 60, bias, **more)
+
+
+def _gyro(per_sqrt_hour: float, bias_per_hour: float, **more: float) -> Triad:
+    """Gyros from deg/sqrt(h) and deg/h."""
+    return Triad(per_sqrt_hour * _DEG / 60, bias_per_hour * _DEG / 3600, **more)
+
+
+_MPU = {"scale": 0.03, "misalignment": 0.02}  # [T] sensitivity tolerance, cross-axis sensitivity
+
+IMU_GRADES = {
+    g.name: g
+    for g in (
+        ImuGrade("ideal", source="no errors at all"),
+        ImuGrade(
+            "mpu-6050",
+            _accel(0.24, 0.0, turn_on=0.050 * _G, reach=4 * _G, resolution=_G / 8192, **_MPU),
+            _gyro(0.3, 0.0, turn_on=20 * _DEG, reach=500 * _DEG, resolution=_DEG / 65.5, **_MPU),
+            source="InvenSense PS-MPU-6000A: uncalibrated, as from the factory, +-4 g and +-500 deg/s",
+        ),
+        ImuGrade(
+            "icm-20602",  # reach and resolution [R]
+            _accel(0.2, 1000e-5, reach=4 * _G, resolution=_G / 8192),
+            _gyro(0.2, 200, reach=500 * _DEG, resolution=_DEG / 65.5),
+            bias_time=3600.0,
+            source="i2Nav awesome-gins-datasets, tuned on a car",
+        ),
+        ImuGrade(
+            "adis16465",  # reach and resolution [R]
+            _accel(0.1, 200e-5, reach=8 * _G, resolution=8 * _G / 2**31),
+            _gyro(0.1, 25, reach=500 * _DEG, resolution=500 * _DEG / 2**31),
+            bias_time=3600.0,
+            source="i2Nav awesome-gins-datasets, tuned on a car",
+        ),
+        ImuGrade(
+            "adis16405",  # reach and resolution [R]
+            _accel(0.2, 0.2e-3 * _G, turn_on=0.050 * _G, reach=18 * _G, resolution=3.33e-3 * _G),
+            _gyro(2.0, 0.007 * 3600, turn_on=3 * _DEG, reach=300 * _DEG, resolution=0.05 * _DEG),
+            source="NaveGo",
+        ),
+        ImuGrade(
+            "adis16488",  # reach and resolution [R]
+            _accel(0.029, 0.1e-3 * _G, turn_on=0.016 * _G, reach=18 * _G, resolution=18 * _G / 2**31),
+            _gyro(0.3, 6.5, turn_on=0.2 * _DEG, reach=450 * _DEG, resolution=450 * _DEG / 2**31),
+            source="NaveGo",
+        ),
+        ImuGrade("gnss-ins-sim-low", _accel(0.05, 2e-4), _gyro(0.75, 10), source="gnss-ins-sim"),
+        ImuGrade("gnss-ins-sim-mid", _accel(0.03, 5e-5), _gyro(0.25, 3.5), source="gnss-ins-sim"),
+        ImuGrade("gnss-ins-sim-high", _accel(2.5e-5, 3.6e-6), _gyro(2e-3, 0.1), source="gnss-ins-sim"),
+        ImuGrade(
+            "carla",
+            # A sample's deviation is 0.001 in both units [L]; as a density at 100 Hz. The bias is a choice.
+            Triad(1e-4),
+            Triad(1e-4, turn_on=1e-3),
+            carla=True,
+            source="CARLA Leaderboard sensor set-up (0.001 m/s2, 0.001 rad/s a sample at 100 Hz)",
+        ),
+    )
+}
+"""Grades by name, from the worst to the best real ones, then CARLA's."""
+
+
+def find_imu(grade: str | ImuGrade) -> ImuGrade:
+    """Return a grade given by name or as a record; InputError for an unknown name."""
+    if isinstance(grade, ImuGrade):
+        return grade
+    if grade not in IMU_GRADES:
+        raise InputError(f"no IMU grade is called {grade!r}; there are {', '.join(IMU_GRADES)}")
+    return IMU_GRADES[grade]
+
+
+def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
+    """Stationary first-order Gauss-Markov sequences of unit variance, shape (count, axes).
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the shocks.
+    count, axes : int
+        Shape of the result.
+    ratio : float
+        Time between samples over the correlation time.
+    """
+    shocks = rng.standard_normal((count, axes))
+    keep = math.exp(-ratio)
+    shocks[1:] *= math.sqrt(1 - keep**2)  # the first one keeps the stationary variance
+    return np.asarray(lfilter([1.0], [1.0, -keep], shocks, axis=0))
+
+
+def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator) -> Array:
+    """Put a triad's errors on true values (n, 3). Draws do not depend on the grade, only their sizes do."""
+    turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
+    mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
+    np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))
+    white = triad.noise_density / math.sqrt(interval) * rng.standard_normal(true.shape)
+    bias = triad.bias_std * gauss_markov(rng, len(true), 3, interval / bias_time)
+    told = np.clip(true @ mixing.T + turn_on + bias + white, -triad.reach, triad.reach)
+    return np.round(told / triad.resolution) * triad.resolution if triad.resolution > 0 else told
+
+
+def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
+    """Measure the motion of the IMU's place with an IMU of a grade.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        s.
+    motion : Motion
+        At these times.
+    grade : ImuGrade
+        With `carla` set, the acceleration is CARLA's second difference of positions (see `carla_force`), and
+        the first two samples, which it can't know, are missing.
+    rng : numpy.random.Generator
+        Draws do not depend on the grade, only their sizes do.
+    """
+    force, rate = motion.specific_force, motion.angular_rate
+    if grade.carla:
+        force, rate, times = carla_force(times, motion), rate[2:], times[2:]
+    interval = float(np.median(np.diff(times)))
+    force = _spoil(force, grade.accel, interval, grade.bias_time, rng)
+    rate = _spoil(rate, grade.gyro, interval, grade.bias_time, rng)
+    columns = dict(zip(("ax", "ay", "az"), force.T, strict=True)) | dict(
+        zip(("gx", "gy", "gz"), rate.T, strict=True)
+    )
+    return Imu(time=times, **columns)
+
+
+def carla_force(times: Array, motion: Motion) -> Array:
+    """Specific force as CARLA's IMU sensor forms it, shape (n - 2, 3): the first belongs to the third sample.
+
+    The second difference of the last three positions, which lags by one tick, plus gravity, seen from the
+    present attitude (carla-simulator/carla, InertialMeasurementUnit.cpp).
+    """
+    steps = np.diff(times)[:, None]
+    speeds = np.diff(motion.position, axis=0) / steps
+    acceleration = 2 * np.diff(speeds, axis=0) / (steps[1:] + steps[:-1])
+    acceleration[:, 2] += GRAVITY
+    return np.einsum("nji,nj->ni", motion.rotation[2:], acceleration)

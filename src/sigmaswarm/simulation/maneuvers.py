@@ -1,0 +1,205 @@
+"""The paper's maneuvers as routes, and `urban`, minutes of mixed driving.
+
+Each maneuver is a function from the road's friction and a random generator to a `Maneuver`: the legs, and the
+figures that it is after. Where friction makes the paper's figure impossible, the legs ask for as much as the
+road allows; target and achieved figures are recorded side by side.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.dynamics import GRAVITY
+from sigmaswarm.simulation.planning import Leg
+
+KMH = 1 / 3.6
+"""m/s in a km/h."""
+QUARTER = math.pi / 2
+HARD_EASE = 0.2
+"""s, in which a driver who means it builds up an acceleration."""
+_LIMIT = 0.96  # of the friction: more can't be held by a driver who also steers
+
+
+@dataclass(frozen=True)
+class Road:
+    """What a driver dares on a road of this friction."""
+
+    friction: float
+
+    def hard(self, wanted: float) -> float:
+        """m/s2, as hard as wanted or as the road allows."""
+        return min(wanted, _LIMIT * self.friction * GRAVITY)
+
+    def easy(self, wanted: float) -> float:
+        """m/s2, as one drives every day: at most half of what the road allows."""
+        return min(wanted, 0.5 * self.friction * GRAVITY)
+
+
+@dataclass(frozen=True)
+class Maneuver:
+    """A route and its purpose.
+
+    Attributes
+    ----------
+    legs : list of Leg
+    target : dict of str to float
+        The paper's figures, units in the names.
+    outages : list of (start, end)
+        s after the maneuver's own start, when there are no fixes.
+    first : int
+        Index of the first leg that belongs to the maneuver itself; those before it let a filter align.
+    """
+
+    legs: list[Leg]
+    target: dict[str, float]
+    outages: list[tuple[float, float]]
+    first: int = 0
+
+
+def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:
+    """Drive a straight piece the everyday way."""
+    return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5), wait=wait)
+
+
+def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) -> list[Leg]:
+    """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
+
+    The driver slows down into the bend and speeds up out of it, so that the lateral acceleration stays below
+    `lateral` (m/s2), and below 70% of what the road allows, since he also brakes there.
+    """
+    curvature = math.copysign(1 / radius, angle)
+    bend = min(0.6 * radius, 0.8 * abs(angle) * radius)  # each clothoid turns by bend / (2 radius)
+    grip = min(lateral, 0.7 * road.friction * GRAVITY)
+    easy = road.easy(2.0)
+    arc = Leg(radius * abs(angle) - bend, kmh * KMH, easy, easy, curvature, curvature, grip)
+    into, out = replace(arc, length=bend, curvature=0.0), replace(arc, length=bend, curvature_end=0.0)
+    return [into, arc, out]
+
+
+def hard(length: float, speed: float, acceleration: float, braking: float, wait: float = 0.0) -> Leg:
+    """Drive a straight piece as somebody who means it (m, m/s, m/s2, m/s2, s)."""
+    return Leg(length, speed, acceleration, braking, wait=wait, ease=HARD_EASE, fading=0.0)
+
+
+def warm_up(road: Road, kmh: float = 34.0) -> list[Leg]:
+    """Pull away and drive at least 30 m at 5 m/s or more, so that a filter can align."""
+    kmh = kmh if road.friction > 0.4 else 0.8 * kmh
+    pull_away = 1.15 * (kmh * KMH) ** 2 / 2 / road.easy(2.5)
+    return [straight(road, pull_away + 32.0, kmh)]
+
+
+def cruise(road: Road, rng: np.random.Generator) -> Maneuver:
+    """(i) Straight cruise for 500 m."""
+    kmh = rng.uniform(85, 95) if road.friction > 0.4 else rng.uniform(60, 70)
+    speed, push = kmh * KMH, road.easy(3.0)
+    # Way until the fading acceleration a (1 - f v) has reached the speed.
+    fading = 0.02
+    pull_away = (-speed / fading - math.log(1 - fading * speed) / fading**2) / push
+    legs = [Leg(pull_away + 25.0, speed, push, push, fading=fading), straight(road, 500.0, kmh)]
+    return Maneuver(legs, {"distance_m": 500.0, "speed_kmh": round(kmh, 1)}, [], first=1)
+
+
+def turns(road: Road, rng: np.random.Generator) -> Maneuver:
+    """(ii) Sharp 90 degree turns at intersections, one to each side."""
+    side = 1 if rng.random() < 0.5 else -1
+    legs = warm_up(road)
+    first = len(legs)
+    for sign in (side, -side):
+        radius = rng.uniform(9.0, 12.0) if sign > 0 else rng.uniform(7.0, 9.0)  # a left turn crosses the road
+        legs += [*turn(road, sign * QUARTER, radius, 40.0, 4.0), straight(road, rng.uniform(35, 50), 40.0)]
+    return Maneuver(legs, {"left_deg": 90.0, "right_deg": -90.0, "peak_lateral_ms2": 4.0}, [], first)
+
+
+def accelerate(road: Road, rng: np.random.Generator) -> Maneuver:
+    """(iii) 0-60 km/h in 5 s."""
+    speed = 60 * KMH
+    push = road.hard(speed / 4.95)
+    (start,) = warm_up(road)
+    halt = replace(start, length=start.length + 16.0, wait=rng.uniform(1.5, 2.5))
+    # A little beyond 60 km/h, so that the swaying driver surely crosses it.
+    away = hard(speed**2 / 2 / push + rng.uniform(60, 90), 1.03 * speed, push, road.easy(2.5))
+    return Maneuver([halt, away], {"speed_kmh": 60.0, "time_s": 5.0}, [], first=1)
+
+
+def brake(road: Road, rng: np.random.Generator) -> Maneuver:
+    """(iv) 50 km/h to 0 within 2 s, then on."""
+    speed = 1.02 * 50 * KMH
+    push = road.hard(50 * KMH / 1.88)
+    pull_away = 1.2 * speed**2 / 2 / road.easy(2.5)
+    approach = Leg(pull_away + rng.uniform(50, 70), speed, road.easy(2.5), push)
+    stop = hard(speed**2 / 2 / push, speed, road.easy(2.5), push, wait=rng.uniform(2.5, 3.5))
+    away = straight(road, rng.uniform(20, 30), 30.0)
+    return Maneuver([approach, stop, away], {"speed_kmh": 50.0, "time_s": 2.0}, [], first=1)
+
+
+def outages(road: Road, rng: np.random.Generator) -> Maneuver:
+    """(v) GPS outages of 3-5 s, while driving a mix of cruise, turns, acceleration and braking."""
+    side = 1 if rng.random() < 0.5 else -1
+    legs = warm_up(road, 40.0)
+    first = len(legs)
+    legs += turn(road, side * QUARTER, rng.uniform(10, 13), 40.0, 3.5)
+    legs += [hard(rng.uniform(70, 90), 55 * KMH, road.hard(3.0), road.hard(4.5))]
+    legs += turn(road, -side * rng.uniform(0.4, 0.8), rng.uniform(35, 50), 50.0, 3.0)
+    legs += [hard(rng.uniform(40, 60), 50 * KMH, road.easy(2.5), road.hard(4.5))]
+    legs += turn(road, -side * QUARTER, rng.uniform(8, 11), 40.0, 3.5)
+    legs += [straight(road, rng.uniform(70, 85), 50.0)]
+    lengths = rng.uniform(3.0, 5.0, 2)
+    begins = np.array([rng.uniform(9.0, 10.0), rng.uniform(20.0, 20.8)])
+    windows = [(round(float(b), 3), round(float(b + n), 3)) for b, n in zip(begins, lengths, strict=True)]
+    return Maneuver(
+        legs, {f"outage_{i + 1}_s": round(e - b, 3) for i, (b, e) in enumerate(windows)}, windows, first
+    )
+
+
+def urban(road: Road, rng: np.random.Generator, duration: float = 180.0) -> Maneuver:
+    """(vi) Minutes of mixed driving: streets, bends, intersections, lane changes, stops; `duration` in s."""
+    legs = warm_up(road, 40.0)
+    first, spent = len(legs), 12.0
+    while spent < duration + 20.0:
+        block = _city_block(road, rng)
+        legs += block
+        spent += sum(leg.length / leg.speed + leg.wait for leg in block)
+    return Maneuver(legs, {"duration_s": float(duration)}, [], first)
+
+
+def _city_block(road: Road, rng: np.random.Generator) -> list[Leg]:
+    kmh = float(rng.choice([30.0, 40.0, 50.0, 60.0], p=[0.25, 0.2, 0.4, 0.15]))
+    push, slow = road.easy(rng.uniform(1.4, 2.8)), road.easy(rng.uniform(1.5, 3.2))
+    street = Leg(rng.uniform(40, 160), kmh * KMH, push, slow)
+    sign = 1 if rng.random() < 0.5 else -1
+    kind = rng.choice(["turn", "light", "bend", "lane", "light and turn"], p=[0.35, 0.15, 0.2, 0.1, 0.2])
+    corner = turn(road, sign * QUARTER, rng.uniform(7.5, 14.0), kmh, rng.uniform(2.0, 3.5))
+    wait = rng.uniform(2.0, 9.0)
+    if kind == "turn":
+        return [street, *corner]
+    if kind == "light":
+        return [replace(street, wait=wait)]
+    if kind == "light and turn":
+        return [replace(street, wait=wait), straight(road, 8.0, 25.0), *corner]
+    if kind == "bend":
+        return [street, *turn(road, sign * rng.uniform(0.3, 1.2), rng.uniform(40.0, 120.0), kmh, 2.5)]
+    # A lane change of about 3.5 m: out and back by the same angle.
+    radius = max((kmh * KMH) ** 2, 40.0)
+    angle = math.sqrt(3.5 / (1.8 * radius))  # a turn with its clothoids is 1.8 angle radius long
+    return [street, *turn(road, sign * angle, radius, kmh, 2.0), *turn(road, -sign * angle, radius, kmh, 2.0)]
+
+
+MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
+    "cruise": cruise,
+    "turns": turns,
+    "accelerate": accelerate,
+    "brake": brake,
+    "outages": outages,
+    "urban": urban,
+}
+"""Maneuvers by name, in the paper's order; the first five are the paper's."""
+
+
+def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:
+    """Return a maneuver's function; InputError for an unknown name."""
+    if name not in MANEUVERS:
+        raise InputError(f"no maneuver is called {name!r}; there are {', '.join(MANEUVERS)}")
+    return MANEUVERS[name]

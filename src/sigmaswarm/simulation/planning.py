@@ -1,0 +1,177 @@
+"""From legs of a route to a path in space and a plan of speed in time.
+
+A route is a list of legs, each with a curvature that changes linearly along it (straight line, arc, clothoid)
+and with the speed and the accelerations that are wanted there. `lay_path` strings the legs together in the
+plane; `plan_speed` finds the fastest speed that no leg forbids and that can be reached and left again in
+time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+Array = NDArray[np.float64]
+
+SPACING = 0.1
+"""m, between two points of a path."""
+LOOK = 0.01
+"""s, between two looks of the driver."""
+RUN_OUT = 60.0
+"""m of straight road behind the last leg, for the driver's preview and for stops that take longer."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A piece of a route.
+
+    Attributes
+    ----------
+    length : float
+        m.
+    speed : float
+        m/s, the fastest allowed.
+    acceleration, braking : float
+        m/s2, both positive, the largest that the driver plans with.
+    curvature, curvature_end : float
+        1/m, at both ends; positive to the left.
+    lateral : float
+        m/s2, the largest that the driver plans with in a bend.
+    wait : float
+        s, standstill at the leg's end; 0 drives on.
+    ease : float
+        s, over which accelerations build up and fade.
+    fading : float
+        s/m, by how much the acceleration gets less per m/s of speed: nobody keeps his foot down up to the
+        end.
+    """
+
+    length: float
+    speed: float
+    acceleration: float = 2.5
+    braking: float = 2.5
+    curvature: float = 0.0
+    curvature_end: float = 0.0
+    lateral: float = 3.0
+    wait: float = 0.0
+    ease: float = 1.0
+    fading: float = 0.02
+
+
+@dataclass(frozen=True)
+class Sway:
+    """What keeps a human driver from the ideal line and speed: sums of three sine waves along the way.
+
+    Attributes
+    ----------
+    offset, speed : float
+        Amplitudes: m; share of the speed.
+    phases : ndarray, shape (2, 3)
+        rad.
+    wavelengths : ndarray, shape (3,)
+        m.
+    """
+
+    offset: float
+    speed: float
+    phases: Array
+    wavelengths: Array
+
+    def waves(self, way: Array, row: int) -> Array:
+        """Each wave, shape (3, n), at distances along the way (m)."""
+        return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
+
+
+def draw_sway(rng: np.random.Generator, offset: float = 0.10, speed: float = 0.006) -> Sway:
+    """Draw a driver's sway: random phases, wavelengths of 110 to 260 m."""
+    return Sway(
+        offset, speed, rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform([110, 150, 200], [150, 200, 260])
+    )
+
+
+def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
+    """Return the path, shape (n, 4): east m, north m, heading rad, curvature 1/m, every `SPACING` m.
+
+    The path begins at the origin. Heading and position are the curvature's integrals (trapezoids for the
+    first, midpoints for the second).
+    """
+    ends = np.cumsum([0.0, *(leg.length for leg in legs), RUN_OUT])
+    way = np.arange(0.0, ends[-1], SPACING)
+    curvature = np.zeros(len(way))
+    for leg, start, end in zip(legs, ends[:-2], ends[1:-1], strict=True):
+        on = (way >= start) & (way < end)
+        curvature[on] = leg.curvature + (leg.curvature_end - leg.curvature) * (way[on] - start) / leg.length
+    # An offset A sin(k s) bends the path by its second derivative.
+    wave_numbers = 2 * np.pi / sway.wavelengths
+    curvature -= sway.offset * wave_numbers**2 @ sway.waves(way, 0)
+    turned = np.cumsum((curvature[1:] + curvature[:-1]) / 2) * SPACING
+    yaw = heading + np.concatenate([[0.0], turned])
+    middle = (yaw[1:] + yaw[:-1]) / 2
+    east = np.concatenate([[0.0], np.cumsum(np.cos(middle))]) * SPACING
+    north = np.concatenate([[0.0], np.cumsum(np.sin(middle))]) * SPACING
+    return np.column_stack([east, north, yaw, curvature])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
+    """Lower the squared speeds, in place, until acceleration and braking can follow them; shapes (n,)."""
+    for i in range(1, len(squared)):
+        rest = max(1.0 - fading[i - 1] * np.sqrt(squared[i - 1]), 0.1)
+        squared[i] = min(squared[i], squared[i - 1] + gain[i - 1] * rest)
+    for i in range(len(squared) - 2, -1, -1):
+        squared[i] = min(squared[i], squared[i + 1] + loss[i])
+
+
+def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
+    """Return the plan, shape (m, 3): speed m/s, acceleration m/s2, way m, every `LOOK` s.
+
+    Parameters
+    ----------
+    legs : sequence of Leg
+        The route.
+    sway : Sway
+        The driver's.
+    stand : float or None
+        s, to stand before the start; None starts in motion, at the first leg's speed.
+    """
+    ends = np.cumsum([0.0, *(leg.length for leg in legs)])
+    way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)
+    leg_of = np.minimum(np.searchsorted(ends, way, side="right") - 1, len(legs) - 1)
+
+    def each(name: str) -> Array:
+        return np.array([getattr(leg, name) for leg in legs])[leg_of]
+
+    part = (way - ends[leg_of]) / each("length")
+    curvature = each("curvature") + (each("curvature_end") - each("curvature")) * part
+    limit = np.minimum(each("speed"), np.sqrt(each("lateral") / np.maximum(np.abs(curvature), 1e-6)))
+    squared = (limit * (1 + sway.speed * sway.waves(way, 1).sum(axis=0))) ** 2
+    waits = np.zeros(len(way))
+    for leg, end in zip(legs, ends[1:], strict=True):
+        if leg.wait > 0:
+            stop = min(round(end / SPACING), len(way) - 1)
+            squared[stop], waits[stop] = 0.0, leg.wait
+    if stand is not None:
+        squared[0], waits[0] = 0.0, stand
+    _reachable(squared, 2 * SPACING * each("acceleration"), each("fading"), 2 * SPACING * each("braking"))
+    return _in_time(way, np.sqrt(squared), waits, each("ease"))
+
+
+def _in_time(way: Array, speed: Array, waits: Array, ease: Array) -> Array:
+    """Sample the speed along the way at the driver's looks, and ease its kinks by a moving average."""
+    step = 2 * np.diff(way) / (speed[1:] + speed[:-1])  # exact where the acceleration is constant
+    arrival = np.concatenate([[0.0], np.cumsum(step + waits[:-1])])
+    times = np.column_stack([arrival, arrival + waits]).ravel()
+    looks = np.arange(0.0, times[-1], LOOK)
+    planned = np.interp(looks, times, np.repeat(speed, 2))
+    # The average's width follows the legs; a hard leg's narrow one also holds for the second around it.
+    width = minimum_filter1d(np.interp(looks, times, np.repeat(ease, 2)), round(2.0 / LOOK))
+    half = uniform_filter1d(width, round(0.5 / LOOK), mode="nearest") / 2
+    far = np.concatenate([[looks[0] - 2], looks, [looks[-1] + 2]])
+    flat = np.concatenate([[planned[0]], planned, [planned[-1]]])
+    covered = np.concatenate([[0.0], np.cumsum((flat[1:] + flat[:-1]) / 2 * np.diff(far))])
+    eased = (np.interp(looks + half, far, covered) - np.interp(looks - half, far, covered)) / (2 * half)
+    travelled = np.concatenate([[0.0], np.cumsum((eased[1:] + eased[:-1]) / 2) * LOOK])
+    return np.column_stack([eased, np.gradient(eased, LOOK), travelled])

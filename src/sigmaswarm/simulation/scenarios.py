@@ -1,0 +1,237 @@
+"""One simulated drive: a journey, the sensors that were on board, and the truth.
+
+A run is named by seed, maneuver, environment and number. From that name and a sensor's own, each sensor gets
+its own stream of random numbers; so a drive depends on nothing else, and changing one sensor leaves the
+others' draws alone.
+"""
+
+import math
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Drive, Truth
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.achieved import achieved_figures
+from sigmaswarm.simulation.dynamics import STEP, Vehicle
+from sigmaswarm.simulation.environments import Environment, find_environment
+from sigmaswarm.simulation.gps import GpsGrade, degrade, find_gps, measure_gps
+from sigmaswarm.simulation.imu import ImuGrade, find_imu, measure_imu
+from sigmaswarm.simulation.journey import take_journey
+from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample
+from sigmaswarm.simulation.vehicle import find_vehicle
+from sigmaswarm.simulation.vibration import vibrate
+
+Array = NDArray[np.float64]
+
+IMU_PLACE: LeverArm = (0.2, 0.0, 0.1)
+"""m forward, left, up of the centre of gravity: in the middle console."""
+
+
+def simulate(
+    maneuver: str = "urban",
+    environment: str | Environment = "clear",
+    *,
+    seed: int = 0,
+    run: int = 0,
+    imu: str | ImuGrade = "icm-20602",
+    gps: str | GpsGrade = "ublox-m8",
+    vehicle: str | Vehicle = "model3",
+    imu_rate: float = 100.0,
+    gps_rate: float = 5.0,
+    jitter: float = 0.0,
+    duration: float | None = None,
+    warm_up: bool = True,
+    imu_place: LeverArm = IMU_PLACE,
+    vibration: float = 0.0,
+    gnss_degradation: bool = False,
+) -> Drive:
+    """Simulate one drive.
+
+    Parameters
+    ----------
+    maneuver : str
+        "cruise", "turns", "accelerate", "brake", "outages" or "urban".
+    environment : str or Environment
+        "clear", "night", "rain", "fog" or "slippery".
+    seed, run : int
+        Together with maneuver and environment they name the drive; the same name gives the same drive.
+    imu, gps : str or ImuGrade, GpsGrade
+        See `IMU_GRADES` and `GPS_GRADES`.
+    vehicle : str or Vehicle
+        "model3" (the real car's pedals) or "model3-carla".
+    imu_rate, gps_rate : float
+        Hz, at most 1000.
+    jitter : float
+        s, standard deviation of each sample's time, cut off at 0.4 of the interval.
+    duration : float, optional
+        s, of "urban" only; 180 by default.
+    warm_up : bool
+        Begin with at least 30 m at 5 m/s or more, so that a filter can align. Without it a drive starts in
+        motion, at the beginning of the maneuver itself.
+    imu_place : tuple of float
+        m forward, left, up of the centre of gravity. The truth refers to this place.
+    vibration : float
+        Shaking by road and engine; 1 is the level of two recordings of real cars, and makes the data sheet's
+        noise as much too small as users find it. CARLA's IMU does not feel it.
+    gnss_degradation : bool
+        Multiply the receiver's errors by the environment's factor: **an assumption**, no measurement is
+        behind it.
+
+    Returns
+    -------
+    Drive
+        With truth at the IMU's nominal times, and what was modelled, wanted and achieved in its metadata.
+
+    Raises
+    ------
+    InputError
+        For an unknown name or an impossible rate.
+    """
+    where = find_environment(environment)
+    imu_grade, gps_grade = find_imu(imu), find_gps(gps)
+    vehicle_name, car = find_vehicle(vehicle)
+    _check(imu_rate, gps_rate, jitter, vibration, duration, maneuver)
+    if seed < 0 or run < 0:
+        raise InputError(f"seed {seed} and run {run} must not be negative")
+    if gnss_degradation:
+        gps_grade = degrade(gps_grade, where.gnss_noise_factor)
+
+    def stream(sensor: str) -> np.random.Generator:
+        return _stream(seed, maneuver, where.name, run, sensor)
+
+    journey = take_journey(maneuver, where, car, stream("driver"), duration, warm_up)
+    end = (len(journey.record) - 1) * STEP
+    nominal = _times(end, imu_rate, 0.0, stream("imu clock"))
+    # CARLA ticks without jitter.
+    ticks = nominal if imu_grade.carla else _times(end, imu_rate, jitter, stream("imu clock"))
+    stamps = _times(end, gps_rate, jitter, stream("gps clock"))
+    stamps = stamps[stamps >= gps_grade.latency]
+    (i, j, k), (a, b, c) = imu_place, gps_grade.lever_arm
+    antenna = (i + a, j + b, k + c)
+    seen = motion_at(sample(journey.record, stamps - gps_grade.latency), car, antenna)
+    true = motion_at(sample(journey.record, nominal), car, imu_place)
+    felt = true if ticks is nominal else motion_at(sample(journey.record, ticks), car, imu_place)
+    if vibration > 0:
+        felt = vibrate(felt, imu_rate, vibration, stream("vibration"))
+    fixes = measure_gps(stamps, seen, gps_grade, stream("gps"), journey.outages)
+    scenario = {
+        "maneuver": maneuver,
+        "environment": where.name,
+        "physics": where.physics,
+        "friction": where.friction,
+        "seed": seed,
+        "run": run,
+        "warm_up": warm_up,
+        "imu_rate_hz": imu_rate,
+        "gps_rate_hz": gps_rate,
+        "jitter_s": jitter,
+        "vibration": vibration,
+        "gnss_degradation": gnss_degradation,
+        "outages": [list(window) for window in journey.outages],
+    }
+    return Drive(
+        name=drive_name(maneuver, where.name, run),
+        imu=measure_imu(ticks, felt, imu_grade, stream("imu")),
+        gps=fixes,
+        truth=_truth(nominal, true),
+        metadata={
+            "source": "sigmaswarm simulator",
+            "vehicle": vehicle_name,
+            **_noise_figures(imu_grade, gps_grade),
+            "scenario": scenario,
+            "imu_place": _place_figures(imu_place, car),
+            "target": journey.maneuver.target,
+            "achieved": achieved_figures(maneuver, journey, fixes.time),
+        },
+    )
+
+
+def drive_name(maneuver: str, environment: str, run: int) -> str:
+    """Return the name of a simulated drive, which is also that of its folder."""
+    return f"{maneuver}-{environment}-{run:02d}"
+
+
+def _truth(times: Array, true: Motion) -> Truth:
+    x, y, _ = true.position.T
+    vx, vy, _ = true.velocity.T
+    return Truth(time=times, x=x, y=y, vx=vx, vy=vy, theta=true.yaw)
+
+
+def _stream(seed: int, maneuver: str, environment: str, run: int, sensor: str) -> np.random.Generator:
+    names = (zlib.crc32(name.encode()) for name in (maneuver, environment, sensor))
+    return np.random.default_rng(np.random.SeedSequence([seed, run, *names]))
+
+
+def _times(end: float, rate: float, jitter: float, rng: np.random.Generator) -> Array:
+    """Sample times from 0 to `end`, s, strictly increasing."""
+    times = np.arange(int(end * rate + 1e-6) + 1) / rate
+    late = np.clip(jitter * rng.standard_normal(len(times)), -0.4 / rate, 0.4 / rate)
+    return np.clip(times + late, 0.0, end) if jitter > 0 else times
+
+
+def _check(
+    imu_rate: float, gps_rate: float, jitter: float, vibration: float, duration: float | None, maneuver: str
+) -> None:
+    for what, rate in (("imu_rate", imu_rate), ("gps_rate", gps_rate)):
+        if not 0 < rate <= 1 / STEP:
+            raise InputError(
+                f"{what} is {rate:g} Hz; the simulator knows the car's motion at 1000 Hz: choose 0 to 1000"
+            )
+    for what, value in (("jitter", jitter), ("vibration", vibration)):
+        if not 0 <= value < math.inf:
+            raise InputError(f"{what} is {value:g}; choose 0 or more")
+    check_duration(maneuver, duration)
+
+
+def check_duration(maneuver: str, duration: float | None) -> None:
+    """Raise `InputError` for a duration (s) that a maneuver can't have."""
+    if duration is not None and (maneuver != "urban" or not 30 <= duration < math.inf):
+        raise InputError(
+            f"duration is {duration:g} s for {maneuver!r}; only 'urban' has one, of 30 s or more"
+        )
+
+
+def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
+    forward, left, up = place
+    return {
+        "ahead_of_center_m": forward,
+        "ahead_of_rear_axle_m": round(car.rear + forward, 6),
+        "left_m": left,
+        "above_center_m": up,
+    }
+
+
+def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
+    """Return what data sheets would say, under the keys that filters look for, and the rest in tables."""
+    receiver: dict[str, Any] = {
+        "grade": gps.name,
+        "white_std_m": gps.white_std,
+        "correlated_std_m": gps.markov_std,
+        "correlation_time_s": gps.markov_time,
+        "loss": gps.loss,
+        "latency_s": gps.latency,
+        "lever_arm_m": list(gps.lever_arm),
+    }
+    if gps.velocity_std is not None:
+        receiver["velocity_std_ms"] = gps.velocity_std
+    return {
+        "accel_noise_density": imu.accel.noise_density,
+        "gyro_noise_density": imu.gyro.noise_density,
+        "gps_std_m": gps.std,
+        "imu_noise": {
+            "grade": imu.name,
+            "accel_bias_std": imu.accel.bias_std,
+            "gyro_bias_std": imu.gyro.bias_std,
+            "bias_time_s": imu.bias_time,
+            "accel_turn_on": imu.accel.turn_on,
+            "gyro_turn_on": imu.gyro.turn_on,
+            "accel_scale": imu.accel.scale,
+            "gyro_scale": imu.gyro.scale,
+            "accel_misalignment": imu.accel.misalignment,
+            "gyro_misalignment": imu.gyro.misalignment,
+        },
+        "gps_noise": receiver,
+    }

@@ -1,0 +1,88 @@
+"""Named cars: a Tesla Model 3 as it is built, and as CARLA has it.
+
+Sources, cited behind the values:
+
+[C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal maps measured in CARLA.
+[O] opendbc and other public lists of the real car's measures.
+[R] recalled or typical of the class, not verified: a default to be replaced by whoever knows better.
+[D] derived from the others.
+"""
+
+import math
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
+
+
+def _table(*values: float) -> np.ndarray:
+    # Writable like any array that a user puts in its place: a read-only one is another type to the compiler.
+    return np.array(values)
+
+
+MODEL_3 = Vehicle(
+    mass=1850.0,  # [O] 1844-1899
+    yaw_inertia=3400.0,  # [R]
+    front=1.495,  # [D] wheelbase 2.875 [O], 48% of the weight in front [R]
+    rear=1.380,
+    track=1.58,  # [O]
+    height=0.46,  # [R]
+    drag_area=0.23 * 2.22,  # [R]
+    rolling_resistance=0.010,  # [R]
+    wheel_radius=0.335,  # [R] 235/45 R18
+    wheel_inertia=2.0,  # [R] wheel 1.2, motor through the gear the rest
+    slip_stiffness=20.0,  # [R] the rivals' BMW 320i has 22.3 (commonroad-vehicle-models)
+    cornering_front=15.0,  # [R] softer than the bare tire: steering gives way; 0.7 deg/g understeer
+    cornering_rear=18.5,  # [R]
+    load_sensitivity=0.2,  # [R]
+    tire_shape=1.4,  # [R] 1.35 laterally, 1.64 longitudinally in commonroad-vehicle-models
+    relaxation_longitudinal=0.15,  # [R] 0.04-0.3 m are measured
+    relaxation_lateral=0.40,  # [R]
+    drive_front_share=0.45,  # [R] dual motor
+    brake_front_share=0.60,  # [R] about the axle loads of a hard stop
+    roll_front_share=0.55,  # [R]
+    steer_max=0.61,  # [R] 35 deg
+    steer_rate=0.70,  # [D] 480 deg/s at the steering wheel [R] over a ratio of 12 [O]
+    steer_lag=0.05,  # [R]
+    pedal_rate=7.0,  # [R] 0.14 s from nothing to all
+    pedal_lag=0.06,  # [R]
+    roll_gain=math.radians(4.0) / GRAVITY,  # [R] 4 deg/g
+    roll_frequency=2 * math.pi * 1.5,  # [R]
+    roll_damping=0.3,  # [R]
+    pitch_gain=math.radians(3.0) / GRAVITY,  # [R] 3 deg/g
+    pitch_frequency=2 * math.pi * 1.5,  # [R]
+    pitch_damping=0.3,  # [R]
+    # The real car's pedals [R]: 0-100 km/h in about 4.5 s, lifting off recuperates, brakes beyond what
+    # tires hold.
+    pedal_speed=_table(0.0, 1.0, 5.0, 20.0, 30.0, 45.0),
+    full_throttle=_table(6.3, 6.5, 6.5, 6.5, 4.5, 2.8),
+    coast=_table(0.0, 0.0, -1.5, -1.5, -1.1, -0.7),
+    full_brake=_table(-11.0, -11.0, -11.0, -11.0, -11.0, -11.0),
+)
+"""The real car, dual motor."""
+
+MODEL_3_CARLA = MODEL_3._replace(
+    mass=1845.0,  # [C]
+    drag_area=0.15 * 3.2,  # [C] coefficient; area [D] of its bounding box 2.16 m x 1.49 m
+    steer_max=math.radians(70.0),  # [C]
+    # CARLA's pedals, measured [C]. Between the measured speeds: coasting is assumed to fade below 10 m/s, and
+    # the weak brakes to hold up to 4.5 m/s, which gives the 2.66 s from 50 km/h.
+    pedal_speed=_table(0.0, 4.5, 10.0, 14.0, 30.0),
+    full_throttle=_table(6.3, 6.6, 6.8, 7.0, 7.0),
+    coast=_table(0.0, -0.71, -1.58, -1.58, -1.58),
+    full_brake=_table(-4.4, -4.4, -6.1, -7.4, -7.4),
+)
+"""CARLA's mass, drag and pedals: its stock brakes need 2.7 s from 50 km/h to standstill."""
+
+VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
+"""Cars by name."""
+
+
+def find_vehicle(vehicle: str | Vehicle) -> tuple[str, Vehicle]:
+    """Return name and parameters of a car given by name or as a record; InputError for an unknown name."""
+    if isinstance(vehicle, Vehicle):
+        return "custom", vehicle
+    if vehicle not in VEHICLES:
+        raise InputError(f"no vehicle is called {vehicle!r}; there are {', '.join(VEHICLES)}")
+    return vehicle, VEHICLES[vehicle]

@@ -1,0 +1,155 @@
+"""`sigmaswarm simulate` and `sigmaswarm plot`: every option, the same bytes, interrupted and resumed."""
+
+import hashlib
+import inspect
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sigmaswarm as library
+from sigmaswarm.cli.simulate import JITTER, VIBRATION
+from sigmaswarm.cli.simulate import simulate as command
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.simulation import ENVIRONMENTS, GPS_GRADES, IMU_GRADES, MANEUVERS, VEHICLES
+from support import make_drive
+
+SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
+NAMES = [f"{m}-{e}-0{run}" for m in ("turns", "brake") for e in ("rain", "slippery") for run in range(2)]
+
+
+def digests(folder: str) -> dict[str, str]:
+    """Of every file below a folder."""
+    files = sorted(p for p in Path(folder).rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
+    said = json.loads(sigmaswarm("simulate", "a", *SOME, "--workers", 1, "--json").out)
+    assert said == {"drives": [f"a/{name}" for name in NAMES], "written": 8, "kept": 0}
+    ended = sigmaswarm("simulate", "b", *SOME, "--workers", 2)
+    assert ended.out.splitlines() == ["wrote 8 drive(s) to b", "next: sigmaswarm plot b/turns-rain-00"]
+    assert "8/8 drives" in ended.err
+    assert len(digests("a")) == 8 * 4
+    assert digests("a") == digests("b")
+    assert len({v for k, v in digests("a").items() if k.endswith("imu.csv")}) == 8
+    other = sigmaswarm("simulate", "c", *SOME[:-1], 8)
+    assert other.code == 0
+    assert not set(digests("a").values()) & set(digests("c").values())
+
+
+def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
+    sigmaswarm("simulate", "whole", *SOME)
+    sigmaswarm("simulate", "part", "--maneuver", "turns", "--environment", "rain", "--runs", 1, "--seed", 7)
+    kept = Path("part/turns-rain-00/imu.csv")
+    touched = kept.stat().st_mtime_ns
+    said = json.loads(sigmaswarm("simulate", "part", *SOME, "--resume", "--json").out)
+    assert (said["written"], said["kept"], len(said["drives"])) == (7, 1, 8)
+    assert kept.stat().st_mtime_ns == touched
+    assert digests("part") == digests("whole")
+    again = sigmaswarm("simulate", "part", *SOME, "--resume")
+    assert "wrote 0 drive(s) to part, kept 8" in again.out
+    assert again.err == ""
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--seed", 1), "seed 0, not 1"),
+        (("--imu", "ideal"), "imu icm-20602, not ideal"),
+        (("--gps", "ideal"), "gps white-1m, not ideal"),
+        (("--vehicle", "model3-carla"), "vehicle model3, not model3-carla"),
+        (("--duration", 40), "duration 30.0, not 40.0"),
+        (("--jitter",), "jitter 0.0, not 0.002"),
+        (("--vibration",), "vibration 0.0, not 1.0"),
+        (("--gnss-degradation",), "gnss_degradation False, not True"),
+    ],
+    ids=lambda v: str(v[0]) if isinstance(v, tuple) else "",
+)
+def test_resume_does_not_mix_drives_of_other_options(sigmaswarm, here: Path, more: tuple, said: str):
+    base = ("--maneuver", "urban", "--environment", "rain", "--duration", 30, "--gps", "white-1m")
+    assert sigmaswarm("simulate", "s", *base, "--runs", 1).code == 0
+    before = digests("s")
+    assert sigmaswarm("simulate", "s", *base, "--runs", 1, "--resume").code == 0
+    changed = {base[i]: base[i : i + 2] for i in range(0, len(base), 2)} | {more[0]: more}
+    ended = sigmaswarm("simulate", "s", *(o for given in changed.values() for o in given), "--resume")
+    assert ended.code == 2
+    assert f"sigmaswarm: s/urban-rain-00/drive.toml: was made with {said}" in ended.err
+    assert ended.err.count("\n") == 1
+    assert digests("s") == before
+
+
+def test_every_option_reaches_the_drive(sigmaswarm, here: Path):
+    options = {"imu": "mpu-6050", "gps": "f9p-rtk", "vehicle": "model3-carla", "seed": 3}
+    flags = ["--jitter", "--vibration", "--gnss-degradation"]
+    given = [part for key, value in options.items() for part in (f"--{key}", value)]
+    where = ["--maneuver", "urban", "brake", "--environment", "rain", "--runs", 1, "--duration", 30]
+    assert sigmaswarm("simulate", "s", *where, *given, *flags).code == 0
+    drive = read_drive("s/urban-rain-00")
+    expected = library.simulate(
+        "urban", "rain", duration=30.0, jitter=JITTER, vibration=VIBRATION, gnss_degradation=True, **options
+    )
+    assert drive.metadata == expected.metadata
+    np.testing.assert_array_equal(drive.imu.ax, expected.imu.ax)
+    np.testing.assert_array_equal(drive.gps.x, expected.gps.x)
+    assert drive.duration == pytest.approx(30.0, abs=0.1)  # its clock jitters
+    assert read_drive("s/brake-rain-00").metadata["scenario"]["vibration"] == VIBRATION
+
+
+def test_the_defaults_are_the_library_s():
+    said, meant = inspect.signature(command).parameters, inspect.signature(library.simulate).parameters
+    for name in ("imu", "gps", "vehicle", "seed", "duration"):
+        assert said[name].default == meant[name].default, name
+    assert said["runs"].default == inspect.signature(library.simulate_many).parameters["runs"].default
+
+
+def test_help_names_every_choice(sigmaswarm):
+    said = "".join(line.strip("│ ") + " " for line in sigmaswarm("simulate", "--help").out.splitlines())
+    for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES):
+        assert [name for name in choices if name not in said] == []
+
+
+def test_labels_of_one_physics_are_said_to_be_so(sigmaswarm, here: Path):
+    shared = sigmaswarm("simulate", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1)
+    assert "clear, night and fog share one physics" in shared.out
+    apart = sigmaswarm("simulate", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1)
+    assert "physics" not in apart.out
+
+
+def test_a_failure_on_the_way_is_one_line_and_can_be_resumed(sigmaswarm, here: Path, monkeypatch):
+    """A disk that is full, say: what was written is whole, and --resume goes on."""
+    write = library.write_drive
+
+    def full(drive, path):
+        if drive.name == NAMES[3]:
+            raise OSError(28, "No space left on device", str(path))
+        return write(drive, path)
+
+    monkeypatch.setattr(library, "write_drive", full)
+    ended = sigmaswarm("simulate", "s", *SOME, "--workers", 1)
+    assert ended.code == 2
+    assert ended.err.splitlines()[-1] == f"sigmaswarm: s/{NAMES[3]}: No space left on device"
+    assert "Traceback" not in ended.err
+    monkeypatch.setattr(library, "write_drive", write)
+    assert sigmaswarm("simulate", "s", *SOME, "--resume").code == 0
+    sigmaswarm("simulate", "t", *SOME)
+    assert digests("s") == digests("t")
+
+
+def test_plot_draws_a_simulated_drive(sigmaswarm, here: Path):
+    write = library.write_drive(library.simulate("outages", "rain"), "somewhere")
+    ended = sigmaswarm("plot", write)
+    assert ended.out == "wrote outages-rain-00.png\n"
+    assert Path("outages-rain-00.png").read_bytes().startswith(b"\x89PNG")
+    sigmaswarm("plot", write, "--out", "again.png")
+    assert Path("again.png").read_bytes() == Path("outages-rain-00.png").read_bytes()
+
+
+def test_plot_draws_a_recorded_drive_without_truth(sigmaswarm, here: Path, caplog):
+    library.write_drive(make_drive(duration=20.0, truth=False, name="by/me"), "recorded")
+    ended = sigmaswarm("plot", "recorded", "--json")
+    assert json.loads(ended.out) == {"out": "by-me.png"}
+    assert Path("by-me.png").read_bytes().startswith(b"\x89PNG")
+    assert ended.err == ""
+    assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of

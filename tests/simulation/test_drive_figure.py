@@ -1,0 +1,44 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.drive import Drive, Gps, Imu
+from sigmaswarm.report.drive_figure import drive_figure
+from sigmaswarm.simulation import simulate
+
+
+def rendered(drive):
+    page = io.BytesIO()
+    figure = drive_figure(drive)
+    figure.savefig(page, format="png", dpi=50)
+    assert page.getvalue().startswith(b"\x89PNG")
+    return figure
+
+
+def test_a_simulated_drive_shows_outages_and_figures():
+    figure = rendered(simulate("outages"))
+    labels = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert "3415 IMU samples" in figure.get_suptitle() or "IMU samples" in figure.get_suptitle()
+    tables = [table for axes in figure.axes for table in axes.tables]
+    cells = {cell.get_text().get_text() for table in tables for cell in table.get_celld().values()}
+    assert {"target", "achieved", "outage_1_s", "peak_slip_percent"} <= cells
+    assert labels == []
+    (errors,) = (axes for axes in figure.axes if "error" in axes.get_ylabel())
+    for line in errors.lines[:2]:  # the third is the zero
+        assert np.isnan(line.get_ydata()).sum() == 2  # broken at both outages
+
+
+@pytest.mark.parametrize("keep", ["no truth", "no speed"])
+def test_a_recorded_drive_without_truth_or_speed_is_drawn_too(keep):
+    drive = simulate("brake", gps="white-1m" if keep == "no speed" else "ublox-m8")
+    rendered(replace(drive, truth=None, metadata={}))
+
+
+def test_a_bare_drive_with_large_time_stamps_is_drawn():
+    time = 1.6e9 + np.arange(100) / 10
+    zero = np.zeros(100)
+    bare = Drive("bare", Imu(time, zero, zero, zero), Gps(time[::10], zero[::10], zero[::10]))
+    panels = rendered(bare).axes
+    assert max(axes.get_xlim()[1] for axes in panels) < 1000

@@ -1,0 +1,71 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade, degrade, measure_gps
+from sigmaswarm.simulation.motion import Motion
+
+COUNT = 50_000
+
+
+def moving(count=COUNT, speed=10.0, interval=0.2):
+    """Eastward at a constant speed."""
+    time = np.arange(count) * interval
+    zero = np.zeros(count)
+    velocity = np.column_stack([zero + speed, zero, zero])
+    rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
+    return time, Motion(velocity * time[:, None], velocity, rotation, zero, velocity, velocity)
+
+
+def fixes(grade, outages=(), count=COUNT, **how):
+    time, motion = moving(count, **how)
+    return measure_gps(time, motion, grade, np.random.default_rng(2), list(outages)), motion
+
+
+@pytest.mark.parametrize("name", GPS_GRADES)
+def test_errors_have_the_stated_size(name):
+    grade = GPS_GRADES[name]
+    gps, motion = fixes(grade, speed=0.0, interval=5.0)  # 70 hours: errors last a minute
+    for error in (gps.x - motion.position[:, 0], gps.y):
+        assert error.std() == pytest.approx(grade.std, rel=0.10, abs=1e-6)
+    assert gps.std_x is not None
+    np.testing.assert_allclose(gps.std_x, grade.std)
+
+
+def test_white_and_correlated_errors_are_told_apart_by_their_autocorrelation():
+    grade = GPS_GRADES["ublox-m8"]
+    error = fixes(grade)[0].y
+    lag = round(grade.markov_time / 0.2)
+    covariance = float(np.mean(error[lag:] * error[:-lag]))
+    assert covariance == pytest.approx(grade.markov_std**2 * np.exp(-1), rel=0.25)
+    assert np.diff(error).std() == pytest.approx(np.sqrt(2) * grade.white_std, rel=0.05)
+
+
+def test_velocity_is_told_by_those_who_know_it():
+    gps, _ = fixes(GpsGrade("test", 1.0, velocity_std=0.05))
+    assert gps.speed is not None and gps.course is not None
+    assert gps.speed.mean() == pytest.approx(10.0, abs=0.01)
+    assert gps.course.std() == pytest.approx(0.005, rel=0.05)
+    assert fixes(GpsGrade("test", 1.0), count=9)[0].speed is None
+
+
+def test_lost_fixes_and_outages_are_missing():
+    gps, _ = fixes(GpsGrade("test", 1.0, loss=0.1), outages=[(100.0, 104.0)])
+    assert len(gps) == pytest.approx(0.9 * COUNT, rel=0.02)
+    assert not ((gps.time >= 100) & (gps.time < 104)).any()
+
+
+def test_carlas_noise_is_white_in_degrees_and_passes_its_geodesy():
+    gps, motion = fixes(GPS_GRADES["carla"], count=2000)
+    plain, _ = fixes(replace(GPS_GRADES["carla"], carla=False), count=2000)
+    # On the equator a degree is as long both ways, and within 4 km of it the Mercator plane hardly stretches.
+    np.testing.assert_allclose(gps.x, plain.x, atol=1e-5)
+    np.testing.assert_allclose(gps.y, plain.y, atol=1e-5)
+    assert np.abs(gps.x - motion.position[:, 0]).max() > 1.0
+
+
+def test_degradation_multiplies_all_errors():
+    worse = degrade(GPS_GRADES["ublox-m8"], 2.0)
+    assert worse.std == pytest.approx(4.2)
+    assert worse.velocity_std == pytest.approx(0.1)

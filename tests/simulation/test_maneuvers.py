@@ -1,0 +1,98 @@
+"""What each maneuver is after, and that no drive leaves the road or the friction circle."""
+
+import numpy as np
+import pytest
+
+from sigmaswarm.simulation.achieved import time_between
+from sigmaswarm.simulation.dynamics import AX, AY, FRICTION_USE, GRAVITY, X, Y
+from sigmaswarm.simulation.environments import ENVIRONMENTS
+from sigmaswarm.simulation.journey import take_journey
+from sigmaswarm.simulation.maneuvers import MANEUVERS
+from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.simulation.vehicle import MODEL_3, MODEL_3_CARLA
+
+
+def achieved(maneuver, environment, run=0, **options):
+    return simulate(maneuver, environment, run=run, **options).metadata["achieved"]
+
+
+@pytest.mark.parametrize("environment", ["clear", "rain", "slippery"])
+@pytest.mark.parametrize("maneuver", MANEUVERS)
+def test_nothing_exceeds_the_friction_and_the_driver_stays_in_the_lane(maneuver, environment):
+    where = ENVIRONMENTS[environment]
+    for seed in range(3):
+        duration = 90.0 if maneuver == "urban" else None
+        journey = take_journey(maneuver, where, MODEL_3, np.random.default_rng(seed), duration)
+        record = journey.record
+        assert record[:, FRICTION_USE].max() <= 1.0 + 1e-9
+        assert np.hypot(record[:, AX], record[:, AY]).max() <= 1.02 * where.friction * GRAVITY
+        places, path = record[::100, [X, Y]], journey.path[:, :2]
+        offset = [np.hypot(*(path - place).T).min() for place in places]
+        assert max(offset) < 1.0
+
+
+@pytest.mark.parametrize("environment", ["clear", "rain", "slippery"])
+def test_cruise_covers_500_m_at_an_even_speed(environment):
+    found = achieved("cruise", environment)
+    assert found["distance_m"] == pytest.approx(500.0, abs=3.0)
+    assert found["peak_lateral_ms2"] < 0.5
+
+
+@pytest.mark.parametrize("environment", ["clear", "rain", "slippery"])
+@pytest.mark.parametrize("run", [0, 1])
+def test_turns_are_90_degrees_to_both_sides(environment, run):
+    found = achieved("turns", environment, run)
+    assert found["left_deg"] == pytest.approx(90.0, abs=3.0)
+    assert found["right_deg"] == pytest.approx(-90.0, abs=3.0)
+    if environment != "slippery":
+        assert found["peak_lateral_ms2"] == pytest.approx(4.0, rel=0.10)
+
+
+@pytest.mark.parametrize(
+    ("environment", "low", "high"), [("clear", 4.8, 5.1), ("rain", 4.8, 5.1), ("slippery", 6.8, 8.0)]
+)
+def test_zero_to_sixty_as_fast_as_told_or_as_the_road_allows(environment, low, high):
+    """With all wheels driven, friction 0.25 can't do it under 6.8 s."""
+    assert low < achieved("accelerate", environment)["time_s"] < high
+
+
+@pytest.mark.parametrize(
+    ("environment", "low", "high"), [("clear", 1.8, 2.0), ("rain", 2.17, 2.5), ("slippery", 5.6, 6.5)]
+)
+def test_fifty_to_zero_as_fast_as_told_or_as_the_road_allows(environment, low, high):
+    """50 km/h over friction x g: 2.18 s in rain, 5.66 s on snow."""
+    assert low < achieved("brake", environment)["time_s"] < high
+
+
+def test_carlas_stock_brakes_take_longer_than_the_paper_says():
+    assert achieved("brake", "clear", vehicle=MODEL_3_CARLA)["time_s"] == pytest.approx(2.66, abs=0.25)
+
+
+def test_outages_last_3_to_5_seconds_and_begin_after_alignment():
+    for run in range(5):
+        drive = simulate("outages", run=run)
+        windows = drive.metadata["scenario"]["outages"]
+        assert len(windows) == 2
+        for begin, end in windows:
+            assert 3.0 <= end - begin <= 5.0
+            assert begin > 15.0 and end < drive.duration
+            assert not ((drive.gps.time >= begin) & (drive.gps.time < end)).any()
+        assert windows[1][0] - windows[0][1] > 5.0
+
+
+def test_urban_is_mixed_and_as_long_as_told():
+    drive = simulate("urban", duration=240.0)
+    truth = drive.truth
+    assert drive.duration == pytest.approx(240.0, abs=0.02)
+    speed = np.hypot(truth.vx, truth.vy)
+    assert 0.03 < (speed < 0.1).mean() < 0.4
+    assert speed.max() > 40 / 3.6
+    assert np.ptp(np.unwrap(truth.theta)) > np.pi / 2
+
+
+def test_stopwatch():
+    speed = np.concatenate([np.linspace(0, 20, 4001), np.linspace(20, 0, 2001)])
+    assert time_between(speed, 0.001, 10.0, rising=True) == pytest.approx(2.0, abs=0.002)
+    assert time_between(speed, 0.001, 10.0, rising=False) == pytest.approx(1.0, abs=0.002)
+    assert np.isnan(time_between(speed, 0.0, 30.0, rising=True))
+    assert np.isnan(time_between(speed, 0.0, 30.0, rising=False))
