@@ -41,7 +41,7 @@ def main() -> NoReturn:
         app(exit_on_error=False, print_error=False)
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        print(f"sigmaswarm: {' '.join(str(error).split())}{hint}", file=sys.stderr)
+        print(f"sigmaswarm: {' '.join(str(error).split()).removesuffix('.')}{hint}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("sigmaswarm: interrupted; what was saved is kept, --resume goes on with it", file=sys.stderr)

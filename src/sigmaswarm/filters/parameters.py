@@ -166,8 +166,16 @@ class FilterParameters:
             first = error.errors()[0]
             key = ".".join(str(part) for part in ("filter", *first["loc"]))
             value = "" if isinstance(first["input"], dict) else f" (is {first['input']!r})"
-            message = first["msg"].removeprefix("Value error, ")
-            raise InputError(f"{path}: {key}: {_one_line(message)}{value}; correct it in the file") from None
+            known = {
+                "unexpected_keyword_argument": "unknown key",
+                "tuple_type": "should be a list of variances",
+            }
+            message = known.get(first["type"], first["msg"].removeprefix("Value error, "))
+            message = _one_line(message).replace("Input should", "should")
+            remedy = (
+                "delete it" if first["type"] == "unexpected_keyword_argument" else "correct it in the file"
+            )
+            raise InputError(f"{path}: {key}: {message}{value}; {remedy}") from None
         for key in ("process_noise", "measurement_noise"):
             for i, variance in enumerate(getattr(parameters, key)):
                 if variance < 0 or (variance == 0 and key == "measurement_noise"):

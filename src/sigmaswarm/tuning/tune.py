@@ -204,7 +204,8 @@ def validated_config(config: dict[str, Any]) -> TuneConfig:
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{name}: {first['msg']} (is {first['input']!r})") from None
+        message = first["msg"].replace("Input should", "should")
+        raise InputError(f"{name} = {first['input']!r}: {message}") from None
 
 
 def versions() -> dict[str, str]:
