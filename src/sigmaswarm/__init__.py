@@ -38,9 +38,10 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
+    from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
-    from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
+    from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.filters.run import Estimate, run_filter, run_reference
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score
@@ -58,7 +59,8 @@ _HOMES = {
     "errors": ("AlignmentError", "DriveError", "InputError", "SigmaswarmError", "SigmaswarmWarning"),
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("datasheet", "preset"),
-    "filters.reference": ("SigmaPoints", "UnscentedKalmanFilter"),
+    "filters.live": ("LiveFilter",),
+    "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "run_filter", "run_reference"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),
@@ -76,11 +78,13 @@ __all__ = [
     "DriveError",
     "Estimate",
     "Evaluation",
+    "ExtendedKalmanFilter",
     "FilterParameters",
     "Gps",
     "Imu",
     "InitialState",
     "InputError",
+    "LiveFilter",
     "Score",
     "SigmaPoints",
     "SigmaswarmError",

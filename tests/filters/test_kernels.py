@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from oracles.extended_ukf import box_table
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.filters import kernels as k
 from sigmaswarm.filters.batch import Replay, Sums, run_replay
+from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.targets import tracking_replay
@@ -43,6 +43,9 @@ def all_sums() -> np.ndarray:
     return as_bits(run_replay(short_replay(), many_sets()))
 
 
+PLANAR8 = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5 + (1e-9,) * 3, (1.0, 1.0), "planar8")
+
+
 def as_bits(sums: Sums) -> np.ndarray:
     """(sets, sums), to be compared as they are."""
     return np.column_stack([np.asarray(column, dtype=float) for column in vars(sums).values()])
@@ -63,7 +66,7 @@ def angles() -> np.ndarray:
 
 def test_sincos_is_as_good_as_a_library():
     x = angles()
-    ours = np.array([k._sincos(value) for value in x]).T
+    ours = np.array([lanes.sincos.py_func(value) for value in x]).T
     true = np.array([np.sin(x.astype(np.longdouble)), np.cos(x.astype(np.longdouble))])
     assert np.max(np.abs(ours - true)) < 3e-16
     # Small values keep their digits: sin(d/2)^2 is what the closed form lives on at alpha = 1e-3.
@@ -77,26 +80,25 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     # longer 3e-16, but still less than half a unit in the last place of the angle itself.
     # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
     headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
-    initial = np.zeros((k.N_STATE, k.LANES))
-    initial[[k.XX, k.YY, k.UU, k.VV, k.TT]] = 1e-40
-    constants = np.ones((k.N_CONSTANTS, k.LANES))
-    out, final = np.empty((k.N_SUMS, k.LANES)), np.empty((k.N_STATE, k.LANES))
+    initial = np.zeros((lanes.N_STATE, lanes.LANES))
+    initial[[lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT]] = 1e-40
+    constants = np.ones((lanes.N_CONSTANTS, lanes.LANES))
     velocity = []
-    for chunk in headings.reshape(-1, k.LANES):
-        initial[k.T] = chunk
-        k.run_lanes(
+    for chunk in headings.reshape(-1, lanes.LANES):
+        initial[lanes.T] = chunk
+        _, final = run.run_lanes(
+            5,
             np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
-            np.array([k.IMU]),
-            np.empty((0, 2)),
+            np.array([run.IMU]),
+            np.empty((0, 4)),
+            np.zeros(2),
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
             initial,
             constants,
-            out,
-            final,
-            np.empty((0, k.N_STATE + 1, 0)),
+            np.empty((0, lanes.N_STATE + 1, 0)),
         )
-        velocity.append(final[[k.U, k.V]].copy())
+        velocity.append(final[[lanes.U, lanes.V]].copy())
     x = headings.astype(np.longdouble)
     error = np.concatenate(velocity, axis=1) - np.array([np.cos(x), np.sin(x)])
     assert np.all(np.abs(error) < 3e-16 + 0.5 * EPS * np.abs(headings))
@@ -107,12 +109,14 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 instructions")
 @compiled
-def test_loops_over_lanes_are_vector_instructions():
-    run_replay(short_replay(), many_sets()[:1])  # so that it has a signature
+@pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
+def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
+    run_replay(short_replay(), [parameters])  # so that it has a signature
     # Machine code that came from the cache can't be read: compile once more, without one.
-    options = {name: value for name, value in k.run_lanes.targetoptions.items() if name != "nopython"}
-    fresh = numba.njit(**options)(k.run_lanes.py_func)
-    signature = k.run_lanes.signatures[0]
+    kernel = run.KERNELS[parameters.n_states]
+    options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
+    fresh = numba.njit(**options)(kernel.py_func)
+    signature = kernel.signatures[0]
     fresh.compile(signature)
     instructions = Counter(re.findall(r"^\s+(v?f?n?m?[a-z]+\d*[ps]d)\b", fresh.inspect_asm(signature), re.M))
     for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused, vfmadd231pd and its like

@@ -21,7 +21,6 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters import kernels as k
 from sigmaswarm.filters.batch import (
     Replay,
     Targets,
@@ -31,6 +30,7 @@ from sigmaswarm.filters.batch import (
     run_replay,
     unpack_states,
 )
+from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.models import THETA, gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
@@ -69,13 +69,13 @@ def compiled_step(
     """Step ``i`` by the compiled filter, from one state per lane; mean, covariance, sums."""
     t = timeline
     steps = np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]])
-    flags = np.array([k.IMU if fix is None else k.IMU | k.FIX])
-    fixes = np.empty((0, 2)) if fix is None else fix[None].copy()
-    out, final = np.empty((k.N_SUMS, k.LANES)), np.empty((k.N_STATE, k.LANES))
+    flags = np.array([run.IMU if fix is None else run.IMU | run.FIX])
+    fixes = np.empty((0, 4)) if fix is None else fix[None].copy()
     nothing = np.empty((0, 5)), np.zeros(1, dtype=np.int64)
-    record = np.empty((0, k.N_STATE + 1, 0))
-    k.run_lanes(steps, flags, fixes, *nothing, pack_states(mean, covariance), constants, out, final, record)
-    return *unpack_states(final), out
+    record = np.empty((0, lanes.N_STATE + 1, 0))
+    start = pack_states(mean, covariance)
+    sums, final = run.run_lanes(5, steps, flags, fixes, np.zeros(2), *nothing, start, constants, record)
+    return *unpack_states(final, 5), sums
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +107,10 @@ def compiled_against_extended(
     timeline: Timeline, initial: InitialState, table: np.ndarray, n_steps: int | None = None
 ) -> Stepwise:
     """One step at a time, restarted from the oracle's trajectory, rounded to doubles."""
-    padding = -len(table) % k.LANES
+    padding = -len(table) % lanes.LANES
     padded = np.vstack([table, table[-1:].repeat(padding, axis=0)])
-    lanes = [slice(a, b) for a, b in pairwise(range(0, len(padded) + 1, k.LANES))]
-    constants = pack_constants(as_parameters(padded), timeline.nominal_interval)
-    constants = [np.ascontiguousarray(constants[:, part]) for part in lanes]
+    chunks = [slice(a, b) for a, b in pairwise(range(0, len(padded) + 1, lanes.LANES))]
+    constants = [pack_constants(as_parameters(padded[part]), timeline.nominal_interval) for part in chunks]
     oracle = ExtendedUkf(padded)
     oracle.restart(initial.mean, initial.covariance)
     errors: list[tuple[np.ndarray, ...]] = []
@@ -120,22 +119,21 @@ def compiled_against_extended(
         mean, covariance = oracle.mean.astype(np.float64), oracle.covariance.astype(np.float64)
         parts = [
             compiled_step(timeline, i, fix, mean[part], covariance[part], constant)
-            for part, constant in zip(lanes, constants, strict=True)
+            for part, constant in zip(chunks, constants, strict=True)
         ]
         new_mean, new_covariance = (np.concatenate([part[j] for part in parts]) for j in (0, 1))
         oracle.restart(mean, covariance)
         oracle.predict(timeline.dt[i], timeline.ax[i], timeline.ay[i], timeline.gz[i], timeline.q_scale[i])
         prior = oracle.covariance
         if fix is not None:
-            seen = oracle.update(fix)
+            seen = oracle.update(fix[:2])
             out = np.concatenate([part[2] for part in parts], axis=1)
             true = np.array([seen.nis, seen.log_determinant, seen.squared_residual])
             # A residual is known to within the rounding of a position, whatever its size.
             scale = np.maximum(1, np.abs(true))
-            sums.append(
-                np.max(np.abs(out[[k.NIS, k.LOG_DET, k.SQ_FIX]] - true) / scale, axis=0).astype(float)
-            )
-            assert np.all(out[k.OK] == 1.0), "a lane failed inside the box"
+            rows = np.array([lanes.NIS, lanes.LOG_DET, lanes.SQ_FIX]) - lanes.SUMS.start
+            sums.append(np.max(np.abs(out[rows] - true) / scale, axis=0).astype(float))
+            assert np.all(out[lanes.OK - lanes.SUMS.start] == 1.0), "a lane failed inside the box"
         wrong = covariance_error(new_covariance, oracle.covariance)
         shrunk = shrinkage(prior, oracle.covariance) if fix is not None else np.ones(len(padded))
         errors.append((mean_error(new_mean, oracle.mean), wrong, shrunk))
@@ -150,7 +148,7 @@ def textbook(
     points = SigmaPoints(*map(float, row[:3]), first=(THETA,) if theta_first else ())
     start = np.zeros(5), np.eye(5)
     return UnscentedKalmanFilter(
-        planar5, gps_position, *start, points, redraw_sigma_points=redraw, angles=angles
+        planar5, gps_position(), *start, points, redraw_sigma_points=redraw, angles=angles
     )
 
 
@@ -176,7 +174,7 @@ def textbook_against_filterpy(
             imu = np.array([timeline.ax[i], timeline.ay[i], timeline.gz[i]])
             ours.predict(timeline.dt[i], imu, np.diag(row[3:8]) * timeline.q_scale[i])
             if fix is not None:
-                ours.update(fix, np.diag(row[8:]))
+                ours.update(fix[:2], np.diag(row[8:]))
             theirs.step(timeline, i, fix)
             prior = theirs.covariance if fix is None else theirs.ukf.P_prior
             pairs.append((ours.mean, ours.covariance, theirs.mean, theirs.covariance, prior))
@@ -348,7 +346,7 @@ def test_offsets_across_the_seam_of_an_angle_are_wrapped():
     _, initial = ready("simulated")
     points = SigmaPoints(0.5, 2.0, 0.0, first=(THETA,))
     filters = [
-        UnscentedKalmanFilter(f, gps_position, initial.mean, initial.covariance, points, angles=(THETA,))
+        UnscentedKalmanFilter(f, gps_position(), initial.mean, initial.covariance, points, angles=(THETA,))
         for f in (planar5, wrapping)
     ]
     for ukf in filters:
@@ -363,8 +361,11 @@ def test_a_run_adds_up_its_steps():
     timeline, initial = ready("simulated")
     n, table = 600, box_table(48)[32:]
     constants = pack_constants(as_parameters(table), timeline.nominal_interval)
-    mean, covariance = np.tile(initial.mean, (k.LANES, 1)), np.tile(initial.covariance, (k.LANES, 1, 1))
-    means, total = [], np.zeros((k.N_SUMS, k.LANES))
+    mean, covariance = (
+        np.tile(initial.mean, (lanes.LANES, 1)),
+        np.tile(initial.covariance, (lanes.LANES, 1, 1)),
+    )
+    means, total = [], np.zeros((lanes.N_SUMS, lanes.LANES))
     for i, fix in steps_with_fixes(timeline, n):
         mean, covariance, sums = compiled_step(timeline, i, fix, mean, covariance, constants)
         total += sums
@@ -375,15 +376,15 @@ def test_a_run_adds_up_its_steps():
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     first = {
         name: getattr(timeline, name)[:n]
-        for name in ("dt", "ax", "ay", "gz", "q_scale", "absorbs", "sampled")
+        for name in ("end", "dt", "ax", "ay", "gz", "q_scale", "absorbs", "sampled", "cornering", "stands")
     }
     start = replace(
         timeline, **first, fixes=timeline.fixes[:n_fixes], imu_time=timeline.imu_time[: len(means)]
     )
-    run = run_replay(Replay(start, initial, Targets.none(start)), as_parameters(table))
-    assert run.nis == pytest.approx(total[k.NIS], rel=1e-12)
-    assert run.log_determinant == pytest.approx(total[k.LOG_DET], rel=1e-12)
-    assert run.squared_fix == pytest.approx(total[k.SQ_FIX], rel=1e-12)
+    whole = run_replay(Replay(start, initial, Targets.none(start)), as_parameters(table))
+    assert whole.nis == pytest.approx(total[lanes.NIS - lanes.SUMS.start], rel=1e-12)
+    assert whole.log_determinant == pytest.approx(total[lanes.LOG_DET - lanes.SUMS.start], rel=1e-12)
+    assert whole.squared_fix == pytest.approx(total[lanes.SQ_FIX - lanes.SUMS.start], rel=1e-12)
     for lane, row in enumerate(table):
         assert compiled_run(start, initial, row)[0].tobytes() == np.array(means)[:, lane].tobytes()
 
@@ -438,7 +439,7 @@ def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) ->
         if fix is not None:
             s = h @ p @ h.T + np.diag(row[8:])
             gain = p @ h.T @ np.linalg.inv(s)
-            x = x + gain @ (fix - h @ x)
+            x = x + gain @ (fix[:2] - h @ x)
             p = (np.eye(4) - gain @ h) @ p @ (np.eye(4) - gain @ h).T + gain @ np.diag(row[8:]) @ gain.T
         if timeline.sampled[i]:
             states.append(np.concatenate([x, p.ravel()]))

@@ -68,4 +68,4 @@ class FilterPyUkf:
                 self.ukf.sigmas_f, self.ukf.Wm, self.ukf.Wc, self.ukf.Q
             )
         if fix is not None:
-            self.ukf.update(fix)
+            self.ukf.update(fix[:2])

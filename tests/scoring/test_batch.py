@@ -144,7 +144,9 @@ def at_the_fixes(drive: Drive, p: FilterParameters) -> tuple[list[float], list[f
     start = initial_state(drive)
     line = build_timeline(drive, start.time)
     points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,))
-    ukf = UnscentedKalmanFilter(planar5, gps_position, start.mean, start.covariance, points, angles=(THETA,))
+    ukf = UnscentedKalmanFilter(
+        planar5, gps_position(), start.mean, start.covariance, points, angles=(THETA,)
+    )
     fixes = iter(line.fixes)
     squares, nis = [], []
     for k, dt in enumerate(line.dt):
@@ -152,10 +154,10 @@ def at_the_fixes(drive: Drive, p: FilterParameters) -> tuple[list[float], list[f
             dt, np.array([line.ax[k], line.ay[k], line.gz[k]]), np.diag(p.process_noise) * line.q_scale[k]
         )
         if line.absorbs[k]:
-            z = next(fixes)
-            ukf.update(z, np.diag(p.measurement_noise))
+            z = next(fixes)[:2]
+            seen = ukf.update(z, np.diag(p.measurement_noise))
             squares.append(float(np.sum((z - ukf.mean[:2]) ** 2)))
-            nis.append(float(ukf.innovation @ np.linalg.solve(ukf.innovation_covariance, ukf.innovation)))
+            nis.append(seen.nis)
     return squares, nis
 
 

@@ -17,7 +17,12 @@ def tune(
     generations: int = 50,
     trials: int = 1,
     seed: int = 0,
-    model: Literal["planar5"] = "planar5",
+    model: Literal["planar5", "planar8"] = "planar5",
+    kind: Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] = "ukf",
+    use: Annotated[
+        list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
+        Parameter(consume_multiple=True, negative=()),
+    ] = None,
     inertia: float | None = None,
     zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
     patience: int | None = None,
@@ -33,6 +38,7 @@ def tune(
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
         sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
+        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
         sigmaswarm tune drives/training --out tuned --resume
 
     Parameters
@@ -55,7 +61,13 @@ def tune(
     seed
         Decides everything that is left to chance.
     model
-        The filter's process model.
+        The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases.
+    kind
+        Unscented, extended, adaptive (Sage-Husa) or strong tracking.
+    use
+        What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the
+        receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when
+        it stands. gate: turn outlying fixes away. latency: fixes may be older than they say.
     inertia
         The swarm's w; 0.7298 by default.
     zero_velocity_at_bounds
@@ -83,6 +95,8 @@ def tune(
         "trials": trials,
         "seed": seed,
         "model": model,
+        "kind": kind,
+        "use": tuple(use or ()),
         "zero_velocity_at_bounds": zero_velocity_at_bounds,
         "patience": patience,
     }

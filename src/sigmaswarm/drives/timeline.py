@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.standstill import standing
 
-__all__ = ["Timeline", "build_timeline"]
+CORNERING = 4.0
+"""m/s2 of lateral acceleration: above it, tires slip too much for a constraint on the lateral velocity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,18 +25,25 @@ class Timeline:
     Attributes
     ----------
     start : s
+    end : (k,) s: when each step ends
     dt : (k,) s
     ax, ay, gz : (k,) m/s2, m/s2, rad/s: the sample that drives each step
     q_scale : (k,) dt / nominal interval of the drive
     absorbs : (k,) bool: a fix is absorbed at the step's end
     sampled : (k,) bool: the step ends at an IMU sample's time
-    fixes : (f, 2) m east, north, in the order in which steps absorb them
+    fixes : (f, 4) m east, north, and m/s east, north (0 where the log has no velocity), in the order in which steps
+        absorb them
     fix_time : (f,) s
+    has_velocity : bool
+    lever : (2,) m forward and left from the IMU to the antenna
+    cornering : (k,) bool: lateral acceleration so high that tires slip
+    stands : (k,) bool: the car is seen to stand at the step's end
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
 
     start: float
+    end: Array
     dt: Array
     ax: Array
     ay: Array
@@ -44,6 +53,10 @@ class Timeline:
     sampled: NDArray[np.bool_]
     fixes: Array
     fix_time: Array
+    has_velocity: bool
+    lever: Array
+    cornering: NDArray[np.bool_]
+    stands: NDArray[np.bool_]
     imu_time: Array
     nominal_interval: float
 
@@ -57,8 +70,13 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     sample = np.searchsorted(drive.imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
+    has_velocity = drive.gps.speed is not None and drive.gps.course is not None
+    velocity = np.zeros((2, len(drive.gps)))
+    if drive.gps.speed is not None and drive.gps.course is not None:
+        velocity = drive.gps.speed * np.array([np.cos(drive.gps.course), np.sin(drive.gps.course)])
     return Timeline(
         start=start,
+        end=ends,
         dt=dt,
         ax=drive.imu.ax[sample],
         ay=drive.imu.ay[sample],
@@ -66,8 +84,12 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         q_scale=dt / nominal,
         absorbs=np.isin(ends, fix_time),
         sampled=np.isin(ends, imu),
-        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable]]),
+        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
+        has_velocity=has_velocity,
+        lever=np.array(drive.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64),
+        cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
+        stands=standing(drive)[sample],
         imu_time=imu,
         nominal_interval=nominal,
     )

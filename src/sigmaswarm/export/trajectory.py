@@ -8,15 +8,19 @@ import polars as pl
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.parameters import STATE_NAMES
 from sigmaswarm.filters.run import Estimate
 
-STATES = ("x", "y", "vx", "vy", "theta")
+
+def _states(estimate: Estimate) -> tuple[str, ...]:
+    """The names of an estimate's states."""
+    return next(names for names in STATE_NAMES.values() if len(names) == estimate.mean.shape[1])
 
 
 def write_estimate(estimate: Estimate, path: str | Path) -> None:
     """Write an estimate in the form that the file's ending names.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad).
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise.
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the heading as a quaternion.
 
     Raises
@@ -41,10 +45,10 @@ def check_target(path: Path) -> None:
 
 def _csv(estimate: Estimate, path: Path) -> None:
     columns: dict[str, Array] = {"t": estimate.time}
-    columns |= {name: estimate.mean[:, i] for i, name in enumerate(STATES)}
+    columns |= {name: estimate.mean[:, i] for i, name in enumerate(_states(estimate))}
     if estimate.covariance.size:  # dead reckoning has none
         std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
-        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(STATES)}
+        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(_states(estimate))}
     pl.DataFrame(columns).write_csv(path)
 
 

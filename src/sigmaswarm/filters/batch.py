@@ -1,5 +1,6 @@
 """Many parameter sets over one drive in one call: packs records into the compiled kernel's arrays and back."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,11 +9,17 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters import kernels as k
+from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.parameters import FilterParameters
 
 Array = NDArray[np.float64]
-_UPPER = np.triu_indices(5)
+
+LATERAL_INTERVAL = 0.1
+"""s between two looks at the lateral velocity: its error is not white, so more of them tell no more."""
+STANDSTILL_INTERVAL = 0.1
+"""s between two looks at the velocity at standstill."""
+STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
+"""rad2/s2: variance of the gyro around its bias while the car stands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +51,7 @@ class Targets:
     @property
     def n_headings(self) -> int:
         """How many headings are compared."""
-        return int(self.rows[:, k.SCORES_HEADING].sum())
+        return int(self.rows[:, run.SCORES_HEADING].sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,83 +87,180 @@ class Sums:
 
 def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Sums:
     """Run one filter per parameter set over a replay. Results do not depend on a set's place or company."""
-    n = len(parameter_sets)
-    constants = pack_constants(parameter_sets, replay.timeline.nominal_interval)
-    initial = pack_states(replay.initial.mean, replay.initial.covariance)
-    arrays = _arrays(replay)
-    sums = np.empty((k.N_SUMS, constants.shape[1]))
-    final, record = np.empty((k.N_STATE, k.LANES)), np.empty((0, k.N_STATE + 1, 0))
-    for start in range(0, n, k.LANES):
-        lanes = slice(start, start + k.LANES)
-        out = np.empty((k.N_SUMS, k.LANES))
-        k.run_lanes(*arrays, initial, np.ascontiguousarray(constants[:, lanes]), out, final, record)
-        sums[:, lanes] = out
-    failed = (sums[k.OK, :n] == 0) | ~np.isfinite(sums[:, :n]).all(axis=0)
-    rows = (k.SQ_POSITION, k.SQ_HEADING, k.SQ_FIX, k.NIS, k.LOG_DET)
-    return Sums(*(np.where(failed, np.nan, sums[row, :n]) for row in rows), failed=failed)
+    columns = np.empty((len(_SUM_ROWS), len(parameter_sets)))
+    failed = np.empty(len(parameter_sets), dtype=np.bool_)
+    groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
+    for i, p in enumerate(parameter_sets):
+        groups.setdefault((p.model, *switches(p)), []).append(i)
+    for members in groups.values():
+        for start in range(0, len(members), lanes.LANES):
+            chunk = members[start : start + lanes.LANES]
+            sums, final, _ = _run_chunk(replay, [parameter_sets[i] for i in chunk], 0)
+            sound = _sound(sums, final, parameter_sets[chunk[0]].n_states)[: len(chunk)]
+            sound &= [_plausible(parameter_sets[i]) for i in chunk]
+            failed[chunk] = ~sound
+            columns[:, chunk] = np.where(sound, sums[_SUM_ROWS, : len(chunk)], np.nan)
+    return Sums(*columns, failed=failed)
 
 
 def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The whole trajectory of one filter: means (n, 5), covariances (n, 5, 5), and where it is sound (n,)."""
-    constants = pack_constants([parameters], replay.timeline.nominal_interval)
-    initial = pack_states(replay.initial.mean, replay.initial.covariance)
-    record = np.empty((len(replay.timeline.imu_time), k.N_STATE + 1, 1))
-    sums, final = np.empty((k.N_SUMS, k.LANES)), np.empty((k.N_STATE, k.LANES))
-    k.run_lanes(*_arrays(replay), initial, constants, sums, final, record)
-    mean, covariance = unpack_states(record[:, : k.N_STATE, 0].T)
-    sound = (record[:, k.N_STATE, 0] == 1.0) & np.isfinite(record[:, :, 0]).all(axis=1)
+    """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
+    _, _, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
+    mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
+    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & _plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
 
 
+def _plausible(p: FilterParameters) -> bool:
+    """With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long."""
+    return min(p.process_noise) >= 0 and min(p.measurement_noise) > 0
+
+
 def _definite(covariance: Array) -> NDArray[np.bool_]:
-    """Which of the covariances (n, 5, 5) are positive definite: all pivots of an elimination are positive."""
-    rest, sound = covariance.copy(), np.ones(len(covariance), dtype=np.bool_)
-    with np.errstate(all="ignore"):
-        for _ in range(covariance.shape[1]):
-            pivot = rest[:, 0, 0]
-            sound &= pivot > 0
-            rest = rest[:, 1:, 1:] - rest[:, 1:, :1] * rest[:, :1, 1:] / pivot[:, None, None]
+    """Which of the covariances (r, n, n) are positive definite, but for rounding."""
+    variances = np.diagonal(covariance, axis1=1, axis2=2)
+    sound: NDArray[np.bool_] = np.asarray(
+        np.isfinite(covariance).all(axis=(1, 2)) & (variances > 0).all(axis=1)
+    )
+    scale = np.sqrt(variances[sound])
+    correlation = covariance[sound] / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
+    sound[sound] = np.linalg.eigvalsh(correlation).min(axis=1, initial=np.inf) > -1e-9
     return sound
 
 
-def _arrays(replay: Replay) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.int64]]:
-    """Steps, flags, fixes, targets and target_end, as the kernel takes them."""
-    t = replay.timeline
-    steps = np.column_stack([t.dt, t.ax, t.ay, t.gz, t.q_scale])
-    flags = k.FIX * t.absorbs.astype(np.int64) + k.IMU * t.sampled.astype(np.int64)
-    return steps, flags, t.fixes, replay.targets.rows, replay.targets.end
+_SUM_ROWS = (
+    np.array([lanes.SQ_POSITION, lanes.SQ_HEADING, lanes.SQ_FIX, lanes.NIS, lanes.LOG_DET]) - lanes.SUMS.start
+)
+
+
+def _run_chunk(
+    replay: Replay, parameter_sets: Sequence[FilterParameters], n_recorded: int
+) -> tuple[Array, Array, Array]:
+    """Sums (N_SUMS, LANES), final states (N_STATE, LANES) and a record of the first lane."""
+    first, line = parameter_sets[0], replay.timeline
+    record = np.empty((n_recorded, lanes.N_STATE + 1, min(n_recorded, 1)))
+    sums, final = run.run_lanes(
+        first.n_states,
+        np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
+        flags_of(line, *switches(first)),
+        line.fixes,
+        line.lever,
+        replay.targets.rows,
+        replay.targets.end,
+        pack_states(*start_of(replay.initial, parameter_sets)),
+        pack_constants(parameter_sets, line.nominal_interval),
+        record,
+    )
+    return sums, final, record
+
+
+def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
+    """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
+    return p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None
+
+
+def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:
+    """What happens at the end of each step, as the kernel's bits, shape (k,)."""
+    flags = run.FIX * line.absorbs + run.IMU * line.sampled
+    flags = flags + run.VELOCITY * (line.absorbs & velocity & line.has_velocity)
+    flags = flags + run.LATERAL * (_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL) & lateral)
+    flags = flags + run.STANDSTILL * (
+        _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL) & standstill
+    )
+    return flags.astype(np.int64)
+
+
+def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
+    """The first wanted step of each interval of time."""
+    chosen = np.zeros(len(wanted), dtype=np.bool_)
+    at = np.flatnonzero(wanted)
+    slots = [slot(t, line.start, interval) for t in line.end[at]]
+    chosen[at[np.unique(slots, return_index=True)[1]]] = True
+    return chosen
+
+
+def slot(time: float, start: float, interval: float) -> int:
+    """Which interval a moment lies in; a constraint is absorbed at most once in each."""
+    return math.floor((time - start) / interval + 1e-6)
+
+
+def start_of(initial: InitialState, parameter_sets: Sequence[FilterParameters]) -> tuple[Array, Array]:
+    """Means (LANES, n) and covariances (LANES, n, n) at the start; a bias starts at zero, as unsure as its set says."""
+    n = parameter_sets[0].n_states
+    mean, covariance = np.zeros((lanes.LANES, n)), np.zeros((lanes.LANES, n, n))
+    mean[:, :5], covariance[:, :5, :5] = initial.mean[:5], initial.covariance[:5, :5]
+    if n == 8:
+        known = len(initial.mean) == 8
+        for i, p in enumerate(_padded(parameter_sets)):
+            accel, gyro = p.bias_std
+            covariance[i, [5, 6, 7], [5, 6, 7]] = accel**2, accel**2, gyro**2
+            if known:
+                mean[i], covariance[i] = initial.mean, initial.covariance
+    return mean, covariance
+
+
+def _padded(parameter_sets: Sequence[FilterParameters]) -> list[FilterParameters]:
+    """As many sets as there are lanes: the last one again."""
+    return [*parameter_sets, *[parameter_sets[-1]] * (lanes.LANES - len(parameter_sets))]
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, lanes), padded with the last set to whole chunks of lanes.
+    """The kernel's constants, shape (N_CONSTANTS, LANES), of at most LANES sets.
 
     ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
     """
-    columns = []
-    for p in parameter_sets:
-        gamma2 = p.alpha**2 * (p.n_states + p.kappa)
-        spread = p.alpha**2 * (p.n_states + p.kappa - 1) + p.beta
-        convert = nominal_interval / (p.nominal_interval or nominal_interval)
-        q = [convert * variance for variance in p.process_noise]
-        columns.append([np.sqrt(gamma2), 1 / gamma2, spread, *q, *p.measurement_noise])
-    padding = -len(columns) % k.LANES
-    return np.ascontiguousarray(np.array(columns + columns[-1:] * padding).T)
+    return np.array([_constants(p, nominal_interval) for p in _padded(parameter_sets)]).T.copy()
+
+
+def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
+    n = p.n_states
+    gamma2 = p.alpha**2 * (n + p.kappa)
+    spread = p.alpha**2 * (n + p.kappa - 1) + p.beta
+    convert = nominal_interval / (p.nominal_interval or nominal_interval)
+    q = [convert * variance for variance in p.process_noise] + [0.0] * (8 - n)
+    off = np.inf
+    noises = [off if v is None else v for v in (p.velocity_noise, p.lateral_noise, p.standstill_noise)]
+    return [
+        *(np.sqrt(gamma2), 1 / gamma2, spread, 0.0 if p.kind == "ekf" else 1.0),
+        *q,
+        *p.measurement_noise,
+        *noises,
+        STANDSTILL_RATE_NOISE,
+        p.rear_axle,
+        p.latency,
+        off if p.gate is None else p.gate,
+        p.forgetting if p.kind == "adaptive-ukf" else 1.0,
+        p.forgetting if p.kind == "strong-tracking-ukf" else -1.0,
+    ]
 
 
 def pack_states(mean: Array, covariance: Array) -> Array:
-    """The kernel's state rows, shape (N_STATE, LANES), of one state for all lanes or of one state per lane.
-
-    ``mean`` is (5,) or (LANES, 5), ``covariance`` (5, 5) or (LANES, 5, 5).
-    """
-    state = np.empty((k.N_STATE, k.LANES))
-    state[:5] = np.atleast_2d(mean).T
-    state[5:] = covariance.reshape(-1, 5, 5)[:, *_UPPER].T
+    """The kernel's state rows, shape (N_STATE, LANES), of means (LANES, n) and covariances (LANES, n, n)."""
+    n = mean.shape[-1]
+    rows, columns = _upper(n)
+    state = np.zeros((lanes.N_STATE, lanes.LANES))
+    state[:n] = mean.T
+    state[lanes.P0 : lanes.P0 + len(rows)] = covariance[:, rows, columns].T
     return state
 
 
-def unpack_states(rows: Array) -> tuple[Array, Array]:
-    """Means (n, 5) and covariances (n, 5, 5) of state rows (N_STATE, n)."""
-    covariance = np.empty((rows.shape[1], 5, 5))
-    covariance[:, *_UPPER] = rows[5:].T
-    covariance[:, *_UPPER[::-1]] = rows[5:].T
-    return rows[:5].T.copy(), covariance
+def unpack_states(state: Array, n: int) -> tuple[Array, Array]:
+    """Means (r, n) and covariances (r, n, n) of state rows (N_STATE, r)."""
+    rows, columns = _upper(n)
+    packed = state[lanes.P0 : lanes.P0 + len(rows)].T
+    covariance = np.empty((state.shape[1], n, n))
+    covariance[:, rows, columns] = packed
+    covariance[:, columns, rows] = packed
+    return state[:n].T.copy(), covariance
+
+
+def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the upper triangle, column by column, as the kernel packs it."""
+    columns, rows = np.tril_indices(n)
+    return rows, columns
+
+
+def _sound(sums: Array, final: Array, n: int) -> NDArray[np.bool_]:
+    """Which lanes never failed and end with a positive definite covariance, shape (LANES,)."""
+    finite = np.isfinite(final).all(axis=0) & np.isfinite(sums[_SUM_ROWS]).all(axis=0)
+    return finite & (sums[lanes.OK - lanes.SUMS.start] == 1.0) & _definite(unpack_states(final, n)[1])

@@ -1,6 +1,7 @@
 """FilterParameters: everything that a filter can be tuned by, as one frozen record."""
 
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,12 +12,21 @@ from pydantic.dataclasses import dataclass
 
 from sigmaswarm.errors import InputError
 
-ModelName = Literal["planar5"]
+ModelName = Literal["planar5", "planar8"]
+FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"]
 
-STATE_NAMES: dict[str, tuple[str, ...]] = {"planar5": ("x", "y", "vx", "vy", "theta")}
+_PLANE = ("x", "y", "vx", "vy", "theta")
+STATE_NAMES: dict[str, tuple[str, ...]] = {
+    "planar5": _PLANE,
+    "planar8": (*_PLANE, "accel_bias_x", "accel_bias_y", "gyro_bias_z"),
+}
 """The states of each model, in order."""
 
-PROCESS_NOISE_UNITS: dict[str, tuple[str, ...]] = {"planar5": ("m2", "m2", "m2/s2", "m2/s2", "rad2")}
+_PLANE_UNITS = ("m2", "m2", "m2/s2", "m2/s2", "rad2")
+PROCESS_NOISE_UNITS: dict[str, tuple[str, ...]] = {
+    "planar5": _PLANE_UNITS,
+    "planar8": (*_PLANE_UNITS, "m2/s4", "m2/s4", "rad2/s2"),
+}
 """Units of the diagonal of Q, per nominal IMU step."""
 
 
@@ -24,41 +34,77 @@ def _as_tuple(value: Any) -> Any:
     return tuple(value.tolist()) if isinstance(value, np.ndarray) else value
 
 
-Variances = Annotated[tuple[Annotated[float, Field(allow_inf_nan=False)], ...], BeforeValidator(_as_tuple)]
+Real = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
+
+
+def _option(default: Any) -> Any:
+    return Field(default=default, kw_only=True)
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class FilterParameters:
-    """The parameters of an unscented Kalman filter.
+    """The parameters of a Kalman filter for a car's IMU and GPS.
 
     Attributes
     ----------
     alpha, beta, kappa : float
         Merwe's scaling of the sigma points: alpha > 0, kappa > -n (van der Merwe 2004, thesis, section 3.2.2).
+        An extended Kalman filter has no sigma points and does not look at them.
     process_noise : tuple of float, length n
         Diagonal of Q: the variance added per nominal IMU step, in the units of the state squared.
     measurement_noise : tuple of float, length 2
         Diagonal of R, m2 east and north.
-    model : {"planar5"}
-        planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU.
+    model : {"planar5", "planar8"}
+        planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU. planar8: and the biases of the accelerometer,
+        forward and left (m/s2), and of the gyro (rad/s), as random walks.
     nominal_interval : float or None
         s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning
         stores it, so that the same filter on an IMU of another rate adds the same variance per second.
+    kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"}
+        Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
+        a fading factor (Zhou and Frank 1996).
+    forgetting : float
+        In (0, 1): how much of the past an adaptive or strong tracking filter keeps from fix to fix.
+    bias_std : tuple of float, length 2
+        planar8: standard deviation of the biases at the start, m/s2 and rad/s.
+    velocity_noise : float or None
+        m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
+    lateral_noise : float or None
+        m2/s2: variance of the lateral velocity at the rear axle, which a car on its wheels does not have. None: not
+        used.
+    rear_axle : float
+        m from the rear axle forward to the IMU, for ``lateral_noise``.
+    standstill_noise : float or None
+        m2/s2: variance of the velocity while the car is seen to stand. None: not used.
+    gate : float or None
+        The largest normalized innovation squared (NIS) of a fix that is absorbed; 9.2 turns 1% of sound fixes away
+        (chi-square, two degrees of freedom). None: every fix is absorbed.
+    latency : float
+        s: how much older than its time stamp a fix is.
 
     Notes
     -----
     A negative variance is not refused here: the filter that runs with it fails, says so, and costs ``inf``.
     """
 
-    alpha: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    beta: Annotated[float, Field(allow_inf_nan=False)]
-    kappa: Annotated[float, Field(allow_inf_nan=False)]
+    alpha: Positive
+    beta: Real
+    kappa: Real
     process_noise: Variances
     measurement_noise: Variances
     model: ModelName = "planar5"
-    nominal_interval: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        default=None, kw_only=True
-    )
+    nominal_interval: Positive | None = _option(None)
+    kind: FilterKind = _option("ukf")
+    forgetting: Annotated[float, Field(gt=0, lt=1)] = _option(0.98)
+    bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
+    velocity_noise: Positive | None = _option(None)
+    lateral_noise: Positive | None = _option(None)
+    rear_axle: Real = _option(0.0)
+    standstill_noise: Positive | None = _option(None)
+    gate: Positive | None = _option(None)
+    latency: Real = _option(0.0)
 
     def __post_init__(self) -> None:
         n = self.n_states
@@ -77,10 +123,11 @@ class FilterParameters:
         return len(STATE_NAMES[self.model])
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types for TOML and JSON; ``nominal_interval`` is left out where it is None."""
-        names = ("model", "alpha", "beta", "kappa", "process_noise", "measurement_noise", "nominal_interval")
-        table = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in table.items()}  # pyright: ignore
+        """Plain types for TOML and JSON; options that are at their defaults are left out."""
+        table = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain = FilterParameters(**{name: table[name] for name in _ALWAYS_STATED})
+        shown = {k: v for k, v in table.items() if k in _ALWAYS_STATED or v != getattr(plain, k)}
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in shown.items()}  # pyright: ignore
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
@@ -131,12 +178,22 @@ class FilterParameters:
         return parameters
 
 
+_ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise", "model")
+
+
 def units(model: str) -> dict[str, Any]:
     """The units of a parameter file, for whoever reads it."""
     return {
         "process_noise": [f"{u} per nominal IMU step" for u in PROCESS_NOISE_UNITS[model]],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
+        "bias_std": ["m/s2", "rad/s"],
+        "velocity_noise": "m2/s2",
+        "lateral_noise": "m2/s2",
+        "rear_axle": "m",
+        "standstill_noise": "m2/s2",
+        "gate": "NIS, dimensionless",
+        "latency": "s",
         "states": list(STATE_NAMES[model]),
     }
 

@@ -9,9 +9,9 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.batch import Replay, Targets, record_replay
-from sigmaswarm.filters.models import THETA, gps_position, planar5
+from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
+from sigmaswarm.filters.textbook_car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
 
 Array = NDArray[np.float64]
@@ -25,9 +25,9 @@ class Estimate:
     ----------
     time : ndarray, shape (n,)
         s, the IMU's times after ``initial.time``.
-    mean : ndarray, shape (n, 5)
-        x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]). NaN from a failure on.
-    covariance : ndarray, shape (n, 5, 5) or (0,)
+    mean : ndarray, shape (n, n_states)
+        x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), and planar8's biases. NaN from a failure on.
+    covariance : ndarray, shape (n, n_states, n_states) or (0,)
         Of ``mean``; empty for dead reckoning, which has none.
     initial : InitialState
         Where the filter started.
@@ -109,30 +109,15 @@ def run_reference(
     """
     initial = initial or initial_state(drive)
     timeline = build_timeline(drive, initial.time)
-    points = SigmaPoints(
-        parameters.alpha, parameters.beta, parameters.kappa, first=(THETA,) if heading_first else ()
+    car = TextbookCar(
+        timeline, parameters, initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
     )
-    ukf = UnscentedKalmanFilter(
-        planar5,
-        gps_position,
-        initial.mean,
-        initial.covariance,
-        points,
-        redraw_sigma_points=redraw_sigma_points,
-        angles=(THETA,),
-    )
-    nominal = parameters.nominal_interval or timeline.nominal_interval
-    q, r = np.diag(parameters.process_noise), np.diag(parameters.measurement_noise)
-    fixes = iter(timeline.fixes)
     means, covariances = [], []
-    for i, dt in enumerate(timeline.dt):
-        imu = np.array([timeline.ax[i], timeline.ay[i], timeline.gz[i]])
-        ukf.predict(dt, imu, q * (dt / nominal))
-        if timeline.absorbs[i]:
-            ukf.update(next(fixes), r)
-        if timeline.sampled[i]:
-            means.append(ukf.mean)
-            covariances.append(ukf.covariance)
+    for step, sampled in enumerate(timeline.sampled):
+        car.step(step)
+        if sampled:
+            means.append(car.filter.mean)
+            covariances.append(car.filter.covariance)
     mean = np.array(means)
     mean[:, THETA] = wrap_angle(mean[:, THETA])
     return Estimate(timeline.imu_time, mean, np.array(covariances), initial)

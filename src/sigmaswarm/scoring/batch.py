@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.filters.batch import Replay, Sums, run_replay
-from sigmaswarm.filters.kernels import LANES
+from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, tracking_replay

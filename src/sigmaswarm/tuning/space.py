@@ -1,24 +1,62 @@
 """The box that is searched, and the way from a point in it to filter parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters, ModelName
+from sigmaswarm.filters.parameters import STATE_NAMES, FilterKind, FilterParameters, ModelName
 
 Scale = Literal["log10", "linear"]
+Option = Literal["velocity", "lateral", "standstill", "gate", "latency"]
+OPTIONS: tuple[Option, ...] = ("velocity", "lateral", "standstill", "gate", "latency")
+"""What a filter can use beside position fixes; each is a switch, and its parameters are then tuned with the rest."""
 
-# The paper's box.
-ALPHA_RANGE = (1e-3, 1.0)
-BETA_RANGE = (0.0, 3.0)
-KAPPA_RANGE = (0.0, 5.0)
-VARIANCE_RANGE = (1e-5, 10.0)
-"""Of every variance in Q (per nominal IMU step, SI units) and R (m2)."""
+
+@dataclass(frozen=True)
+class Dimension:
+    """One parameter that is searched: where it goes in FilterParameters, and its range.
+
+    ``index`` is its place in a tuple, -1 where the field is a plain number. ``spread``: it spans powers of ten.
+    """
+
+    name: str
+    field: str
+    index: int
+    lowest: float
+    highest: float
+    spread: bool = True
+
+
+SCALING = (
+    Dimension("alpha", "alpha", -1, 1e-3, 1.0, spread=False),
+    Dimension("beta", "beta", -1, 0.0, 3.0, spread=False),
+    Dimension("kappa", "kappa", -1, 0.0, 5.0, spread=False),
+)
+"""The paper's box for the scaling of the sigma points."""
+VARIANCE = (1e-5, 10.0)
+"""The paper's box for all variances, Q per nominal IMU step."""
+SMALL_VARIANCE = (1e-12, 10.0)
+"""planar8's for position, velocity, heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
+BIAS_WALK = (1e-16, 1e-4)
+"""planar8's for the random walks of the biases."""
+BIAS_STD = ((1e-3, 1.0), (1e-5, 0.1))
+"""planar8's for the biases at the start, m/s2 and rad/s."""
+OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
+    "velocity": (Dimension("velocity_noise", "velocity_noise", -1, 1e-4, 10.0),),
+    "lateral": (
+        Dimension("lateral_noise", "lateral_noise", -1, 1e-4, 10.0),
+        Dimension("rear_axle", "rear_axle", -1, -1.0, 4.0, spread=False),
+    ),
+    "standstill": (Dimension("standstill_noise", "standstill_noise", -1, 1e-6, 1.0),),
+    "gate": (Dimension("gate", "gate", -1, 4.0, 100.0),),
+    "latency": (Dimension("latency", "latency", -1, 0.0, 0.5, spread=False),),
+}
+ADAPTIVE = Dimension("forgetting", "forgetting", -1, 0.9, 0.9999, spread=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,23 +65,31 @@ class SearchSpace:
 
     Attributes
     ----------
-    model : str
-    names : tuple of str
-        alpha, beta, kappa, one q per state, one r per measurement.
-    lowest, highest : ndarray, shape (d,)
-        Bounds of the parameters themselves.
+    dimensions : tuple of Dimension, length d
+    fixed : dict
+        Fields of `FilterParameters` that are not searched.
     logarithmic : ndarray of bool, shape (d,)
-        Which of them are searched in log10.
-    nominal_interval : float or None
-        s: the interval that Q refers to, passed on to the parameters.
+        Which dimensions are searched in log10.
     """
 
-    model: ModelName
-    names: tuple[str, ...]
-    lowest: Array
-    highest: Array
+    dimensions: tuple[Dimension, ...]
+    fixed: dict[str, Any]
     logarithmic: NDArray[np.bool_]
-    nominal_interval: float | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the dimensions."""
+        return tuple(d.name for d in self.dimensions)
+
+    @property
+    def lowest(self) -> Array:
+        """Lower bounds of the parameters themselves, shape (d,)."""
+        return np.array([d.lowest for d in self.dimensions])
+
+    @property
+    def highest(self) -> Array:
+        """Upper bounds of the parameters themselves, shape (d,)."""
+        return np.array([d.highest for d in self.dimensions])
 
     @property
     def low(self) -> Array:
@@ -57,20 +103,19 @@ class SearchSpace:
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
-        n = len(STATE_NAMES[self.model])
         powers = 10.0 ** np.where(self.logarithmic, points, 0.0)
         # 10**-5.0 is a last bit away from 1e-5: clip, so that nothing lies outside the box.
         values = np.clip(np.where(self.logarithmic, powers, points), self.lowest, self.highest)
-        return [
-            FilterParameters(
-                *v[:3],
-                process_noise=v[3 : 3 + n],
-                measurement_noise=v[3 + n :],
-                model=self.model,
-                nominal_interval=self.nominal_interval,
-            )
-            for v in values.tolist()
-        ]
+        return [FilterParameters(**self.fixed, **self._fields(row)) for row in values.tolist()]
+
+    def _fields(self, values: list[float]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for dimension, value in zip(self.dimensions, values, strict=True):
+            if dimension.index < 0:
+                found[dimension.field] = value
+            else:
+                found[dimension.field] = (*found.get(dimension.field, ()), value)
+        return found
 
     def touched(self, point: Array) -> list[str]:
         """Which parameters lie on a bound of the box, as ``name at its lower bound (value)``."""
@@ -86,24 +131,47 @@ class SearchSpace:
         return np.where(self.logarithmic, np.log10(np.where(self.logarithmic, values, 1.0)), values)
 
 
-def search_space(model: ModelName, scale: Scale, nominal_interval: float | None = None) -> SearchSpace:
-    """The paper's box for a model; ``scale`` says how variances are searched.
+def search_space(
+    model: ModelName,
+    scale: Scale,
+    nominal_interval: float | None = None,
+    *,
+    kind: FilterKind = "ukf",
+    use: Sequence[Option] = (),
+) -> SearchSpace:
+    """The box for a filter: the paper's for planar5, its own for planar8; ``scale`` says how variances are searched.
 
     Raises
     ------
     InputError
-        If the scale is unknown.
+        If the scale or an option is unknown.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
-    states = STATE_NAMES[model]
-    names = ("alpha", "beta", "kappa", *(f"q_{s}" for s in states), "r_x", "r_y")
-    ranges: Sequence[tuple[float, float]] = [
-        ALPHA_RANGE,
-        BETA_RANGE,
-        KAPPA_RANGE,
-        *[VARIANCE_RANGE] * (len(states) + 2),
-    ]
-    lowest, highest = np.array(ranges).T
-    logarithmic = np.array([False] * 3 + [scale == "log10"] * (len(states) + 2))
-    return SearchSpace(model, names, lowest, highest, logarithmic, nominal_interval)
+    unknown = [option for option in use if option not in OPTIONS]
+    if unknown:
+        raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
+    dimensions = tuple(_dimensions(model, kind, use))
+    logarithmic = np.array([d.spread and scale == "log10" for d in dimensions])
+    fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
+    if kind == "ekf":  # it has no sigma points
+        fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
+    return SearchSpace(dimensions, fixed, logarithmic)
+
+
+def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> Iterator[Dimension]:
+    if kind != "ekf":
+        yield from SCALING
+    for i, state in enumerate(STATE_NAMES[model]):
+        bounds = VARIANCE if model == "planar5" else SMALL_VARIANCE if i < 5 else BIAS_WALK
+        yield Dimension(f"q_{state}", "process_noise", i, *bounds)
+    yield Dimension("r_x", "measurement_noise", 0, *VARIANCE)
+    yield Dimension("r_y", "measurement_noise", 1, *VARIANCE)
+    if model == "planar8":
+        yield Dimension("accel_bias_std", "bias_std", 0, *BIAS_STD[0])
+        yield Dimension("gyro_bias_std", "bias_std", 1, *BIAS_STD[1])
+    if kind in ("adaptive-ukf", "strong-tracking-ukf"):
+        yield ADAPTIVE
+    for option in OPTIONS:
+        if option in use:
+            yield from OPTION_DIMENSIONS[option]

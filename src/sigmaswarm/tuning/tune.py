@@ -17,12 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import sigmaswarm
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.parameters import FilterParameters, ModelName, units
+from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName, units
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, check_scored
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective, objective_named
 from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA, ParticleSwarm
-from sigmaswarm.tuning.space import Scale, SearchSpace, search_space
+from sigmaswarm.tuning.space import Option, Scale, SearchSpace, search_space
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable, write_whole
 
 
@@ -38,6 +38,9 @@ class TuneConfig(BaseModel):
     trials: int = Field(default=1, ge=1)
     seed: int = Field(default=0, ge=0)
     model: ModelName = "planar5"
+    kind: FilterKind = "ukf"
+    use: tuple[Option, ...] = ()
+    """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION
@@ -127,7 +130,7 @@ class Tuning:
                 "evaluations": sum(trial.evaluations for trial in self.trials),
                 "failures": sum(trial.failures for trial in self.trials),
             },
-            "config": self.config.model_dump(exclude_none=True),
+            "config": self.config.model_dump(mode="json", exclude_none=True),
             "versions": versions(),
             "data": self.data,
         }
@@ -177,12 +180,12 @@ def tune(
     check_drives(drives, objective)
     data = [_described(drive) for drive in drives]
     interval = float(np.median([drive.nominal_interval for drive in drives]))
-    space = search_space(settings.model, settings.scale, interval)
+    space = search_space(settings.model, settings.scale, interval, kind=settings.kind, use=settings.use)
     replayer = Replayer(drives, outages=objective.needs_outages, outage_seed=settings.outage_seed)
     check_scored(replayer, objective)
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
-        asked = {**settings.model_dump(), "data": data, "versions": versions()}
+        asked = {**settings.model_dump(mode="json"), "data": data, "versions": versions()}
         folder = ResultFolder(Path(out), asked, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())

@@ -1,7 +1,7 @@
 """The unscented Kalman filter as the textbook has it, in NumPy: slow, general, and easy to check.
 
 State order, semantics of predict and update, and weights are those of FilterPy 2.0.0. It runs any process
-``f(state, dt, u)`` and measurement ``h(state)``; `kernels.py` holds the compiled form of one of them.
+``f(state, dt, u)`` and measurement ``h(state)``; `compiled/` holds those for cars.
 
 References
 ----------
@@ -9,17 +9,13 @@ S. J. Julier and J. K. Uhlmann, Unscented filtering and nonlinear estimation, Pr
 R. van der Merwe, Sigma-point Kalman filters for probabilistic inference in dynamic state-space models, 2004.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.errors import SigmaswarmError
-
-Array = NDArray[np.float64]
-Process = Callable[[Array, float, Array], Array]
-Measurement = Callable[[Array], Array]
+from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
 
 
 class NotPositiveDefiniteError(SigmaswarmError):
@@ -77,7 +73,7 @@ def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
     return root
 
 
-class UnscentedKalmanFilter:
+class UnscentedKalmanFilter(GaussianFilter):
     """An unscented Kalman filter for any process and measurement.
 
     Parameters
@@ -100,8 +96,6 @@ class UnscentedKalmanFilter:
     ----------
     mean, covariance : ndarray
         x and P, after the last call.
-    innovation, innovation_covariance : ndarray
-        nu and S of the last update.
     """
 
     def __init__(
@@ -119,8 +113,6 @@ class UnscentedKalmanFilter:
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
         self.redraw_sigma_points = redraw_sigma_points
         self.angles = list(angles)
-        self.innovation: Array = np.empty(0)
-        self.innovation_covariance: Array = np.empty((0, 0))
         self._propagated: Array | None = None
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
@@ -138,19 +130,23 @@ class UnscentedKalmanFilter:
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._propagated = sigmas[0] + offsets
 
-    def update(self, measurement: Array, measurement_noise: Array) -> None:
-        """Absorb a measurement, shape (m,), whose noise covariance R has shape (m, m)."""
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
+        """nu, S and C from the sigma points; ``h`` takes the place of the filter's own."""
+        h = h or self.h
         wm, wc = self.points.weights(len(self.mean))
         sigmas = self._propagated
         if self.redraw_sigma_points or sigmas is None:
             sigmas = self.points.draw(self.mean, self.covariance)
-        predicted = np.array([self.h(s) for s in sigmas])
+        predicted = np.array([h(s) for s in sigmas])
         centre = wm @ (predicted - predicted[0]) + predicted[0]
         spread_z = predicted - centre
         spread_x = sigmas - self.mean
         s = (spread_z.T * wc) @ spread_z + measurement_noise
-        gain = np.linalg.solve(s, ((spread_x.T * wc) @ spread_z).T).T  # K = Pxz S^-1
-        self.innovation, self.innovation_covariance = measurement - centre, s
-        self.mean = self.mean + gain @ self.innovation
-        self.covariance = self.covariance - gain @ s @ gain.T
+        return Innovation(measurement - centre, s, (spread_x.T * wc) @ spread_z, measurement_noise)
+
+    def absorb(self, innovation: Innovation) -> None:
+        """x + K nu, P - K S K^T."""
+        super().absorb(innovation)
         self._propagated = None

@@ -1,0 +1,93 @@
+"""When does the car stand? Told from the IMU's calm and from fixes that stay where they are; causally.
+
+A smooth road at constant speed is as calm as a standstill, so the fixes must agree; a car that departs is slow for the
+fixes at first, so the IMU must agree. The same functions serve a whole drive and a live filter.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+
+WINDOW = 1.0
+"""s of samples that must be calm."""
+CALM = 2.5
+"""A window is calm if it is at most that many times as restless as the car is when it is calm."""
+SETTLES = 0.5
+"""s in which the notion of calm follows a calmer window."""
+RISES = 0.1
+"""per s: how fast it rises while the car is about calm, so that one lucky window does not set it for good."""
+FIX_WINDOW = 3.0
+"""s of fixes that must stay where they are."""
+FIX_SPEED = 0.8
+"""m/s: the speed that the fixes may show while the car stands."""
+TURNING = math.radians(1.5)
+"""rad/s: a car that stands does not turn; a gyro's bias stays below this."""
+
+
+def standing(drive: Drive) -> NDArray[np.bool_]:
+    """Whether the car stands at each IMU sample, shape (n,); from that sample and earlier data only."""
+    imu, gps = drive.imu, drive.gps
+    samples = np.column_stack([imu.time, imu.ax, imu.ay, imu.gz])
+    calm = np.zeros(len(imu), dtype=np.bool_)
+    _calm_throughout(samples, new_floor(), calm)
+    stands = np.zeros(len(imu), dtype=np.bool_)
+    seen = np.searchsorted(gps.time, imu.time, side="right")
+    first = np.searchsorted(gps.time, imu.time - FIX_WINDOW, side="left")
+    fixes = np.column_stack([gps.time, gps.x, gps.y])
+    for k in np.flatnonzero(calm):
+        stands[k] = fixes_stand(fixes[first[k] : seen[k]], imu.time[k])
+    return stands
+
+
+def new_floor() -> Array:
+    """How restless ax, ay, gz are when the car is calm, shape (3,); `is_calm` learns it."""
+    return np.full(3, np.inf)
+
+
+@njit(cache=True)
+def is_calm(samples: Array, last: int, floor: Array) -> bool:
+    """Whether the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated."""
+    first = last
+    while first > 0 and samples[first - 1, 0] >= samples[last, 0] - WINDOW:
+        first -= 1
+    if last - first < 4 or samples[last, 0] - samples[first, 0] < 0.8 * WINDOW:
+        return False
+    calm = abs(samples[last, 3]) < TURNING
+    for c in range(3):
+        mean = 0.0
+        for k in range(first, last + 1):
+            mean += samples[k, 1 + c]
+        mean /= last + 1 - first
+        variance = 0.0
+        for k in range(first, last + 1):
+            variance += (samples[k, 1 + c] - mean) ** 2
+        restless = math.sqrt(variance / (last + 1 - first))
+        dt = samples[last, 0] - samples[last - 1, 0]
+        if not floor[c] < math.inf:
+            floor[c] = restless
+        elif restless < floor[c]:
+            floor[c] += (restless - floor[c]) * min(1.0, dt / SETTLES)
+        elif restless < 3.0 * floor[c]:
+            floor[c] *= 1.0 + RISES * min(1.0, dt)
+        calm = calm and restless <= CALM * max(floor[c], 1e-6)
+    return calm
+
+
+@njit(cache=True)
+def _calm_throughout(samples: Array, floor: Array, calm: NDArray[np.bool_]) -> None:
+    for k in range(len(samples)):
+        calm[k] = is_calm(samples, k, floor)
+
+
+def fixes_stand(fixes: Array, now: float) -> bool:
+    """Whether a straight line through the last seconds' fixes hardly moves; rows are t, x, y, none after ``now``."""
+    recent = fixes[fixes[:, 0] >= now - FIX_WINDOW]
+    if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * FIX_WINDOW:
+        return False
+    t = recent[:, 0] - recent[:, 0].mean()
+    vx, vy = t @ recent[:, 1] / (t @ t), t @ recent[:, 2] / (t @ t)
+    return math.hypot(vx, vy) < FIX_SPEED

@@ -1,0 +1,115 @@
+"""What all kernels share: lanes, the rows of their arrays, compiler flags, and a sine that vectorizes.
+
+**Lanes.** Arrays are (row, lane) with LANES parameter sets side by side, so that each loop over lanes becomes
+vector instructions. All rows of one run live in one local array: with a single base pointer the compiler can
+rule out that writing one row changes another. A failing lane turns to NaN or loses its OK flag; nothing
+branches on it, so the other lanes neither wait nor change.
+"""
+
+# Numba has types of its own, which a type checker for Python does not know.
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+import numpy as np
+from numba import njit
+
+LANES = 16
+"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
+
+# One array holds all rows of a run: state, constants, sums, scratch.
+# The mean: east, north, their velocities, heading, biases of the accelerometer (forward, left) and of the gyro.
+X, Y, U, V, T, A, B, W = range(8)
+# The covariance: its upper triangle column by column, so that planar5's rows are the first of planar8's.
+(XX,
+ XY, YY,
+ XU, YU, UU,
+ XV, YV, UV, VV,
+ XT, YT, UT, VT, TT,
+ XA, YA, UA, VA, TA, AA,
+ XB, YB, UB, VB, TB, AB, BB,
+ XW, YW, UW, VW, TW, AW, BW, WW) = range(8, 44)  # fmt: skip
+N_STATE = 44
+P0 = XX
+"""Row of P[0, 0]; P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i."""
+
+# The constants of a parameter set. Q and R may change during a run: an adaptive filter writes them.
+GAMMA, INV_GAMMA2, SPREAD, SECOND = range(44, 48)
+Q0 = 48  # eight variances of Q
+RX, RY, R_VELOCITY, R_LATERAL, R_STANDSTILL, R_RATE = range(56, 62)
+REAR_AXLE, LATENCY, GATE, FORGETTING, FADING = range(62, 67)
+CONSTANTS = slice(44, 67)
+N_CONSTANTS = 23
+
+# The sums that a run returns.
+SQ_POSITION, SQ_HEADING, SQ_FIX, NIS, LOG_DET, DET, OK, REJECTED, RECENT = range(67, 76)
+SUMS = slice(67, 76)
+N_SUMS = 9
+
+# Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; S, nu and the gain's G.
+BEFORE_X, BEFORE_Y, BEFORE_T = range(76, 79)
+C1, C2 = 79, 87
+S11, S12, S22, N1, N2, G11, G12, G22 = range(95, 103)
+# Scratch of a prediction: acceleration, its covariances with the state and with itself.
+EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(103, 116)
+N_ROWS = 116
+
+# NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
+# by zero of error_model="python" would be an early exit, which no vectorized loop may have.
+FLAGS = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def kernel(function, **options):
+    """Compile a function. It takes the array of rows ``w``, so that it knows of one base pointer only."""
+    return njit(
+        function, error_model="numpy", fastmath=FLAGS, nogil=True, **({"forceinline": True} | options)
+    )
+
+
+def _inline(function):
+    return njit(function, inline="always", error_model="numpy")
+
+
+@_inline
+def _reduced(x):
+    """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
+
+    Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms
+    paired so that fewer have to wait for each other. Error about 3e-16 for |x| below 1e5.
+    """
+    n = np.floor(x * (2 / math.pi) + 0.5)  # math.floor would go through integers
+    r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
+    z = r * r
+    zz = z * z
+    s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
+    s2 = -1.98412698298579493134e-04 + z * 2.75573137070700676789e-06
+    s3 = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    c1 = 4.16666666666666019037e-02 + z * -1.38888888888741095749e-03
+    c2 = 2.48015872894767294178e-05 + z * -2.75573143513906633035e-07
+    c3 = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    sin = r + r * z * (s1 + zz * (s2 + zz * s3))
+    cos = (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
+    return n, sin, cos
+
+
+@_inline
+def sincos(x):
+    """Sine and cosine."""
+    n, sin, cos = _reduced(x)
+    quadrant = n - 4.0 * np.floor(n * 0.25)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    s = cos if odd else sin
+    c = sin if odd else cos
+    s = -s if quadrant >= 2.0 else s
+    c = -c if (quadrant == 1.0) | (quadrant == 2.0) else c
+    return s, c
+
+
+@_inline
+def double_angle(x):
+    """sin 2x and sin^2 x, which need to know of the quadrant only whether it is odd."""
+    n, sin, cos = _reduced(x)
+    odd = n - 2.0 * np.floor(n * 0.5) == 1.0
+    double = 2.0 * sin * cos
+    sin_x = cos if odd else sin  # but for its sign
+    return -double if odd else double, sin_x * sin_x

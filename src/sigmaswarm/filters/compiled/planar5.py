@@ -1,0 +1,85 @@
+"""planar5's prediction in closed form; read it beside `models.planar5` and `reference.UnscentedKalmanFilter`.
+
+The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
+with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
+first. Then only its first column (and its mirror image) moves theta, by d = gamma sigma_theta with gamma^2 = n + lambda
+= alpha^2 (n + kappa), and all other sigma points share the centre's g0 = g(theta). With J a turn by 90 degrees,
+
+    g(theta +- d) = g0 cos d +- J g0 sin d,       w = 1 / (2 gamma^2) the weight of one sigma point,
+    e         = 2 w (cos d - 1) = -(2 / gamma^2) sin^2(d/2)          (no difference of large numbers is left)
+    k         = sin d / d
+    mean of g = (1 + e) g0
+    Cov(s, g) = k P[:, theta] (J g0)^T
+    Cov(g)    = k^2 P[theta, theta] J g0 (J g0)^T  +  (alpha^2 (n + kappa - 1) + beta) e^2 g0 g0^T
+
+The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
+
+An extended Kalman filter is the same with the second-order terms off: e = 0, k = 1 (constant SECOND = 0).
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+from sigmaswarm.filters.compiled.lanes import *
+
+
+@kernel
+def predict_planar5(w, dt, ax, ay, gz, q_scale):
+    """One step of the process model, in two loops: a processor can't look ahead over one so long."""
+    _turn(w, dt * ax, dt * ay)
+    h = 0.5 * dt
+    for l in range(LANES):
+        a, b, ke, kn = (
+            w[EAST, l],
+            w[NORTH, l],
+            w[JEAST, l],
+            w[JNORTH, l],
+        )  # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
+        xu, xv, xt = w[XU, l], w[XV, l], w[XT, l]
+        yu, yv, yt = w[YU, l], w[YV, l], w[YT, l]
+        uu, uv, ut = w[UU, l], w[UV, l], w[UT, l]
+        vv, vt, tt = w[VV, l], w[VT, l], w[TT, l]
+
+        u, v = w[U, l], w[V, l]
+        u1, v1 = u + (a + w[E, l] * a), v + (b + w[E, l] * b)
+        w[X, l] += h * (u + u1)
+        w[Y, l] += h * (v + v1)
+        w[U, l], w[V, l] = u1, v1
+        w[T, l] += dt * gz
+
+        # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on.
+        xu1, xv1 = xu + ke * xt, xv + kn * xt
+        yu1, yv1 = yu + ke * yt, yv + kn * yt
+        uu1, uv1 = uu + ke * ut, uv + kn * ut
+        vu1, vv1 = uv + ke * vt, vv + kn * vt
+        u1t, v1t = ut + ke * tt, vt + kn * tt
+        u1u1 = uu1 + ke * u1t + w[ALONG, l] * a * a
+        u1v1 = uv1 + ke * v1t + w[ALONG, l] * a * b
+        v1v1 = vv1 + kn * v1t + w[ALONG, l] * b * b
+        x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
+        x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
+        y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
+        w[XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[Q0, l]
+        w[XY, l] += h * ((xv + xv1) + (y1u + y1u1))
+        w[YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[Q0 + 1, l]
+        w[XU, l], w[XV, l], w[XT, l] = x1u1, x1v1, xt + h * (ut + u1t)
+        w[YU, l], w[YV, l], w[YT, l] = y1u1, y1v1, yt + h * (vt + v1t)
+        w[UU, l], w[UV, l], w[UT, l] = u1u1 + q_scale * w[Q0 + 2, l], u1v1, u1t
+        w[VV, l], w[VT, l] = v1v1 + q_scale * w[Q0 + 3, l], v1t
+        w[TT, l] = tt + q_scale * w[Q0 + 4, l]
+
+
+@kernel
+def _turn(w, ax, ay):
+    """What the mean heading and its spread do to the acceleration times dt."""
+    for l in range(LANES):
+        sin_t, cos_t = sincos(w[T, l])
+        a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
+        second = w[SECOND, l]
+        d = w[GAMMA, l] * math.sqrt(w[TT, l]) + 1e-300  # never 0/0; no change to any other d
+        sin_d, sin2_h = double_angle(0.5 * d)
+        e = -2.0 * second * w[INV_GAMMA2, l] * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
+        w[EAST, l], w[NORTH, l], w[E, l], w[ALONG, l] = a, b, e, w[SPREAD, l] * e * e
+        w[JEAST, l], w[JNORTH, l] = -k * b, k * a

@@ -1,0 +1,113 @@
+"""planar8's prediction in closed form: planar5 with the IMU's biases as random walks.
+
+u' = u + dt R(theta) (a - b), theta' = theta + dt (yaw rate - w), with b the accelerometer's biases and w the gyro's.
+This is bilinear in theta and b. Take the square root of P with theta first again: its first column moves theta by d and
+b along with it; with theta held, the other columns move b only, and there the process is linear. Write g0 for the mean
+specific force less bias, turned into the world; J for a turn by 90 degrees; t = R P[b, theta]; gamma, d, e and k as in
+planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
+
+    mean of g   = g0 + mu,    mu = e g0 - k J t
+    Cov(s, g)   = P[:, theta] (k J g0 + m t)^T - P[:, b] R^T
+    Cov(g)      = R P[b, b] R^T + k^2 (P[theta, theta] J g0 (J g0)^T - gamma^2 t t^T)
+                  - k cos d (J g0 t^T + t (J g0)^T) + (alpha^2 (n + kappa - 1) + beta) mu mu^T
+
+The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^2 term; the extended Kalman filter.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+from sigmaswarm.filters.compiled.lanes import *
+
+
+@kernel
+def predict_planar8(w, dt, ax, ay, gz, q_scale):
+    """One step of the process model."""
+    _turn(w, dt, ax, ay)
+    h = 0.5 * dt
+    for l in range(LANES):
+        c, s, ke, kn = w[COS, l], w[SIN, l], w[JEAST, l], w[JNORTH, l]  # dt R; dt (k J g0 + m t)
+        xt, yt, ut, vt, tt = w[XT, l], w[YT, l], w[UT, l], w[VT, l], w[TT, l]
+        xa, ya, ua, va, ta, aa = w[XA, l], w[YA, l], w[UA, l], w[VA, l], w[TA, l], w[AA, l]
+        xb, yb, ub, vb, tb, ab, bb = w[XB, l], w[YB, l], w[UB, l], w[VB, l], w[TB, l], w[AB, l], w[BB, l]
+        xw, yw, uw, vw, tw, aw, bw, ww = (
+            w[XW, l], w[YW, l], w[UW, l], w[VW, l], w[TW, l], w[AW, l], w[BW, l], w[WW, l],
+        )  # fmt: skip
+        xu, yu, uu, xv, yv, uv, vv = w[XU, l], w[YU, l], w[UU, l], w[XV, l], w[YV, l], w[UV, l], w[VV, l]
+
+        u, v = w[U, l], w[V, l]
+        u1, v1 = u + (w[EAST, l] + w[MU_EAST, l]), v + (w[NORTH, l] + w[MU_NORTH, l])
+        w[X, l] += h * (u + u1)
+        w[Y, l] += h * (v + v1)
+        w[U, l], w[V, l] = u1, v1
+        w[T, l] += dt * (gz - w[W, l])
+
+        # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on; theta' = t1.
+        xu1, xv1 = xu + ke * xt - (c * xa - s * xb), xv + kn * xt - (s * xa + c * xb)
+        yu1, yv1 = yu + ke * yt - (c * ya - s * yb), yv + kn * yt - (s * ya + c * yb)
+        uu1, uv1 = uu + ke * ut - (c * ua - s * ub), uv + kn * ut - (s * ua + c * ub)
+        vu1, vv1 = uv + ke * vt - (c * va - s * vb), vv + kn * vt - (s * va + c * vb)
+        u1t, v1t = ut + ke * tt - (c * ta - s * tb), vt + kn * tt - (s * ta + c * tb)
+        u1a, v1a = ua + ke * ta - (c * aa - s * ab), va + kn * ta - (s * aa + c * ab)
+        u1b, v1b = ub + ke * tb - (c * ab - s * bb), vb + kn * tb - (s * ab + c * bb)
+        u1w, v1w = uw + ke * tw - (c * aw - s * bw), vw + kn * tw - (s * aw + c * bw)
+        u1u1 = uu1 + (uu1 - uu) + w[GEE, l]
+        u1v1 = uv1 + (vu1 - uv) + w[GEN, l]
+        v1v1 = vv1 + (vv1 - vv) + w[GNN, l]
+        u1t1, v1t1 = u1t - dt * u1w, v1t - dt * v1w
+        x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
+        x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
+        y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
+
+        w[XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[Q0, l]
+        w[XY, l] += h * ((xv + xv1) + (y1u + y1u1))
+        w[YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[Q0 + 1, l]
+        w[XU, l], w[XV, l], w[YU, l], w[YV, l] = x1u1, x1v1, y1u1, y1v1
+        w[UU, l], w[UV, l], w[VV, l] = u1u1 + q_scale * w[Q0 + 2, l], u1v1, v1v1 + q_scale * w[Q0 + 3, l]
+        w[XT, l] = xt - dt * xw + h * ((ut - dt * uw) + u1t1)
+        w[YT, l] = yt - dt * yw + h * ((vt - dt * vw) + v1t1)
+        w[UT, l], w[VT, l] = u1t1, v1t1
+        w[TT, l] = tt - dt * (2.0 * tw - dt * ww) + q_scale * w[Q0 + 4, l]
+        w[XA, l], w[XB, l], w[XW, l] = xa + h * (ua + u1a), xb + h * (ub + u1b), xw + h * (uw + u1w)
+        w[YA, l], w[YB, l], w[YW, l] = ya + h * (va + v1a), yb + h * (vb + v1b), yw + h * (vw + v1w)
+        w[UA, l], w[UB, l], w[UW, l], w[VA, l], w[VB, l], w[VW, l] = u1a, u1b, u1w, v1a, v1b, v1w
+        w[TA, l], w[TB, l], w[TW, l] = ta - dt * aw, tb - dt * bw, tw - dt * ww
+        w[AA, l] = aa + q_scale * w[Q0 + 5, l]
+        w[BB, l] = bb + q_scale * w[Q0 + 6, l]
+        w[WW, l] = ww + q_scale * w[Q0 + 7, l]
+
+
+@kernel
+def _turn(w, dt, ax, ay):
+    """What heading, biases and their spread do to the acceleration times dt."""
+    for l in range(LANES):
+        sin_t, cos_t = sincos(w[T, l])
+        s, c = dt * sin_t, dt * cos_t  # all below is times dt
+        fx, fy = ax - w[A, l], ay - w[B, l]
+        a, b = c * fx - s * fy, s * fx + c * fy
+        second, gamma, tt = w[SECOND, l], w[GAMMA, l], w[TT, l]
+        d = gamma * math.sqrt(tt) + 1e-300
+        sin_d, sin2_h = double_angle(0.5 * d)
+        sin2_h = second * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
+        e = -2.0 * w[INV_GAMMA2, l] * sin2_h
+        m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
+        te, tn = c * w[TA, l] - s * w[TB, l], s * w[TA, l] + c * w[TB, l]
+        mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
+        w[COS, l], w[SIN, l], w[EAST, l], w[NORTH, l] = c, s, a, b
+        w[MU_EAST, l], w[MU_NORTH, l] = mu_e, mu_n
+        w[JEAST, l], w[JNORTH, l] = m * te - k * b, m * tn + k * a
+
+        aa, ab, bb = w[AA, l], w[AB, l], w[BB, l]
+        ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
+        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[SPREAD, l], second * gamma * gamma
+        w[GEE, l] = (
+            c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
+        )
+        w[GEN, l] = (
+            s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
+        )
+        w[GNN, l] = (
+            s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
+        )

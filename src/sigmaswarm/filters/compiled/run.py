@@ -1,0 +1,202 @@
+"""The compiled run: LANES filters over one time line, with scores along the way."""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.filters.compiled.lanes import *
+from sigmaswarm.filters.compiled.measurements import absorbers
+from sigmaswarm.filters.compiled.planar5 import predict_planar5
+from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.compiled.unroll import unrolled
+
+Array = NDArray[np.float64]
+
+# Columns of a step, and its flags: what happens at its end.
+DT, AX, AY, GZ, Q_SCALE = range(5)
+FIX = 1  # a fix is absorbed
+IMU = 2  # it is an IMU sample's time: estimates are recorded and scored
+VELOCITY = 4  # the fix has a velocity
+LATERAL = 8  # the car's lateral velocity is constrained
+STANDSTILL = 16  # the car stands
+
+# Columns of a target: a moment of truth inside an IMU interval.
+WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
+
+_TWO_PI = 2 * math.pi
+_DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a double
+_FIRST_CONSTANT, _FIRST_SUM = CONSTANTS.start, SUMS.start
+
+
+@kernel
+def _take_logarithm(w):
+    """Move the product of the last det S into the sum of their logarithms (a slow call: once in a while)."""
+    for l in range(LANES):
+        w[LOG_DET, l] += math.log(w[DET, l])
+        w[DET, l] = 1.0
+
+
+@kernel
+def _score(w, weight, true_x, true_y, true_theta, scores_heading):
+    """Add the squared errors at a moment of truth; the estimate is linear between two IMU samples."""
+    for l in range(LANES):
+        x = w[BEFORE_X, l] + weight * (w[X, l] - w[BEFORE_X, l]) - true_x
+        y = w[BEFORE_Y, l] + weight * (w[Y, l] - w[BEFORE_Y, l]) - true_y
+        turn = w[T, l] - w[BEFORE_T, l]
+        turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
+        wrong = w[BEFORE_T, l] + weight * turn - true_theta
+        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
+        w[SQ_POSITION, l] += x * x + y * y
+        w[SQ_HEADING, l] += scores_heading * wrong * wrong
+
+
+def _run(
+    w, steps, flags, fixes, lever, targets, target_end, record,
+    *, predict, absorb_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+):  # fmt: skip
+    """All steps of a run; w holds initial state and constants, and in the end state and sums."""
+    n_fixes = 0
+    n_targets = 0
+    n_recorded = 0
+    since = 0.0
+    interval_starts = True
+    for step in range(steps.shape[0]):
+        if interval_starts:
+            for l in range(LANES):
+                w[BEFORE_X, l] = w[X, l]
+                w[BEFORE_Y, l] = w[Y, l]
+                w[BEFORE_T, l] = w[T, l]
+        u = steps[step]
+        predict(w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE])
+        since += u[Q_SCALE]
+        happens = flags[step]
+        if happens & FIX:
+            z = fixes[n_fixes]
+            absorb_fix(w, z[0], z[1], lever[0], lever[1], since)
+            if happens & VELOCITY:
+                absorb_velocity(w, z[2], z[3])
+            since = 0.0
+            n_fixes += 1
+            if n_fixes % _DETERMINANTS_PER_LOG == 0:
+                _take_logarithm(w)
+        if happens & LATERAL:
+            absorb_lateral(w, u[GZ])
+        if happens & STANDSTILL:
+            absorb_standstill(w, u[GZ])
+        interval_starts = (happens & IMU) != 0
+        while n_targets < target_end[step]:
+            t = targets[n_targets]
+            _score(w, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING])
+            n_targets += 1
+        if interval_starts and record.shape[0] > 0:
+            for l in range(record.shape[2]):
+                for r in range(N_STATE):
+                    record[n_recorded, r, l] = w[r, l]
+                record[n_recorded, N_STATE, l] = w[OK, l]
+            n_recorded += 1
+    _take_logarithm(w)
+
+
+_run5 = kernel(unrolled(_run, predict=predict_planar5, **absorbers(5)))
+_run8 = kernel(unrolled(_run, predict=predict_planar8, **absorbers(8)))
+
+
+@kernel
+def _store(w, sums, final):
+    for l in range(LANES):
+        for r in range(N_STATE):
+            final[r, l] = w[r, l]
+        for r in range(N_SUMS):
+            sums[r, l] = w[_FIRST_SUM + r, l]
+
+
+@kernel
+def _load(w, initial, constants):
+    for l in range(LANES):
+        for r in range(N_ROWS):
+            w[r, l] = 0.0
+        for r in range(N_STATE):
+            w[r, l] = initial[r, l]
+        for r in range(N_CONSTANTS):
+            w[_FIRST_CONSTANT + r, l] = constants[r, l]
+        w[DET, l] = 1.0
+        w[OK, l] = 1.0
+        w[RECENT, l] = -1.0
+
+
+def cached_by_sources(make):
+    """Compile the kernel that ``make(sources)`` gives, cached under a key that holds a hash of all kernels' sources.
+
+    Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
+    function closes over is part of its key.
+    """
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    return kernel(make(digest), cache=True, forceinline=False)
+
+
+@cached_by_sources
+def _run_planar5(sources):
+    def run_planar5(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+        if sources == "":  # never; so the name is closed over
+            return
+        w = np.empty((N_ROWS, LANES))
+        _load(w, initial, constants)
+        _run5(w, steps, flags, fixes, lever, targets, target_end, record)
+        _store(w, sums, final)
+
+    return run_planar5
+
+
+@cached_by_sources
+def _run_planar8(sources):
+    def run_planar8(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+        if sources == "":  # never; so the name is closed over
+            return
+        w = np.empty((N_ROWS, LANES))
+        _load(w, initial, constants)
+        _run8(w, steps, flags, fixes, lever, targets, target_end, record)
+        _store(w, sums, final)
+
+    return run_planar8
+
+
+KERNELS = {5: _run_planar5, 8: _run_planar8}
+"""By number of states."""
+
+
+def run_lanes(
+    n: int,
+    steps: Array,
+    flags: NDArray[np.int64],
+    fixes: Array,
+    lever: Array,
+    targets: Array,
+    target_end: NDArray[np.int64],
+    initial: Array,
+    constants: Array,
+    record: Array,
+) -> tuple[Array, Array]:
+    """Run LANES filters over one time line; gives sums (N_SUMS, LANES) and final states (N_STATE, LANES).
+
+    Parameters
+    ----------
+    n : 5 or 8, states of the model
+    steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
+    flags : (k,) bits of each step, FIX ... STANDSTILL
+    fixes : (f, 4) m east, north, m/s east, north, in the order in which steps absorb them
+    lever : (2,) m forward and left from the IMU to the antenna
+    targets : (m, 5) see WEIGHT ... SCORES_HEADING
+    target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
+    initial : (N_STATE, LANES)
+    constants : (N_CONSTANTS, LANES)
+    record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
+    """
+    sums, final = np.empty((N_SUMS, LANES)), np.empty((N_STATE, LANES))
+    KERNELS[n](steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record)
+    return sums, final

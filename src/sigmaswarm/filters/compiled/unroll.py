@@ -1,0 +1,88 @@
+"""Loops over states, written as loops and compiled as straight lines.
+
+A compiler vectorizes innermost loops only, and ours is the one over lanes: in `for l: for i in range(n): ...` the loop
+over states would hide it. So `unrolled` writes the loops over states out, with n a number, before Numba sees them.
+"""
+
+import ast
+import copy
+import inspect
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+STATE_LOOPS = ("i", "j", "k", "row")
+"""Names of the loop variables that are written out."""
+
+
+def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
+    """The same function with its keyword-only parameters bound to ``known`` and its loops over states written out.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python.
+    **known
+        Values of its keyword-only parameters, and of globals.
+    """
+    names = function.__globals__ | known
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
+    definition = tree.body[0]
+    if not isinstance(definition, ast.FunctionDef):
+        raise TypeError(f"{function} is no plain function")
+    definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
+    writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
+    definition.body = writer.block(definition.body)
+    ast.fix_missing_locations(tree)
+    exec(compile(tree, function.__code__.co_filename, "exec"), names)
+    return names[function.__name__]
+
+
+class _Writer(ast.NodeTransformer):
+    def __init__(self, names: dict[str, Any], values: dict[str, int]) -> None:
+        self.names, self.values = names, values
+
+    def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
+        written: list[ast.stmt] = []
+        for statement in statements:
+            result = self.visit(copy.deepcopy(statement))
+            written += result if isinstance(result, list) else [result]
+        return written
+
+    def visit_For(self, node: ast.For) -> Any:
+        if not (isinstance(node.target, ast.Name) and node.target.id in STATE_LOOPS):
+            node.body = self.block(node.body)
+            return node
+        outer, written = self.values, list[ast.stmt]()
+        for value in self._value(node.iter):
+            self.values = outer | {node.target.id: value}
+            written += self.block(node.body)
+        self.values = outer
+        return written
+
+    def visit_If(self, node: ast.If) -> Any:
+        try:
+            chosen = node.body if self._value(node.test) else node.orelse
+        except NameError:  # not known before the program runs
+            node.test, node.body, node.orelse = (
+                self.visit(node.test),
+                self.block(node.body),
+                self.block(node.orelse),
+            )
+            return node
+        return self.block(chosen)
+
+    def visit_Call(self, node: ast.Call) -> Any:
+        self.generic_visit(node)
+        if isinstance(node.func, ast.Name) and node.func.id == "at":
+            return ast.Constant(self._value(node))
+        return node
+
+    def visit_Name(self, node: ast.Name) -> Any:
+        known = isinstance(node.ctx, ast.Load) and node.id in self.values
+        return ast.Constant(self.values[node.id]) if known else node
+
+    def _value(self, node: ast.expr) -> Any:
+        expression = ast.fix_missing_locations(ast.Expression(copy.deepcopy(node)))
+        return eval(compile(expression, "<unrolled>", "eval"), self.names | self.values)

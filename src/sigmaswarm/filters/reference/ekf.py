@@ -1,0 +1,57 @@
+"""The extended Kalman filter as the textbook has it.
+
+References
+----------
+D. Simon, Optimal State Estimation, Wiley 2006, section 13.2.3.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+
+
+class ExtendedKalmanFilter(GaussianFilter):
+    """An extended Kalman filter for any process and measurement that NumPy can also evaluate for complex numbers.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(state, dt, u) -> state``, arrays of shape (n,).
+    h : callable
+        ``h(state) -> measurement``, shapes (n,) to (m,).
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Where it starts.
+    """
+
+    def __init__(self, f: Process, h: Measurement, mean: Array, covariance: Array) -> None:
+        self.f, self.h = f, h
+        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
+
+    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
+        """x' = f(x), P' = F P F^T + Q."""
+        jacobian = complex_step(lambda s: self.f(s, dt, u), self.mean)
+        self.mean = self.f(self.mean, dt, u)
+        self.covariance = jacobian @ self.covariance @ jacobian.T + process_noise
+
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
+        """nu = z - h(x), S = H P H^T + R, C = P H^T."""
+        h = h or self.h
+        jacobian = complex_step(h, self.mean)
+        cross = self.covariance @ jacobian.T
+        return Innovation(
+            measurement - h(self.mean), jacobian @ cross + measurement_noise, cross, measurement_noise
+        )
+
+
+def complex_step(function: Callable[[Array], Array], x: Array) -> Array:
+    """The Jacobian, shape (m, n), exact to rounding: d f / d x_i = Im f(x + i h e_i) / h for a tiny h.
+
+    W. Squire and G. Trapp, Using complex variables to estimate derivatives of real functions, SIAM Review 40, 1998.
+    """
+    tiny = 1e-100
+    columns = [np.imag(function(x + 1j * tiny * e)) / tiny for e in np.eye(len(x))]  # pyright: ignore[reportArgumentType]
+    return np.array(columns).T

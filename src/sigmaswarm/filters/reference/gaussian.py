@@ -1,0 +1,74 @@
+"""What all Kalman filters share: a Gaussian state, and how it absorbs an innovation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Process = Callable[[Array, float, Array], Array]
+Measurement = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What a measurement tells, before it is absorbed.
+
+    Attributes
+    ----------
+    nu : ndarray, shape (m,)
+        Measurement less its prediction.
+    variance : ndarray, shape (m, m)
+        S, the covariance of ``nu``.
+    cross : ndarray, shape (n, m)
+        C, the covariance of the state with the prediction.
+    noise : ndarray, shape (m, m)
+        R, which is a part of S.
+    """
+
+    nu: Array
+    variance: Array
+    cross: Array
+    noise: Array
+
+    @property
+    def gain(self) -> Array:
+        """K = C S^-1, shape (n, m)."""
+        return np.asarray(np.linalg.solve(self.variance, self.cross.T).T, np.float64)
+
+    @property
+    def nis(self) -> float:
+        """Normalized innovation squared, nu^T S^-1 nu."""
+        return float(self.nu @ np.linalg.solve(self.variance, self.nu))
+
+
+class GaussianFilter:
+    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) that absorbs innovations."""
+
+    mean: Array
+    covariance: Array
+
+    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
+        """Push the state through the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
+        raise NotImplementedError
+
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
+        """The innovation of a measurement, shape (m,), with noise covariance R, shape (m, m)."""
+        raise NotImplementedError
+
+    def absorb(self, innovation: Innovation) -> None:
+        """x + K nu, P - K S K^T."""
+        gain = innovation.gain
+        self.mean = self.mean + gain @ innovation.nu
+        self.covariance = self.covariance - gain @ innovation.variance @ gain.T
+
+    def update(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
+        """Measure and absorb."""
+        innovation = self.measure(measurement, measurement_noise, h)
+        self.absorb(innovation)
+        return innovation

@@ -1,0 +1,109 @@
+"""The filters for cars, put together from the textbook's parts: one step of it reads like the equations.
+
+`compiled/run.py` does the same; tests hold the two together, one step at a time.
+"""
+
+import numpy as np
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.batch import STANDSTILL_RATE_NOISE, flags_of, start_of, switches
+from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
+from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY
+from sigmaswarm.filters.models import PROCESSES, THETA, gps_position, gyro_bias, lateral_velocity, velocity
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
+from sigmaswarm.filters.reference.adaptive import SageHusa, StrongTracking
+from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter
+
+
+class TextbookCar:
+    """A textbook filter on a drive's time line.
+
+    Parameters
+    ----------
+    timeline : Timeline
+    parameters : FilterParameters
+    initial : InitialState
+    heading_first, redraw_sigma_points : bool
+        See `run_reference`.
+
+    Attributes
+    ----------
+    filter : GaussianFilter
+        Its ``mean`` and ``covariance`` may be set before a step.
+    noise : SageHusa
+        The diagonals of Q and R that are in force.
+    """
+
+    def __init__(
+        self,
+        timeline: Timeline,
+        parameters: FilterParameters,
+        initial: InitialState,
+        *,
+        heading_first: bool = True,
+        redraw_sigma_points: bool = True,
+    ) -> None:
+        p = parameters
+        self.timeline, self.parameters = timeline, p
+        means, covariances = start_of(initial, [p])
+        lever = (float(timeline.lever[0]), float(timeline.lever[1]))
+        f, h = PROCESSES[p.model], gps_position(lever, p.latency)
+        self.filter: GaussianFilter
+        if p.kind == "ekf":
+            self.filter = ExtendedKalmanFilter(f, h, means[0], covariances[0])
+        else:
+            points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
+            self.filter = UnscentedKalmanFilter(
+                f,
+                h,
+                means[0],
+                covariances[0],
+                points,
+                redraw_sigma_points=redraw_sigma_points,
+                angles=(THETA,),
+            )
+        convert = timeline.nominal_interval / (p.nominal_interval or timeline.nominal_interval)
+        self.noise = SageHusa(
+            np.array(p.process_noise) * convert, np.array(p.measurement_noise), p.forgetting
+        )
+        self.tracking = StrongTracking(p.forgetting)
+        self.flags = flags_of(timeline, *switches(p))
+        self._fix_of_step = np.cumsum(timeline.absorbs) - 1
+        self._rejected = 0
+        self._since = 0.0
+
+    def step(self, i: int) -> None:
+        """Take the time line's step i: predict, then absorb what there is at its end."""
+        line, p = self.timeline, self.parameters
+        imu = np.array([line.ax[i], line.ay[i], line.gz[i]])
+        self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i])
+        self._since += line.q_scale[i]
+        if self.flags[i] & FIX:
+            fix = line.fixes[self._fix_of_step[i]]
+            self._absorb_fix(fix[:2])
+            if self.flags[i] & VELOCITY and p.velocity_noise is not None:
+                self.filter.update(fix[2:], p.velocity_noise * np.eye(2), velocity)
+        if self.flags[i] & LATERAL and p.lateral_noise is not None:
+            self.filter.update(
+                np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(imu[2], p.rear_axle)
+            )
+        if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
+            self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), velocity)
+            if p.model == "planar8":
+                self.filter.update(imu[2:], np.array([[STANDSTILL_RATE_NOISE]]), gyro_bias)
+
+    def _absorb_fix(self, fix: Array) -> None:
+        innovation = self.filter.measure(fix, np.diag(self.noise.measurement_noise))
+        if self.parameters.kind == "strong-tracking-ukf":
+            innovation = self.tracking.stretch(self.filter, innovation)
+        gate = self.parameters.gate
+        if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
+            self._rejected = 0
+            if self.parameters.kind == "adaptive-ukf":
+                self.noise.adapt(innovation, self._since)
+            self.filter.absorb(innovation)
+        else:
+            self._rejected += 1
+        self._since = 0.0

@@ -1,0 +1,38 @@
+"""Filters of every kind, with every option, and a drive that has something for each of them."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.filters.parameters import FilterParameters
+from support import make_drive
+
+KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
+OPTIONS = {
+    "plain": {},
+    "velocity": {"velocity_noise": 0.1},
+    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2},
+    "gate": {"gate": 2.0},
+    "latency": {"latency": 0.1},
+    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "gate": 6.0, "latency": 0.05,
+            "standstill_noise": 1e-3},
+}  # fmt: skip
+
+
+def parameters(model: str, **more) -> FilterParameters:
+    q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6) + ((1e-8, 2e-8, 1e-10) if model == "planar8" else ())
+    return FilterParameters(0.5, 2.0, 1.0, q, (0.25, 0.36), model, **more)
+
+
+@cache
+def equipped(duration: float = 24.0) -> Drive:
+    """A drive whose receiver also tells speed and course, and whose antenna is not at the IMU."""
+    drive = make_drive(duration=duration, gps_std=0.5, jitter=0.3, seed=5)
+    truth, t = drive.truth, drive.gps.time
+    assert truth is not None
+    speed = np.interp(t, truth.time, np.hypot(truth.vx, truth.vy))
+    course = np.interp(t, truth.time, np.unwrap(np.arctan2(truth.vy, truth.vx)))
+    gps = replace(drive.gps, speed=speed, course=course)
+    return replace(drive, gps=gps, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})

@@ -1,0 +1,170 @@
+"""Every filter, compiled and in the textbook's form, on the same drives; and what must hold between filters."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import ExtendedKalmanFilter as FilterPyEkf
+
+from filter_cases import KINDS, OPTIONS, equipped, parameters
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.models import gps_position, planar5, planar8
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.reference import ExtendedKalmanFilter
+from sigmaswarm.filters.reference.ekf import complex_step
+from sigmaswarm.filters.run import Estimate, run_filter, run_reference
+from support import DRIVES, make_drive, needs_shared
+
+
+def difference(a: Estimate, b: Estimate) -> float:
+    """The largest relative difference of means and covariances."""
+    std = np.sqrt(np.diagonal(b.covariance, axis1=1, axis2=2))
+    covariance = np.abs(a.covariance - b.covariance) / (std[:, :, None] * std[:, None, :])
+    return max(float(np.max(np.abs(a.mean - b.mean))), float(np.max(covariance)))
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
+    p = parameters(model, kind=kind, **OPTIONS[option])
+    assert difference(run_filter(equipped(), p), run_reference(equipped(), p)) < 1e-9
+
+
+def test_the_options_matter():
+    plain = run_filter(equipped(), parameters("planar8"))
+    for name, option in OPTIONS.items():
+        if name != "plain":
+            assert difference(run_filter(equipped(), parameters("planar8", **option)), plain) > 1e-3, name
+    for kind in KINDS[1:]:
+        assert difference(run_filter(equipped(), parameters("planar8", kind=kind)), plain) > 1e-6, kind
+
+
+@needs_shared
+@pytest.mark.parametrize("kind", KINDS)
+def test_compiled_is_the_textbook_s_on_a_real_drive(kind: str):
+    drive = clip(read_drive(DRIVES / "colorado-1"), 0.0, 75.0)  # with the standstill before it departs
+    p = parameters("planar8", kind=kind, lateral_noise=0.05, rear_axle=1.2, standstill_noise=1e-3, gate=12.0)
+    assert difference(run_filter(drive, p), run_reference(drive, p)) < 1e-9
+
+
+def test_the_extended_filter_is_filterpy_s():
+    drive, p = make_drive(duration=20, seed=2), parameters("planar5", kind="ekf")
+    initial = initial_state(drive)
+    line = build_timeline(drive, initial.time)
+    theirs = FilterPyEkf(dim_x=5, dim_z=2)
+    theirs.x, theirs.P, theirs.R = (
+        initial.mean.copy(),
+        initial.covariance.copy(),
+        np.diag(p.measurement_noise),
+    )
+    means, fixes = [], iter(line.fixes)
+    h = np.eye(2, 5)
+    for i, dt in enumerate(line.dt):
+        theta, ax, ay = theirs.x[4], line.ax[i], line.ay[i]
+        turned = np.array([-np.sin(theta) * ax - np.cos(theta) * ay, np.cos(theta) * ax - np.sin(theta) * ay])
+        f = np.eye(5)
+        f[0, 2] = f[1, 3] = dt
+        f[:2, 4], f[2:4, 4] = turned * dt**2 / 2, turned * dt
+        theirs.F, theirs.Q = f, np.diag(p.process_noise) * line.q_scale[i]
+        theirs.x = planar5(theirs.x, dt, np.array([ax, ay, line.gz[i]]))
+        theirs.P = f @ theirs.P @ f.T + theirs.Q
+        if line.absorbs[i]:
+            theirs.update(next(fixes)[:2], lambda x: h, lambda x: h @ x)
+        if line.sampled[i]:
+            means.append(theirs.x.copy())
+    wrapped = np.array(means)
+    wrapped[:, 4] = np.pi - np.mod(np.pi - wrapped[:, 4], 2 * np.pi)
+    assert np.max(np.abs(run_filter(drive, p).mean - wrapped)) < 1e-10
+
+
+def test_planar8_that_knows_its_biases_is_planar5():
+    drive = make_drive(duration=20, seed=4)
+    five = FilterParameters(0.5, 2.0, 3.0, (1e-4,) * 5, (1.0, 1.0))
+    eight = FilterParameters(
+        0.5, 2.0, 0.0, (1e-4,) * 5 + (0.0,) * 3, (1.0, 1.0), "planar8", bias_std=(1e-10, 1e-10)
+    )
+    a, b = run_filter(drive, five), run_filter(drive, eight)
+    assert np.max(np.abs(a.mean - b.mean[:, :5])) < 1e-9
+    assert np.max(np.abs(b.mean[:, 5:])) < 1e-9
+
+
+def test_planar8_finds_the_biases():
+    drive = make_drive(duration=120, gps_std=0.3, seed=6)
+    biases = np.array([0.2, -0.1, 0.01])
+    imu = replace(drive.imu, ax=drive.imu.ax + 0.2, ay=drive.imu.ay - 0.1, gz=drive.imu.gz + 0.01)
+    p = FilterParameters(
+        0.5, 2.0, 0.0, (1e-8, 1e-8, 1e-7, 1e-7, 1e-9, 1e-10, 1e-10, 1e-13), (0.09, 0.09), "planar8",
+        bias_std=(0.3, 0.02),
+    )  # fmt: skip
+    estimate = run_filter(replace(drive, imu=imu), p)
+    std = np.sqrt(np.diagonal(estimate.covariance[-1]))[5:]
+    assert np.all(np.abs(estimate.mean[-1, 5:] - biases) < 4 * std)
+    assert np.all(std < [0.05, 0.05, 0.002])
+
+
+def test_strong_tracking_follows_what_its_noise_does_not_allow():
+    drive = make_drive(duration=60, gps_std=0.5, seed=1)
+    stiff = FilterParameters(0.5, 2.0, 1.0, (1e-9,) * 5, (0.25, 0.25))
+    biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 1.0))
+    errors = {}
+    for kind in ("ukf", "adaptive-ukf", "strong-tracking-ukf"):
+        mean = run_filter(biased, replace(stiff, kind=kind, forgetting=0.9)).mean
+        truth = biased.truth
+        assert truth is not None
+        errors[kind] = np.hypot(mean[-1, 0] - truth.x[-1], mean[-1, 1] - truth.y[-1])
+    assert errors["ukf"] > 20
+    assert errors["strong-tracking-ukf"] < 3
+    assert errors["adaptive-ukf"] < errors["ukf"] * 0.7
+
+
+def test_the_gate_turns_an_outlier_away_and_lets_a_lost_filter_back():
+    drive = make_drive(duration=40, gps_std=0.5, seed=3)
+    x = drive.gps.x.copy()
+    x[100] += 60.0
+    p = parameters("planar5", gate=20.0)
+    outlier = replace(drive, gps=replace(drive.gps, x=x))
+    clean, gated = run_filter(drive, p), run_filter(outlier, p)
+    missed = replace(drive, gps=drive.gps.select(np.arange(len(drive.gps)) != 100))
+    assert np.max(np.abs(gated.mean - clean.mean)) < 1.0
+    assert difference(gated, run_filter(missed, p)) < 1e-3  # but for the step that the fix splits in two
+    lost = x.copy()
+    lost[100:] += 500.0  # all fixes from now on
+    back = run_filter(replace(drive, gps=replace(drive.gps, x=lost)), p)
+    assert np.max(np.abs(back.mean[-200:, 0] - clean.mean[-200:, 0] - 500)) < 20
+
+
+def test_jacobians_are_exact():
+    state, imu = np.array([1.0, 2.0, 3.0, 4.0, 0.5, 0.1, -0.2, 0.01]), np.array([0.3, -0.4, 0.1])
+    jacobian = complex_step(lambda s: planar8(s, 0.1, imu), state)
+    numeric = np.array(
+        [(planar8(state + d, 0.1, imu) - planar8(state - d, 0.1, imu)) / 2e-6 for d in 1e-6 * np.eye(8)]
+    ).T
+    assert np.max(np.abs(jacobian - numeric)) < 1e-8
+    ekf = ExtendedKalmanFilter(lambda s, dt, u: 0.9 * s, gps_position(), np.ones(5), np.eye(5))
+    ekf.predict(1.0, imu, 0.1 * np.eye(5))
+    np.testing.assert_allclose(ekf.covariance, 0.91 * np.eye(5), rtol=1e-15)
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    "name", ["colorado-1", "kingston-1", "kitti-09-30-0033", "kitti-09-26-0101", "comma2k19"]
+)
+def test_standstill_is_told_from_driving(name: str):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        drive = read_drive(DRIVES / name)
+    stands = build_timeline(drive, drive.imu.time[0]).stands
+    truth = drive.truth
+    assert truth is not None
+    line = build_timeline(drive, drive.imu.time[0])
+    speed = np.interp(line.end, truth.time, np.hypot(truth.vx, truth.vy))
+    # It lags by a moment at a departure, but takes no cruise on a smooth road for a standstill.
+    assert np.all(speed[stands] < 1.2)
+    assert np.sum(stands & (speed > 0.5)) <= 0.005 * len(stands)
+    if name in ("colorado-1", "kingston-1"):
+        assert np.mean(stands[speed < 0.02]) > 0.3

@@ -1,0 +1,117 @@
+"""The live filter gives what `run_filter` gives, whatever the order in which fixes come."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from filter_cases import KINDS, OPTIONS, equipped, parameters
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+from support import DRIVES, needs_shared
+
+
+@cache
+def start() -> InitialState:
+    return initial_state(equipped())
+
+
+def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float = 0.0, **more):
+    """Means and covariances after each IMU sample, and the filter; fixes arrive ``late`` s after their time."""
+    lever = drive.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2]
+    filter = LiveFilter(p, initial, nominal_interval=drive.nominal_interval, lever_arm=lever, **more)
+    gps = drive.gps
+    events = [(t, 1, i) for i, t in enumerate(drive.imu.time)] + [
+        (t + late, 0, i) for i, t in enumerate(gps.time)
+    ]
+    means, covariances = [], []
+    for t, is_imu, i in sorted(events):
+        if is_imu:
+            filter.predict(t, (drive.imu.ax[i], drive.imu.ay[i], drive.imu.gz[i]))
+            if t > initial.time:
+                means.append(filter.state.mean)
+                covariances.append(filter.state.covariance)
+        else:
+            velocity = None
+            if gps.speed is not None and gps.course is not None:
+                velocity = (gps.speed[i] * math.cos(gps.course[i]), gps.speed[i] * math.sin(gps.course[i]))
+            filter.update(gps.time[i], (gps.x[i], gps.y[i]), velocity)
+    return np.array(means), np.array(covariances), filter
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_live_is_the_run(model: str, kind: str, option: str):
+    p = parameters(model, kind=kind, **OPTIONS[option])
+    run = run_filter(equipped(), p, initial=start())
+    means, covariances, _ = live(equipped(), p, start())
+    np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize("late", [0.003, 0.05, 0.31])
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
+def test_late_fixes_take_it_back_and_forward(kind: str, late: float):
+    p = parameters("planar8", kind=kind, **OPTIONS["all"])
+    run = run_filter(equipped(), p, initial=start())
+    means, _, filter = live(equipped(), p, start(), late)
+    np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
+    assert filter.too_late == 0
+    assert np.max(np.abs(means - run.mean)) > 1e-3  # in between it knew less
+
+
+def test_fixes_older_than_the_history_are_left_out_and_counted():
+    drive, p = equipped(), parameters("planar5")
+    _, _, filter = live(drive, p, start(), 0.5, history=0.2)
+    assert filter.too_late > 50
+    assert not filter.state.failed
+
+
+@needs_shared
+def test_live_is_the_run_on_a_real_drive_with_a_standstill():
+    drive = clip(read_drive(DRIVES / "kingston-1"), 560.0, 900.0)
+    p = parameters("planar8", standstill_noise=1e-3, lateral_noise=0.1, gate=9.0)
+    initial = initial_state(drive)
+    run = run_filter(drive, p, initial=initial)
+    means, _, _ = live(drive, p, initial)
+    np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-9)
+    assert (
+        np.max(np.abs(run.mean - run_filter(drive, parameters("planar8", lateral_noise=0.1, gate=9.0)).mean))
+        > 1e-3
+    )
+
+
+def test_what_it_keeps_is_bounded():
+    p = parameters("planar8", **OPTIONS["all"])
+    filter = LiveFilter(p, start(), nominal_interval=0.01)
+    t0 = start().time
+    sizes = []
+    for k in range(1, 20_001):
+        t = t0 + 0.01 * k
+        if k % 20 == 10:
+            filter.update(t - 0.004, (0.0, 0.0))
+        filter.predict(t, (0.01 * math.sin(k), 0.0, 0.0))
+        if k % 5000 == 0:
+            sizes.append(
+                [len(filter._history), len(filter._fixes), len(filter._waiting), len(filter._window)]
+            )
+    assert sizes[0] == sizes[1] == sizes[2] == sizes[3]
+    assert not filter.state.failed
+
+
+def test_samples_and_fixes_out_of_order_do_no_harm():
+    filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01)
+    t0 = start().time
+    assert not filter.update(t0 - 1.0, (0.0, 0.0))
+    filter.predict(t0 + 0.01, (0.0, 0.0, 0.0))
+    before = filter.state
+    for t in (t0 + 0.01, t0, math.nan):  # repeated, old, broken
+        filter.predict(t, (1.0, 1.0, 1.0))
+    assert filter.state.mean.tobytes() == before.mean.tobytes()
