@@ -3,6 +3,7 @@
 import hashlib
 import inspect
 import json
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,18 @@ def test_every_option_reaches_the_drive(sigmaswarm, here: Path):
     np.testing.assert_array_equal(drive.gps.x, expected.gps.x)
     assert drive.duration == pytest.approx(30.0, abs=0.1)  # its clock jitters
     assert read_drive("s/brake-rain-00").metadata["scenario"]["vibration"] == VIBRATION
+
+
+def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
+    threads, write = set(), library.write_drive
+
+    def noted(drive, path):
+        threads.add(threading.current_thread().name)
+        return write(drive, path)
+
+    monkeypatch.setattr(library, "write_drive", noted)
+    assert sigmaswarm("simulate", "s", *SOME, "--workers", 1).code == 0
+    assert len(threads) == 1
 
 
 def test_the_defaults_are_the_library_s():

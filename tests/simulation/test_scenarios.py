@@ -169,5 +169,28 @@ def test_bad_input_is_refused_in_one_sentence(options, said):
         simulate(**options)
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"maneuvers": ("brake", "drift")}, "no maneuver is called 'drift'"),
+        ({"environments": ("clear", "hail")}, "no environment is called 'hail'"),
+        ({"runs": 0}, "runs is 0"),
+        ({"maneuvers": ("brake", "urban"), "duration": 10.0}, "duration is 10 s"),
+        ({"maneuvers": ("brake",), "duration": 60.0}, "only 'urban'"),
+    ],
+)
+def test_a_bad_condition_is_refused_before_any_drive_is_made(options, said):
+    with pytest.raises(InputError, match=said):
+        list(simulate_many(**options, use=lambda drive: pytest.fail(f"{drive.name} was made")))
+
+
+def test_drives_that_are_left_out_change_no_other():
+    conditions = {"maneuvers": ("brake",), "environments": ("clear",), "runs": 3}
+    whole = list(simulate_many(**conditions))
+    rest = list(simulate_many(**conditions, leave_out={"brake-clear-01"}))
+    assert [drive.name for drive in rest] == ["brake-clear-00", "brake-clear-02"]
+    assert all(same(a, b, "imu", "gps", "truth") for a, b in zip(rest, whole[::2], strict=True))
+
+
 def test_papers_maneuvers_are_five():
     assert PAPER_MANEUVERS == ("cruise", "turns", "accelerate", "brake", "outages")
