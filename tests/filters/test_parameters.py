@@ -134,7 +134,7 @@ BAD_FILES: dict[str, tuple[str, list[str]]] = {
     "no-filter-table": ("[result]\ncost = 1", ["[filter]"]),
     "filter-no-table": ("filter = 3", ["[filter]"]),
     "key-missing": (without("alpha"), ["filter.alpha", "correct"]),
-    "unknown-key": (with_value("gamma", "3"), ["filter.gamma", "correct"]),
+    "unknown-key": (with_value("gamma", "3"), ["filter.gamma", "unknown key", "delete it"]),
     "not-a-number": (with_value("alpha", '"wide"'), ["filter.alpha", "'wide'", "correct"]),
     "alpha-0": (with_value("alpha", "0"), ["filter.alpha", "greater than 0", "is 0"]),
     "alpha-nan": (with_value("alpha", "nan"), ["filter.alpha", "is nan"]),
