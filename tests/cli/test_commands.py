@@ -11,8 +11,10 @@ import pytest
 
 import sigmaswarm as library
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
+from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ["tune", "evaluate", "run", "split", "simulate", "plot", "demo"]
@@ -223,3 +225,18 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
     trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
     assert trained.isdisjoint(said["drives"])
+
+
+def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
+    first, second = sorted(drives.iterdir())[:2]
+    assert sigmaswarm("tune", first, "--out", "t", "--particles", 4, "--generations", 2).code == 0
+    assert "tuned on: its scores are not held out" in sigmaswarm("evaluate", "t", first, "--json").err
+    assert "tuned on" not in sigmaswarm("evaluate", "t", second, "--json").err
+
+
+def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
+    write_drive(make_drive(duration=30), here / "plain")
+    ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "velocity")
+    assert ended.code == 2
+    assert "no speed and course" in ended.err
+    assert not (here / "t").exists()

@@ -2,12 +2,16 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+
+from sigmaswarm.drives.writer import write_drive
+from support import make_drive
 
 HEAVY = ["numba", "polars", "matplotlib", "scipy", "pydantic", "numpy"]
 PROGRAM = "from sigmaswarm.cli import main; main()"
@@ -91,3 +95,20 @@ def test_the_second_start_compiles_nothing(tmp_path: Path, drives: Path, tuned: 
     assert any("data loaded" in line for line in said[1])
     assert [line for line in said[1] if "saved" in line] == []
     print(f"first start {took[0]:.1f} s, second {took[1]:.1f} s")
+
+
+def test_an_interrupt_says_how_to_go_on(tmp_path: Path):
+    write_drive(make_drive(duration=40), tmp_path / "drive")
+    command = ["tune", tmp_path / "drive", "--out", tmp_path / "t", "--generations", 100000]
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *map(str, command)], stderr=subprocess.PIPE, text=True
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "t" / "checkpoint-000.npz").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "sigmaswarm: interrupted; repeat the command with --resume to go on"
+    assert "Traceback" not in err

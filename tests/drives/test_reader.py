@@ -103,8 +103,8 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs it"]),
     "toml-missing": (delete("drive.toml"), ["drive.toml", "is missing", 'frame = "enu"']),
     "file-empty": (text("imu.csv", ""), ["imu.csv", "is empty", "header line"]),
-    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "is empty", "one row per sample"]),
-    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "is empty"]),
+    "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "holds no rows", "one row per sample"]),
+    "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "holds no rows"]),
     "not-utf8": (
         lambda f: (f / "imu.csv").write_bytes(b"t,ax\n1,\xff\xfe\n"),
         ["imu.csv", "UTF-8", "export"],

@@ -108,7 +108,7 @@ def test_refuses_to_overwrite_unless_told(tmp_path: Path):
     )
     folder = tmp_path / "deep" / "er" / "d"
     write_drive(first, folder)
-    with pytest.raises(DriveError, match="exists and is not empty; name another folder"):
+    with pytest.raises(DriveError, match="exists and is not empty; delete it, or name another folder"):
         write_drive(second, folder)
     assert_same(read_drive(folder), first)
     write_drive(second, folder, overwrite=True)

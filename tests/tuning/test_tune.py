@@ -214,7 +214,7 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
     with pytest.raises(InputError, match="no drives"):
         tune([])
     with pytest.raises(
-        InputError, match=r"d0: has no truth, which the objective truth-rmse needs; .*gps-rmse"
+        InputError, match=r"d0: has no truth, which the objective truth-rmse needs; add truth.csv"
     ):
         tune(replace(DRIVES[0], truth=None), out=tmp_path / "out")
     zero = np.zeros(len(DRIVES[0].gps))

@@ -23,12 +23,13 @@ app = App(
 
 A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual way:
 
-    sigmaswarm tune drives/monday drives/tuesday --out tuned
+    sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose
     sigmaswarm evaluate tuned drives/friday
     sigmaswarm run tuned drives/friday --out estimate.csv
 
 No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_format="markdown",
+    suppress_keyboard_interrupt=False,
 )
 for command in (tune, evaluate, run, split, simulate, plot, demo):
     app.command(command)
@@ -44,7 +45,10 @@ def main() -> NoReturn:
         print(f"sigmaswarm: {' '.join(str(error).split()).removesuffix('.')}{hint}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("sigmaswarm: interrupted; what was saved is kept, --resume goes on with it", file=sys.stderr)
+        saved = (
+            "; repeat the command with --resume to go on" if {"tune", "simulate"} & set(sys.argv[1:2]) else ""
+        )
+        print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         sys.stderr.close()

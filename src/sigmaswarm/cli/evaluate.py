@@ -2,9 +2,12 @@
 
 from math import inf
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
+
+if TYPE_CHECKING:
+    from sigmaswarm import Drive
 
 
 def evaluate(
@@ -52,6 +55,7 @@ def evaluate(
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
+    _warn_of_training_drives(tuning, read)
     result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
     written = save_evaluation(result, parameters, read, out) if out else []
     if json:
@@ -60,3 +64,19 @@ def evaluate(
     print_evaluation(result, outage_length)
     for path in written:
         stdout().print(f"wrote {path}")
+
+
+def _warn_of_training_drives(tuning: Path, drives: "list[Drive]") -> None:
+    """Say which drives the tuning has seen: scores on them flatter it."""
+    import tomllib
+    import warnings
+
+    from sigmaswarm.errors import SigmaswarmWarning
+    from sigmaswarm.tuning.tune import fingerprint
+
+    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
+    seen = {entry.get("sha256") for entry in tomllib.loads(file.read_text()).get("data", [])}
+    for drive in drives:
+        if fingerprint(drive) in seen:
+            message = f"{drive.name} is a drive that the filter was tuned on: its scores are not held out"
+            warnings.warn(message, SigmaswarmWarning, stacklevel=2)

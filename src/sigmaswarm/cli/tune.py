@@ -32,6 +32,7 @@ def tune(
 ) -> None:
     """Tune a filter on drives, and keep it in OUT/tuning.toml.
 
+    Put the drives first, then the options. All objectives but gps-rmse need truth.csv in each drive.
     Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
 
     Examples:

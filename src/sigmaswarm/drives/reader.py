@@ -55,6 +55,9 @@ def read_drive(path: str | Path) -> Drive:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
+    inside = [f.name for f in folder.iterdir() if (f / "imu.csv").exists()]
+    if inside and not (folder / "imu.csv").exists():
+        raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
     remarks: list[str] = []
     about = _read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)

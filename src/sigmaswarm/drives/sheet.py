@@ -65,6 +65,11 @@ class Sheet:
         names = self.cells.columns
         for name in required:
             if name not in names:
+                if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+                    raise DriveError(
+                        f"{self.path}, row 1: {names[0]!r} is one cell; separate cells by commas, and write "
+                        "decimals with a dot"
+                    )
                 raise DriveError(
                     f"{self.path}, row 1: no column {name}, only {', '.join(names)}; add or rename it"
                 )
@@ -108,7 +113,8 @@ class Sheet:
 
 
 def _empty(path: Path) -> DriveError:
-    return DriveError(f"{path} is empty; it needs a header line and one row per sample")
+    what = "is empty" if path.stat().st_size == 0 else "holds no rows"
+    return DriveError(f"{path} {what}; it needs a header line and one row per sample")
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:

@@ -69,7 +69,7 @@ def _require_replaceable(folder: Path, overwrite: bool) -> None:
         raise DriveError(f"{folder} is a file; name another folder to write the drive to")
     held = {entry.name for entry in folder.iterdir()}
     if held and not overwrite:
-        raise DriveError(f"{folder} exists and is not empty; name another folder, or allow overwriting")
+        raise DriveError(f"{folder} exists and is not empty; delete it, or name another folder")
     if foreign := held - FILES:
         raise DriveError(
             f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"

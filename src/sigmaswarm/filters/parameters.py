@@ -131,7 +131,7 @@ class FilterParameters:
 
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
-        text = tomli_w.dumps({"filter": self.to_dict(), "units": units(self.model)})
+        text = tomli_w.dumps({"filter": self.to_dict(), "units": units(self)})
         Path(path).write_text(text, encoding="utf-8")
 
     @classmethod
@@ -189,9 +189,10 @@ class FilterParameters:
 _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise", "model")
 
 
-def units(model: str) -> dict[str, Any]:
-    """The units of a parameter file, for whoever reads it."""
-    return {
+def units(parameters: FilterParameters) -> dict[str, Any]:
+    """The units of what a parameter file states, for whoever reads it."""
+    model = parameters.model
+    known: dict[str, Any] = {
         "process_noise": [f"{u} per nominal IMU step" for u in PROCESS_NOISE_UNITS[model]],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
@@ -202,8 +203,9 @@ def units(model: str) -> dict[str, Any]:
         "standstill_noise": "m2/s2",
         "gate": "NIS, dimensionless",
         "latency": "s",
-        "states": list(STATE_NAMES[model]),
     }
+    stated = parameters.to_dict()
+    return {k: v for k, v in known.items() if k in stated} | {"states": list(STATE_NAMES[model])}
 
 
 def _one_line(error: object) -> str:

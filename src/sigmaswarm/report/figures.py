@@ -91,10 +91,10 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     x0, y0 = _place_of_sharpest_turn(drive, estimates["tuned"])
     for ax in (whole, close):
         ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
-        if drive.truth is not None:
-            ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
         for name, estimate in estimates.items():
             ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
+        if drive.truth is not None:  # on top: the tuned filter's line is wider
+            ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
         ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
     whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
     half = FINE_SCALE / 2

@@ -14,8 +14,8 @@ from sigmaswarm.scoring.evaluation import METHODS
 # Okabe and Ito's palette (2008), and line styles that differ too, so that a grey print stays legible.
 LOOKS: dict[str, dict[str, Any]] = {
     "truth": {"color": "#000000", "lw": 1.2, "ls": "-"},
-    "tuned": {"color": "#0072B2", "lw": 1.8, "ls": "-"},
-    "defaults": {"color": "#E69F00", "lw": 1.0, "ls": "--", "alpha": 0.8},
+    "tuned": {"color": "#0072B2", "lw": 2.2, "ls": "-"},
+    "defaults": {"color": "#E69F00", "lw": 0.8, "ls": "--", "alpha": 0.5},
     "datasheet": {"color": "#CC79A7", "lw": 1.2, "ls": "-."},
     "imu_only": {"color": "#D55E00", "lw": 1.2, "ls": ":"},
     "raw_gps": {"color": "#009E73", "lw": 0, "ls": "none", "marker": ".", "ms": 4, "alpha": 0.7},

@@ -188,10 +188,14 @@ def _check(
 
 def check_duration(maneuver: str, duration: float | None) -> None:
     """Raise `InputError` for a duration (s) that a maneuver can't have."""
-    if duration is not None and (maneuver != "urban" or not 30 <= duration < math.inf):
+    if duration is None:
+        return
+    if maneuver != "urban":
         raise InputError(
             f"duration is {duration:g} s for {maneuver!r}; only 'urban' has one, of 30 s or more"
         )
+    if not 30 <= duration < math.inf:
+        raise InputError(f"duration is {duration:g} s; an urban drive takes 30 s or more")
 
 
 def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:

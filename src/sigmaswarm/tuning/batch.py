@@ -87,7 +87,7 @@ def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
-            "add truth.csv, leave the drive out, or use --objective gps-rmse"
+            "add truth.csv, or tune on drives that have truth and evaluate here by outage drift"
         )
 
 

@@ -119,7 +119,7 @@ class Tuning:
         objective = OBJECTIVES[self.config.objective]
         return {
             "filter": self.parameters.to_dict(),
-            "units": units(self.parameters.model),
+            "units": units(self.parameters),
             "result": {
                 "cost": self.cost,
                 "objective": objective.name,
@@ -178,6 +178,7 @@ def tune(
     settings = validated_config(config)
     objective = objective_named(settings.objective)
     check_drives(drives, objective)
+    _check_columns(drives, settings)
     data = [_described(drive) for drive in drives]
     interval = float(np.median([drive.nominal_interval for drive in drives]))
     space = search_space(settings.model, settings.scale, interval, kind=settings.kind, use=settings.use)
@@ -195,6 +196,14 @@ def tune(
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
+
+
+def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
+    lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
+    if "velocity" in config.use and lacking:
+        raise InputError(
+            f"{lacking[0]}: its gps.csv has no speed and course, which --use velocity needs; leave velocity out"
+        )
 
 
 def validated_config(config: dict[str, Any]) -> TuneConfig:
@@ -321,16 +330,21 @@ def _chosen(
 
 def _described(drive: Drive) -> dict[str, Any]:
     """What identifies a drive: its name, size, and a fingerprint of its numbers."""
-    digest = hashlib.sha256()
-    for table in (drive.imu, drive.gps, drive.truth):
-        for name, column in sorted(vars(table).items()) if table is not None else ():
-            if column is not None:
-                digest.update(name.encode() + column.tobytes())
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),
         "imu_samples": len(drive.imu),
         "fixes": len(drive.gps),
         "has_truth": drive.truth is not None,
-        "sha256": digest.hexdigest(),
+        "sha256": fingerprint(drive),
     }
+
+
+def fingerprint(drive: Drive) -> str:
+    """A hash of all numbers of a drive, whatever it is called."""
+    digest = hashlib.sha256()
+    for table in (drive.imu, drive.gps, drive.truth):
+        for name, column in sorted(vars(table).items()) if table is not None else ():
+            if column is not None:
+                digest.update(name.encode() + column.tobytes())
+    return digest.hexdigest()
