@@ -22,6 +22,8 @@ OPTIONS = {
 
 
 def parameters(model: str, **more) -> FilterParameters:
+    if more.get("kind") == "strong-tracking-ukf":
+        more = {"forgetting": 0.5, **more}  # so that it has something to do on a drive that is as modelled
     q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6) + ((1e-8, 2e-8, 1e-10) if model == "planar8" else ())
     return FilterParameters(0.5, 2.0, 1.0, q, (0.25, 0.36), model, **more)
 

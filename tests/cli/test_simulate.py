@@ -160,7 +160,7 @@ def test_plot_draws_a_simulated_drive(sigmaswarm, here: Path):
 
 
 def test_plot_draws_a_recorded_drive_without_truth(sigmaswarm, here: Path, caplog):
-    library.write_drive(make_drive(duration=20.0, truth=False, name="by/me"), "recorded")
+    library.write_drive(make_drive(duration=20.0, truth=False, name="by-me"), "recorded")
     ended = sigmaswarm("plot", "recorded", "--json")
     assert json.loads(ended.out) == {"out": "by-me.png"}
     assert Path("by-me.png").read_bytes().startswith(b"\x89PNG")

@@ -309,3 +309,19 @@ def test_starts_on_real_drives(name: str, earliest: float, latest: float, headin
     error = error_of(state, drive.truth)
     assert np.degrees(abs(error[4])) < heading
     assert abs(error[4]) < 4 * np.sqrt(state.covariance[4, 4])
+
+
+def test_the_start_is_the_imus_place_not_the_antennas():
+    drive = make_drive(duration=30, gps_std=1e-3, seed=1)
+    truth = drive.truth
+    assert truth is not None
+    theta = np.interp(drive.gps.time, truth.time, np.unwrap(truth.theta))
+    gps = replace(
+        drive.gps,
+        x=drive.gps.x + 3.0 * np.cos(theta) - 1.0 * np.sin(theta),
+        y=drive.gps.y + 3.0 * np.sin(theta) + 1.0 * np.cos(theta),
+    )
+    told = replace(drive, gps=gps, metadata={"gps_lever_arm_m": [3.0, 1.0, 0.0]})
+    start = initial_state(told)
+    place = [np.interp(start.time, truth.time, c) for c in (truth.x, truth.y)]
+    assert np.hypot(*(start.mean[:2] - place)) < 0.1

@@ -103,6 +103,20 @@ BAD: dict[str, tuple[Edit, list[str]]] = {
     "gps-missing": (delete("gps.csv"), ["gps.csv", "is missing", "needs it"]),
     "toml-missing": (delete("drive.toml"), ["drive.toml", "is missing", 'frame = "enu"']),
     "file-empty": (text("imu.csv", ""), ["imu.csv", "is empty", "header line"]),
+    "lever-arm-number": (
+        text("drive.toml", "gps_lever_arm_m = 1.0"),
+        ["gps_lever_arm_m = 1.0", "write for example"],
+    ),
+    "lever-arm-short": (
+        text("drive.toml", "gps_lever_arm_m = [1.0]"),
+        ["drive.toml", "gps_lever_arm_m = [1.0]"],
+    ),
+    "std-as-text": (
+        text("drive.toml", 'gps_std_m = "1 m"'),
+        ["drive.toml", "gps_std_m = '1 m'", "write for example"],
+    ),
+    "std-zero": (text("drive.toml", "gps_std_m = 0"), ["drive.toml", "gps_std_m = 0", "positive"]),
+    "name-with-slash": (text("drive.toml", 'name = "../up"'), ["drive.toml", "'../up'", "slashes"]),
     "file-header-only": (keep_rows("gps.csv", 0), ["gps.csv", "holds no rows", "one row per sample"]),
     "file-blank-lines-only": (text("truth.csv", "t,x\n\n\n"), ["truth.csv", "holds no rows"]),
     "not-utf8": (

@@ -104,7 +104,6 @@ def tune(
     if inertia is not None:
         config["inertia"] = inertia
     read = read_drives(drives)
-    _warn_about(objective)
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(read, out=out, resume=resume, executor=pool, progress=progress, **config)
     pictures = save_tuning_figures(tuning, read, out)
@@ -118,14 +117,3 @@ def tune(
     console.print(f"filter:   {out / 'tuning.toml'}")
     console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
     console.print(f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...")
-
-
-def _warn_about(objective: str) -> None:
-    import warnings
-
-    from sigmaswarm.errors import SigmaswarmWarning
-    from sigmaswarm.tuning.objectives import objective_named
-
-    warning = objective_named(objective).warning
-    if warning:
-        warnings.warn(warning, SigmaswarmWarning, stacklevel=2)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Drive, Imu
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -86,7 +86,7 @@ def initial_state(drive: Drive) -> InitialState:
             continue
         if abs(position[i] - position[window[0]]) < 0.5 * MIN_TRAVEL:  # a cheap look before the fit
             continue
-        fit = _Fit.of(drive.imu, turned, sped, time[window], position[window])
+        fit = _Fit.of(drive, turned, sped, time[window], position[window])
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth:
             return fit.state()
@@ -120,9 +120,9 @@ class _Fit:
 
     @classmethod
     def of(
-        cls, imu: Imu, turned: Array, sped: Array, time: Array, position: NDArray[np.complex128]
+        cls, drive: Drive, turned: Array, sped: Array, time: Array, position: NDArray[np.complex128]
     ) -> "_Fit":
-        end = time[-1]
+        imu, end = drive.imu, time[-1]
         # The IMU's grid between the first and the last fix, both included.
         grid = np.concatenate([[time[0]], imu.time[(imu.time > time[0]) & (imu.time < end)], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
@@ -141,6 +141,8 @@ class _Fit:
         g = until_end(direction)  # a metre per second for the whole way
         t = until_end(direction * (grid - end))  # per unit of b
         m = until_end(direction * (gained - gained[-1]))  # what the accelerometer saw
+        # The fixes are the antenna's, which the lever arm carries around the IMU.
+        m -= np.interp(time, grid, direction) * complex(*drive.lever_arm)
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, what the speed changes alone add
         return cls._solve(end, position, g, t, m, float(end - time[0]), coasting)
 

@@ -138,6 +138,11 @@ class Drive:
         return float(np.median(np.diff(self.imu.time)))
 
     @property
+    def lever_arm(self) -> Array:
+        """From the IMU to the antenna, m forward and left, shape (2,): ``gps_lever_arm_m`` of drive.toml, or none."""
+        return np.array(self.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64)
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last IMU sample, s."""
         return float(self.imu.time[-1] - self.imu.time[0])

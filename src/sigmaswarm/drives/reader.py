@@ -24,6 +24,14 @@ _GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", 
 _TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ()
 """The columns of each file: the required and the optional ones."""
 
+_NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
+    "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
+    "gps_std_m": ((0,), "1.5"),
+    "accel_noise_density": ((0,), "0.004"),
+    "gyro_noise_density": ((0,), "0.0001"),
+}
+"""Keys of drive.toml that filters look at: how many numbers (0: one, and no list), and an example."""
+
 
 def read_drive(path: str | Path) -> Drive:
     """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml and perhaps truth.csv.
@@ -88,15 +96,30 @@ def _read_description(path: Path) -> dict[str, Any]:
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
         )
     try:
-        about = tomllib.loads(path.read_text("utf-8"))
+        about = tomllib.loads(path.read_text("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DriveError(f"{path} is not valid TOML: {error}; mend that line (text needs quotes)") from None
     name = about.get("name", "unnamed")
     if not isinstance(name, str) or not name.strip():
         raise DriveError(f'{path}: name = {name!r} is not text; write for example name = "monday"')
+    if name in (".", "..") or set(name) & {"/", "\\", "\n"}:
+        raise DriveError(f"{path}: name = {name!r} can't name a folder; leave slashes out")
     if "origin" in about:
         about["origin"] = _origin(about["origin"], path)
+    for key, (lengths, example) in _NUMBERS.items():
+        if key in about:
+            _require_numbers(about[key], key, lengths, example, path)
     return about
+
+
+def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
+    """Refuse a key of drive.toml that filters look at and can't use."""
+    numbers = cast("list[Any]", value if isinstance(value, list) else [value])
+    plain = all(type(v) in (int, float) and math.isfinite(v) for v in numbers)
+    if not plain or (len(numbers) if isinstance(value, list) else 0) not in lengths:
+        raise DriveError(f"{path}: {key} = {value!r} can't be used; write for example {key} = {example}")
+    if lengths == (0,) and not numbers[0] > 0:
+        raise DriveError(f"{path}: {key} = {value!r} must be positive; leave it out where it is not known")
 
 
 def _origin(value: Any, path: Path) -> Place:

@@ -15,6 +15,8 @@ from sigmaswarm.errors import DriveError
 _NO_STD = "leave the column out where the receiver states no deviation"
 _RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "x": (-1e7, 1e7, "give metres from an origin near by"),
+    "y": (-1e7, 1e7, "give metres from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
     "std_x": (1e-6, np.inf, _NO_STD),
     "std_y": (1e-6, np.inf, _NO_STD),
@@ -125,7 +127,7 @@ def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
         for row in rows:
             if row and len(row) != width:
                 return DriveError(
-                    f"{path}, row {rows.line_num}: {','.join(row)!r} has {len(row)} cells, "
+                    f"{path}, row {rows.line_num}: {','.join(row)[:60]!r} has {len(row)} cells, "
                     f"the header {width}; complete or delete the row, and write decimals with a dot"
                 )
     return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")

@@ -87,7 +87,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
         has_velocity=has_velocity,
-        lever=np.array(drive.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64),
+        lever=drive.lever_arm,
         cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
         stands=standing(drive)[sample],
         imu_time=imu,

@@ -97,7 +97,7 @@ def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Su
             chunk = members[start : start + lanes.LANES]
             sums, final, _ = _run_chunk(replay, [parameter_sets[i] for i in chunk], 0)
             sound = _sound(sums, final, parameter_sets[chunk[0]].n_states)[: len(chunk)]
-            sound &= [_plausible(parameter_sets[i]) for i in chunk]
+            sound &= [plausible(parameter_sets[i]) for i in chunk]
             failed[chunk] = ~sound
             columns[:, chunk] = np.where(sound, sums[_SUM_ROWS, : len(chunk)], np.nan)
     return Sums(*columns, failed=failed)
@@ -107,11 +107,11 @@ def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, 
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
     _, _, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
-    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & _plausible(parameters)
+    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
 
 
-def _plausible(p: FilterParameters) -> bool:
+def plausible(p: FilterParameters) -> bool:
     """With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long."""
     return min(p.process_noise) >= 0 and min(p.measurement_noise) > 0
 

@@ -1,5 +1,6 @@
 """LiveFilter: one sample at a time, for real-time use, with the results of `run_filter` on the same data."""
 
+from bisect import insort
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.compiled.live import live_step
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
+
+MOST_WAITING = 1000
+"""Fixes that may wait for an IMU sample; more of them mean that the IMU is silent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class LiveFilter:
     Attributes
     ----------
     too_late : int
-        Fixes that came later than ``history`` and were left out.
+        Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
     """
 
     def __init__(
@@ -131,12 +135,20 @@ class LiveFilter:
 
     def update(self, t: float, fix: Sequence[float], velocity: Sequence[float] | None = None) -> bool:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north; False if it came too late."""
-        z = (t, float(fix[0]), float(fix[1]), *(velocity or ()))
+        z = (
+            t,
+            float(fix[0]),
+            float(fix[1]),
+            *(() if velocity is None else (float(velocity[0]), float(velocity[1]))),
+        )
         if t <= self._start:  # absorbed already
             self._remember(z)
             return False
         if t > self._time:
-            self._waiting = sorted([*self._waiting, z])
+            if len(self._waiting) == MOST_WAITING:
+                self.too_late += 1
+                return False
+            insort(self._waiting, z)
             self._remember(z)
             return True
         samples = [s for s in self._history if s.time >= t]
@@ -160,6 +172,7 @@ class LiveFilter:
         mean, covariance = batch.unpack_states(self._v[: lanes.N_STATE, np.newaxis], self._n)
         mean[0, 4] = wrap_angle(float(mean[0, 4]))
         failed = self._v[lanes.OK] != 1.0 or not np.isfinite(self._v[: lanes.N_STATE]).all()
+        failed |= not batch.plausible(self.parameters)
         return LiveState(self._time, mean[0], covariance[0], bool(failed))
 
     def _take(self, sample: _Sample) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.batch import Replay, Targets, record_replay
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -67,6 +68,8 @@ def run_filter(
     """
     initial = initial or initial_state(drive)
     timeline = build_timeline(drive, initial.time)
+    if not len(timeline.imu_time):
+        raise InputError(f"{drive.name}: no IMU sample after the start at {initial.time:g} s; start earlier")
     replay = Replay(timeline, initial, Targets.none(timeline))
     mean, covariance, sound = record_replay(replay, parameters)
     mean[:, THETA] = wrap_angle(mean[:, THETA])

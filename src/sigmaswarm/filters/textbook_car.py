@@ -96,11 +96,11 @@ class TextbookCar:
 
     def _absorb_fix(self, fix: Array) -> None:
         innovation = self.filter.measure(fix, np.diag(self.noise.measurement_noise))
-        if self.parameters.kind == "strong-tracking-ukf":
-            innovation = self.tracking.stretch(self.filter, innovation)
         gate = self.parameters.gate
         if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
             self._rejected = 0
+            if self.parameters.kind == "strong-tracking-ukf":
+                innovation = self.tracking.stretch(self.filter, innovation)
             if self.parameters.kind == "adaptive-ukf":
                 self.noise.adapt(innovation, self._since)
             self.filter.absorb(innovation)

@@ -62,7 +62,7 @@ class Evaluation:
     def improvement(self, over: str = "defaults", measure: str = "position_rmse_m") -> float | None:
         """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
-        return None if manual is None or tuned is None else 100 * (manual - tuned) / manual
+        return None if not manual or tuned is None else 100 * (manual - tuned) / manual
 
     def to_dict(self) -> dict[str, Any]:
         """For machines: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""

@@ -225,6 +225,7 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
         "accel_noise_density": imu.accel.noise_density,
         "gyro_noise_density": imu.gyro.noise_density,
         "gps_std_m": gps.std,
+        **({"gps_lever_arm_m": list(gps.lever_arm)} if any(gps.lever_arm) else {}),
         "imu_noise": {
             "grade": imu.name,
             "accel_bias_std": imu.accel.bias_std,

@@ -2,6 +2,7 @@
 
 import hashlib
 import platform
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -16,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import sigmaswarm
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName, units
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, check_scored
@@ -178,6 +179,8 @@ def tune(
     settings = validated_config(config)
     objective = objective_named(settings.objective)
     check_drives(drives, objective)
+    if objective.warning:
+        warnings.warn(objective.warning, SigmaswarmWarning, stacklevel=2)
     _check_columns(drives, settings)
     data = [_described(drive) for drive in drives]
     interval = float(np.median([drive.nominal_interval for drive in drives]))
@@ -343,6 +346,8 @@ def _described(drive: Drive) -> dict[str, Any]:
 def fingerprint(drive: Drive) -> str:
     """A hash of all numbers of a drive, whatever it is called."""
     digest = hashlib.sha256()
+    if drive.lever_arm.any():
+        digest.update(b"lever arm" + drive.lever_arm.tobytes())
     for table in (drive.imu, drive.gps, drive.truth):
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:

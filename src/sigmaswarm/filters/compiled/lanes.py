@@ -49,10 +49,10 @@ N_SUMS = 9
 # Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; S, nu and the gain's G.
 BEFORE_X, BEFORE_Y, BEFORE_T = range(76, 79)
 C1, C2 = 79, 87
-S11, S12, S22, N1, N2, G11, G12, G22 = range(95, 103)
+S11, S12, S22, N1, N2, G11, G12, G22, USE = range(95, 104)
 # Scratch of a prediction: acceleration, its covariances with the state and with itself.
-EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(103, 116)
-N_ROWS = 116
+EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(104, 117)
+N_ROWS = 117
 
 # NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
 # by zero of error_model="python" would be an early exit, which no vectorized loop may have.

@@ -51,24 +51,27 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
         w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + w[GEE, l]
         w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + w[GEN, l]
         w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + w[GNN, l]
-    _fade(w, since)
     for l in range(LANES):
-        rx, ry = w[RX, l], w[RY, l]
+        s11, s12, s22 = w[S11, l] + w[RX, l], w[S12, l], w[S22, l] + w[RY, l]
+        n1, n2 = w[N1, l], w[N2, l]
+        nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / (s11 * s22 - s12 * s12)
+        inside = (nis <= w[GATE, l]) | (w[REJECTED, l] >= MOST_REJECTED)
+        w[USE, l] = 1.0 if inside else 0.0
+        w[REJECTED, l] = 0.0 if inside else w[REJECTED, l] + 1.0
+    _fade(w)
+    for l in range(LANES):
+        rx, ry, use = w[RX, l], w[RY, l], w[USE, l]
         s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
         det = s11 * s22 - s12 * s12
         g11, g12, g22 = s22 / det, -s12 / det, s11 / det
         n1, n2 = w[N1, l], w[N2, l]
         e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
-        nis = n1 * e1 + n2 * e2
-        w[NIS, l] += nis
+        w[NIS, l] += n1 * e1 + n2 * e2
         w[DET, l] *= det
         w[OK, l] = w[OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
-        inside = (nis <= w[GATE, l]) | (w[REJECTED, l] >= MOST_REJECTED)
-        use = 1.0 if inside else 0.0
-        w[REJECTED, l] = 0.0 if inside else w[REJECTED, l] + 1.0
         w[G11, l], w[G12, l], w[G22, l] = use * g11, use * g12, use * g22
         # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
-        r1, r2 = (rx * e1 if inside else n1), (ry * e2 if inside else n2)
+        r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
         w[SQ_FIX, l] += r1 * r1 + r2 * r2
         w[GEE, l] += rx
         w[GNN, l] += ry
@@ -97,30 +100,34 @@ def _keep_digits(w, *, n):
             w[at(j, Y), l] = y if used else w[at(j, Y), l]
 
 
-def _fade(w, since, *, n):
+def _fade(w, *, n):
     """Strong tracking: stretch P so far that the recent size of the innovations is explained (FADING < 0: off).
 
-    D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with coloured
-    noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces, of all of P before the fix.
+    After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
+    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things are not theirs.
+    The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
+    only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see would grow on.
     """
     for l in range(LANES):
         rho = w[FADING, l]
         size = w[N1, l] * w[N1, l] + w[N2, l] * w[N2, l]
-        recent = size if w[RECENT, l] < 0.0 else (rho * w[RECENT, l] + size) / (1.0 + rho)
-        w[RECENT, l] = recent
-        wanted = (recent - w[RX, l] - w[RY, l]) / (w[S11, l] + w[S22, l])
-        stretch = wanted if (rho >= 0.0) & (wanted > 1.0) else 1.0
-        w[S11, l] *= stretch
-        w[S12, l] *= stretch
-        w[S22, l] *= stretch
-        w[GEE, l] *= stretch
-        w[GEN, l] *= stretch
-        w[GNN, l] *= stretch
-        for i in range(n):
-            w[C1 + i, l] *= stretch
-            w[C2 + i, l] *= stretch
-        for row in range(P0, at(n - 1, n - 1) + 1):
-            w[row, l] *= stretch
+        recent = size if w[RECENT, l] < 0.0 else rho * w[RECENT, l] + (1.0 - rho) * size
+        used = (rho >= 0.0) & (w[USE, l] > 0.0)
+        w[RECENT, l] = recent if used else w[RECENT, l]
+        s11, s12, s22 = w[S11, l] - w[GEE, l], w[S12, l] - w[GEN, l], w[S22, l] - w[GNN, l]  # H P H^T
+        wanted = (recent - w[RX, l] - w[RY, l]) / (s11 + s22)
+        factor = wanted if used & (wanted > 1.0) else 1.0
+        more = (factor - 1.0) / (s11 * s22 - s12 * s12)
+        for j in range(n):
+            c1, c2 = w[C1 + j, l], w[C2 + j, l]
+            gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)
+            for i in range(j + 1):
+                w[at(i, j), l] += gain_1 * w[C1 + i, l] + gain_2 * w[C2 + i, l]
+        w[S11, l] += (factor - 1.0) * s11
+        w[S12, l] += (factor - 1.0) * s12
+        w[S22, l] += (factor - 1.0) * s22
+        for row in (*range(C1, C1 + n), *range(C2, C2 + n)):
+            w[row, l] *= factor
 
 
 def _adapt(w, since, *, n):

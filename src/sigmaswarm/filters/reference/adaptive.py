@@ -47,8 +47,10 @@ class SageHusa:
 class StrongTracking:
     """Stretch P before a fix so far that the recent size of the innovations is explained.
 
-    D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with coloured
-    noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces, of all of P before the fix.
+    After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
+    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things are not theirs.
+    The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
+    only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see would grow on.
 
     Attributes
     ----------
@@ -65,10 +67,10 @@ class StrongTracking:
         """The innovation as the filter sees it after its covariance is stretched."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
-        self.recent = size if self.recent is None else (rho * self.recent + size) / (1 + rho)
-        bare = innovation.variance - innovation.noise
-        factor = max(1.0, (self.recent - np.trace(innovation.noise)) / np.trace(bare))
-        filter.covariance = factor * filter.covariance
-        return Innovation(
-            innovation.nu, factor * bare + innovation.noise, factor * innovation.cross, innovation.noise
-        )
+        self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
+        cross, covariance = innovation.cross, filter.covariance
+        seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
+        factor = max(1.0, (self.recent - np.trace(innovation.noise)) / np.trace(seen))
+        filter.covariance = covariance + (factor - 1) * cross @ np.linalg.solve(seen, cross.T)
+        variance = innovation.variance + (factor - 1) * seen
+        return Innovation(innovation.nu, variance, factor * cross, innovation.noise)
