@@ -21,7 +21,7 @@ check: $(VENV)/check-installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 bench: $(VENV)/bench-installed
 	$(BIN)/python benchmarks/table.py
