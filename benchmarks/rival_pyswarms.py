@@ -61,7 +61,7 @@ class Course:
         end = int(np.searchsorted(np.cumsum(line.dt), seconds + 1e-6))
         self.dt, self.q_scale = line.dt[:end], line.q_scale[:end]
         self.imu = np.column_stack([line.ax, line.ay, line.gz])[:end]
-        self.absorbs, self.sampled, self.fixes = line.absorbs[:end], line.sampled[:end], line.fixes
+        self.absorbs, self.sampled, self.fixes = line.absorbs[:end], line.sampled[:end], line.fixes[:, :2]
         self.n_samples = int(self.sampled.sum())
         self.share = self.n_samples / len(line.imu_time)
         time = line.imu_time[: self.n_samples]

@@ -162,11 +162,12 @@ def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
 def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:
     """What happens at the end of each step, as the kernel's bits, shape (k,)."""
     flags = run.FIX * line.absorbs + run.IMU * line.sampled
-    flags = flags + run.VELOCITY * (line.absorbs & velocity & line.has_velocity)
-    flags = flags + run.LATERAL * (_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL) & lateral)
-    flags = flags + run.STANDSTILL * (
-        _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL) & standstill
-    )
+    if velocity and line.has_velocity:
+        flags = flags + run.VELOCITY * line.absorbs
+    if lateral:
+        flags = flags + run.LATERAL * _every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)
+    if standstill:
+        flags = flags + run.STANDSTILL * _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL)
     return flags.astype(np.int64)
 
 
@@ -174,7 +175,7 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
     """The first wanted step of each interval of time."""
     chosen = np.zeros(len(wanted), dtype=np.bool_)
     at = np.flatnonzero(wanted)
-    slots = [slot(t, line.start, interval) for t in line.end[at]]
+    slots = np.floor((line.end[at] - line.start) / interval + 1e-6)  # as `slot`
     chosen[at[np.unique(slots, return_index=True)[1]]] = True
     return chosen
 
