@@ -7,6 +7,7 @@ samples it grows with the gap's length.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,8 @@ class Timeline:
     has_velocity : bool
     lever : (2,) m forward and left from the IMU to the antenna
     cornering : (k,) bool: lateral acceleration so high that tires slip
-    stands : (k,) bool: the car is seen to stand at the step's end
+    sample : (k,) int: the number of the sample that drives each step
+    drive : Drive
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -56,9 +58,15 @@ class Timeline:
     has_velocity: bool
     lever: Array
     cornering: NDArray[np.bool_]
-    stands: NDArray[np.bool_]
+    sample: NDArray[np.intp]
+    drive: Drive
     imu_time: Array
     nominal_interval: float
+
+    @cached_property
+    def stands(self) -> NDArray[np.bool_]:
+        """Whether the car is seen to stand at the step's end, (k,); found out only for a filter that asks."""
+        return standing(self.drive)[self.sample]
 
 
 def build_timeline(drive: Drive, start: float) -> Timeline:
@@ -89,7 +97,8 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         has_velocity=has_velocity,
         lever=drive.lever_arm,
         cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
-        stands=standing(drive)[sample],
+        sample=sample,
+        drive=drive,
         imu_time=imu,
         nominal_interval=nominal,
     )
