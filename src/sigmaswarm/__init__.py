@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from sigmaswarm.simulation.conditions import simulate_many
     from sigmaswarm.simulation.scenarios import simulate
     from sigmaswarm.tuning.batch import BatchResult, run_batch
-    from sigmaswarm.tuning.tune import TuneConfig, Tuning, tune
+    from sigmaswarm.tuning.config import TuneConfig
+    from sigmaswarm.tuning.result import Tuning
+    from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
     "drives.alignment": ("InitialState", "initial_state"),
@@ -67,7 +69,9 @@ _HOMES = {
     "simulation.conditions": ("simulate_many",),
     "simulation.scenarios": ("simulate",),
     "tuning.batch": ("BatchResult", "run_batch"),
-    "tuning.tune": ("TuneConfig", "Tuning", "tune"),
+    "tuning.config": ("TuneConfig",),
+    "tuning.result": ("Tuning",),
+    "tuning.tune": ("tune",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 

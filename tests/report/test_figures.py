@@ -24,7 +24,8 @@ from sigmaswarm.report.figures import (
 )
 from sigmaswarm.report.style import save
 from sigmaswarm.scoring.evaluation import evaluate
-from sigmaswarm.tuning.tune import Tuning, tune
+from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 DRIVE = make_drive(duration=30.0, seed=1, name="monday")

@@ -18,8 +18,9 @@ from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
 from sigmaswarm.tuning.objectives import OBJECTIVES, Objective
+from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint, write_whole
-from sigmaswarm.tuning.tune import Progress, tune
+from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]

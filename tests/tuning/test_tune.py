@@ -13,8 +13,10 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
+from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.space import search_space
-from sigmaswarm.tuning.tune import Progress, Tuning, tune
+from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 DRIVES = [make_drive(duration=25.0, seed=s, name=f"d{s}") for s in range(2)]

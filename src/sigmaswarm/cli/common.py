@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from sigmaswarm import Drive, Evaluation
-    from sigmaswarm.tuning.tune import Progress
+    from sigmaswarm.tuning.search import Progress
 
 
 def read_drives(paths: Sequence[Path]) -> "list[Drive]":

@@ -71,8 +71,8 @@ def _warn_of_training_drives(tuning: Path, drives: "list[Drive]") -> None:
     import tomllib
     import warnings
 
+    from sigmaswarm.drives.fingerprint import fingerprint
     from sigmaswarm.errors import SigmaswarmWarning
-    from sigmaswarm.tuning.tune import fingerprint
 
     file = tuning / "tuning.toml" if tuning.is_dir() else tuning
     seen = {entry.get("sha256") for entry in tomllib.loads(file.read_text()).get("data", [])}

@@ -18,7 +18,7 @@ from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
-from sigmaswarm.tuning.tune import Tuning
+from sigmaswarm.tuning.result import Tuning
 
 FINE_SCALE = 50.0
 """m: side of the close-up of a track."""

@@ -1,0 +1,30 @@
+"""What identifies a drive, whatever it is called and wherever it lies."""
+
+import hashlib
+from typing import Any
+
+from sigmaswarm.drives.drive import Drive
+
+
+def described(drive: Drive) -> dict[str, Any]:
+    """What identifies a drive: its name, size, and a fingerprint of its numbers."""
+    return {
+        "name": drive.name,
+        "duration_s": round(drive.duration, 3),
+        "imu_samples": len(drive.imu),
+        "fixes": len(drive.gps),
+        "has_truth": drive.truth is not None,
+        "sha256": fingerprint(drive),
+    }
+
+
+def fingerprint(drive: Drive) -> str:
+    """A hash of all numbers of a drive, whatever it is called."""
+    digest = hashlib.sha256()
+    if drive.lever_arm.any():
+        digest.update(b"lever arm" + drive.lever_arm.tobytes())
+    for table in (drive.imu, drive.gps, drive.truth):
+        for name, column in sorted(vars(table).items()) if table is not None else ():
+            if column is not None:
+                digest.update(name.encode() + column.tobytes())
+    return digest.hexdigest()

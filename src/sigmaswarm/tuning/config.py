@@ -1,0 +1,45 @@
+"""What a tuning is asked for."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterKind, ModelName
+from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
+from sigmaswarm.tuning.space import Option, Scale
+
+
+class TuneConfig(BaseModel):
+    """What a tuning is asked for; saved with every result. Defaults are the paper's where it gives them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    objective: str = "truth-rmse"
+    scale: Scale = "log10"
+    particles: int = Field(default=30, ge=2)
+    generations: int = Field(default=50, ge=1)
+    trials: int = Field(default=1, ge=1)
+    seed: int = Field(default=0, ge=0)
+    model: ModelName = "planar5"
+    kind: FilterKind = "ukf"
+    use: tuple[Option, ...] = ()
+    """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
+    inertia: float = INERTIA
+    cognitive: float = ACCELERATION
+    social: float = ACCELERATION
+    zero_velocity_at_bounds: bool = False
+    patience: int | None = Field(default=None, ge=1)
+    """Stop a trial after that many generations without a better cost; None: never."""
+    outage_seed: int = Field(default=0, ge=0)
+
+
+def validated_config(config: dict[str, Any]) -> TuneConfig:
+    """The configuration of a tuning, or an `InputError` that names the option."""
+    try:
+        return TuneConfig(**config)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].replace("Input should", "should")
+        raise InputError(f"{name} = {first['input']!r}: {message}") from None
