@@ -1,6 +1,7 @@
 """The trials of a tuning: ask the swarm, tell it the costs, and save every generation."""
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
+from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
 
@@ -55,10 +57,10 @@ class Search:
     Attributes
     ----------
     config : TuneConfig
-    low, high : ndarray, shape (d,)
-        The box, in search coordinates.
-    costs : callable
-        Points, shape (n, d), to their costs, shape (n,); ``inf`` where a filter failed.
+    problem : Problem
+        What is minimized.
+    executor : concurrent.futures.Executor
+        Shares the work.
     folder : ResultFolder or None
         Where every generation is saved.
     progress : callable or None
@@ -66,9 +68,8 @@ class Search:
     """
 
     config: TuneConfig
-    low: Array
-    high: Array
-    costs: Callable[[Array], Array]
+    problem: Problem
+    executor: Executor
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None
 
@@ -83,7 +84,7 @@ class Search:
         swarm = self._swarm(number)
         best, median, failures = self._resumed(number, swarm)
         while len(best) < self.config.generations and not self._stalled(best):
-            costs = self.costs(swarm.ask())
+            costs = self.problem.costs(swarm.ask(), self.executor)
             swarm.tell(costs)
             best.append(swarm.global_cost)
             median.append(float(np.median(costs)))
@@ -101,8 +102,8 @@ class Search:
         c = self.config
         rng = np.random.default_rng(np.random.SeedSequence(c.seed, spawn_key=(number,)))
         return ParticleSwarm(
-            self.low,
-            self.high,
+            self.problem.space.low,
+            self.problem.space.high,
             c.particles,
             rng,
             inertia=c.inertia,

@@ -9,16 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.tuning.batch import check_drives, check_scored
 from sigmaswarm.tuning.config import TuneConfig, validated_config
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
-from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.store import ResultFolder
 
 
@@ -58,45 +54,24 @@ def tune(
     """
     drives = [drives] if isinstance(drives, Drive) else list(drives)
     settings = validated_config(config)
-    objective = objective_named(settings.objective)
-    check_drives(drives, objective)
-    if objective.warning:
-        warnings.warn(objective.warning, SigmaswarmWarning, stacklevel=2)
-    _check_columns(drives, settings)
-    data = [described(drive) for drive in drives]
-    interval = float(np.median([drive.nominal_interval for drive in drives]))
-    space = search_space(settings.model, settings.scale, interval, kind=settings.kind, use=settings.use)
-    replayer = Replayer(drives, outages=objective.needs_outages, outage_seed=settings.outage_seed)
-    check_scored(replayer, objective)
+    problem = CarProblem(drives, settings)
+    if problem.objective.warning:
+        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
-        asked = {**settings.model_dump(mode="json"), "data": data, "versions": versions()}
+        asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
         folder = ResultFolder(Path(out), asked, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())
-
-        def costs(points: Array) -> Array:
-            return objective.costs(replayer.scores(space.decode(points), pool))
-
-        search = Search(settings, space.low, space.high, costs, folder, progress)
+        search = Search(settings, problem, pool, folder, progress)
         trials = tuple(search.trial(i) for i in range(settings.trials))
-    tuning = _chosen(trials, space, settings, data)
+    tuning = _chosen(trials, problem, settings)
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
 
 
-def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
-    lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
-    if "velocity" in config.use and lacking:
-        raise InputError(
-            f"{lacking[0]}: its gps.csv has no speed and course, which --use velocity needs; leave velocity out"
-        )
-
-
-def _chosen(
-    trials: tuple[Trial, ...], space: SearchSpace, config: TuneConfig, data: list[dict[str, Any]]
-) -> Tuning:
+def _chosen(trials: tuple[Trial, ...], problem: Problem, config: TuneConfig) -> Tuning:
     best = int(np.argmin([trial.cost for trial in trials]))
     if not np.isfinite(trials[best].cost):
         raise InputError(
@@ -104,5 +79,12 @@ def _chosen(
             "look for NaN or wildly wrong values in the drives"
         )
     point = trials[best].point
-    parameters = space.decode(point[np.newaxis])[0]
-    return Tuning(parameters, trials[best].cost, space.touched(point), trials, best, config, data)
+    return Tuning(
+        parameters=problem.space.decode(point[np.newaxis])[0],
+        cost=trials[best].cost,
+        touched_bounds=problem.space.touched(point),
+        trials=trials,
+        best_trial=best,
+        config=config,
+        data=problem.data,
+    )

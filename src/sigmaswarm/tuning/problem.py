@@ -1,0 +1,64 @@
+"""What a tuning minimizes: a filter's cost on data, over a box."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from typing import Any, Protocol
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.errors import InputError
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.tuning.batch import check_drives, check_scored
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.space import SearchSpace, search_space
+
+
+class Problem(Protocol):
+    """What `tune` needs to know of a filter, its data and its objective."""
+
+    space: SearchSpace
+    """The box that is searched."""
+    data: list[dict[str, Any]]
+    """Name, length and fingerprint of each drive."""
+
+    def costs(self, points: Array, executor: Executor) -> Array:
+        """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
+        ...
+
+
+class CarProblem:
+    """A filter for cars, on drives.
+
+    Raises
+    ------
+    InputError
+        If the objective or an option asks for something that a drive does not have.
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    """
+
+    def __init__(self, drives: Sequence[Drive], config: TuneConfig) -> None:
+        self.objective = objective_named(config.objective)
+        check_drives(drives, self.objective)
+        _check_columns(drives, config)
+        interval = float(np.median([drive.nominal_interval for drive in drives]))
+        self.space = search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
+        self.data = [described(drive) for drive in drives]
+        outages = self.objective.needs_outages
+        self.replayer = Replayer(drives, outages=outages, outage_seed=config.outage_seed)
+        check_scored(self.replayer, self.objective)
+
+    def costs(self, points: Array, executor: Executor) -> Array:
+        """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
+        return self.objective.costs(self.replayer.scores(self.space.decode(points), executor))
+
+
+def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
+    lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
+    if "velocity" in config.use and lacking:
+        raise InputError(
+            f"{lacking[0]}: its gps.csv has no speed and course, which --use velocity needs; leave velocity out"
+        )
