@@ -168,11 +168,15 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "no-patience": (nothing, "tune good --out t --patience 0", ["patience", "0"]),
     "inertia-nan": (nothing, "tune good --out t --inertia nan", ["inertia", "nan"]),
     "no-workers": (nothing, "tune good --out t --workers 0", ["workers", "0"]),
-    "no-truth": (blind, "tune good --out t", ["synthetic: ", "no truth", "truth-rmse", "add truth.csv"]),
+    "no-truth": (
+        blind,
+        "tune good --out t --objective truth-rmse",
+        ["synthetic: ", "no truth", "truth-rmse", "innovation-nll"],
+    ),
     "no-truth-pose": (
         blind,
         "tune good --out t --objective truth-pose",
-        ["no truth", "truth-pose", "add truth.csv"],
+        ["no truth", "truth-pose", "innovation-nll"],
     ),
     "out-exists": (
         results,

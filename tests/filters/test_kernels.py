@@ -146,7 +146,7 @@ def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_threads_change_no_bit(threads: int):
     drives = [make_drive(duration=40, jitter=0.3, seed=seed) for seed in (3, 4)]
-    replayer = Replayer(drives, outages=True)
+    replayer = Replayer(drives, outages=True, forecasts=True)
     alone = replayer.scores(many_sets())
     with ThreadPoolExecutor(threads) as pool:
         together = replayer.scores(many_sets(), pool)

@@ -376,7 +376,19 @@ def test_a_run_adds_up_its_steps():
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     first = {
         name: getattr(timeline, name)[:n]
-        for name in ("end", "dt", "ax", "ay", "gz", "q_scale", "absorbs", "sampled", "cornering", "sample")
+        for name in (
+            "end",
+            "dt",
+            "ax",
+            "ay",
+            "gz",
+            "q_scale",
+            "absorbs",
+            "hides",
+            "sampled",
+            "cornering",
+            "sample",
+        )
     }
     start = replace(
         timeline, **first, fixes=timeline.fixes[:n_fixes], imu_time=timeline.imu_time[: len(means)]

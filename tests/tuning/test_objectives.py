@@ -1,13 +1,17 @@
 """Costs from scores: the formulas of the design, and no win for a failure."""
 
 import math
+import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.batch import Scores
-from sigmaswarm.tuning.objectives import OBJECTIVES, objective_named
+from sigmaswarm.tuning.objectives import OBJECTIVES, objective_named, worst_mean
 
 
 def scores(**given) -> Scores:
@@ -17,7 +21,10 @@ def scores(**given) -> Scores:
         "heading_rmse": np.radians([[10.0, 20.0], [5.0, 1.0]]),
         "outage_drift": [[4.0, 8.0], [1.0, 2.0]],
         "fix_rmse": [[0.1, 0.2], [0.3, 0.4]],
-        "mean_nis": [[2.0, 2.0], [2.0, 2.0]],
+        "forecast_rmse": [[5.0, 7.0], [1.0, 2.0]],
+        "innovation_nll": [[3.0, 4.0], [-1.0, -2.0]],
+        "mean_nis": [[2.0, 4.0], [1.0, 2.0]],
+        "mean_nees": [[20.0, 2.0], [2.0, 2.0]],
     }
     failed = np.array(given.pop("failed", np.zeros((2, 2), bool)))
     return Scores(**{k: np.array(v) for k, v in (table | given).items()}, failed=failed)
@@ -45,6 +52,12 @@ def test_the_three_objectives_are_there():
         # mean over drives of position + 0.1 heading in degrees + 0.1 drift
         ("truth-pose", [((1 + 1 + 0.4) + (3 + 2 + 0.8)) / 2, ((2 + 0.5 + 0.1) + (2.5 + 0.1 + 0.2)) / 2]),
         ("gps-rmse", [0.15, 0.35]),
+        ("innovation-nll", [3.5, -1.5]),
+        ("outage-rmse", [6.0, 1.5]),
+        ("nis", [math.log(2) / 2, math.log(2) / 2]),
+        ("nees", [math.log(10) / 2, 0.0]),
+        ("truth-rmse + 0.5 nees", [2.0 + math.log(10) / 4, 2.25]),
+        ("2*truth-rmse+1e-1*outage-rmse", [4.6, 4.65]),
     ],
 )
 def test_costs_are_the_mean_over_drives(name: str, costs: list[float]):
@@ -79,6 +92,58 @@ def test_only_the_paper_s_objective_warns():
 
 def test_an_unknown_name_is_answered_with_the_known_ones():
     with pytest.raises(
-        InputError, match=r"no objective is called 'rmse'; choose one of truth-rmse, truth-pose, gps"
+        InputError, match=r"no objective is called 'rmse'; choose one of truth-rmse, truth-pose, innovation"
     ):
         objective_named("rmse")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("truth-rmse + ", "no objective is called ''"),
+        ("truth-rmse - nees", "no objective is called 'truth-rmse - nees'"),
+        ("-1 nees", "no objective is called '-1 nees'"),
+        ("0 nees", "the weight of nees must be positive"),
+        ("1.2.3 nees", "'1.2.3' is no weight"),
+        ("1e999 nees", "must be positive"),
+    ],
+)
+def test_a_sum_that_can_not_be_read_is_refused(name: str, said: str):
+    with pytest.raises(InputError, match=re.escape(said)):
+        objective_named(name)
+
+
+def test_a_sum_needs_what_its_terms_need():
+    both = objective_named("gps-rmse + 0.25 truth-pose + outage-rmse")
+    assert both.name == "gps-rmse + 0.25 truth-pose + outage-rmse"
+    assert both.needs_truth
+    assert both.needs_outages
+    assert both.needs_forecasts
+    assert "copies the GPS" in both.warning
+    assert not objective_named("innovation-nll + nis").needs_truth
+
+
+@given(
+    costs=arrays(float, st.tuples(st.integers(1, 4), st.integers(1, 8)), elements=st.floats(-10, 10)),
+    share=st.floats(0.01, 1.0),
+)
+def test_the_worst_mean_is_the_conditional_value_at_risk(costs: np.ndarray, share: float):
+    # Rockafellar and Uryasev: CVaR = min over v of v + mean(max(c - v, 0)) / share; v can be one of the values
+    by_definition = [min(v + np.maximum(row - v, 0).mean() / share for v in row) for row in costs]
+    np.testing.assert_allclose(worst_mean(costs, share), by_definition, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(worst_mean(costs, 1.0), costs.mean(axis=1))
+
+
+def test_one_bad_drive_is_not_averaged_away():
+    table = scores(position_rmse=[[1.0, 1.0, 7.0], [4.0, 4.0, 4.0]], failed=np.zeros((2, 3), bool))
+    truth = objective_named("truth-rmse")
+    assert truth.costs(table).tolist() == [3.0, 4.0]
+    assert truth.costs(table, 1 / 3).tolist() == [7.0, 4.0]
+
+
+def test_a_rise_of_a_likelihood_is_one_of_errors():
+    assert objective_named("truth-rmse").rise(2.2, 2.0) == pytest.approx(0.1)
+    # errors larger by 10% on two axes, with S to match, cost 2 ln 1.1 nats, whatever the zero of the scale
+    nll = objective_named("innovation-nll")
+    assert nll.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
+    assert nll.rise(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import AlignmentError, InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
@@ -218,14 +219,47 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
     with pytest.raises(InputError, match="no drives"):
         tune([])
     with pytest.raises(
-        InputError, match=r"d0: has no truth, which the objective truth-rmse needs; add truth.csv"
+        InputError, match=r"d0: has no truth, which the objective truth-rmse needs; without truth"
     ):
-        tune(replace(DRIVES[0], truth=None), out=tmp_path / "out")
+        tune(replace(DRIVES[0], truth=None), objective="truth-rmse", out=tmp_path / "out")
+    with pytest.raises(InputError, match=r"d0: .* no room to hide fixes"):
+        tune(clip(DRIVES[0], 0.0, 12.0), objective="outage-rmse", out=tmp_path / "out")
     zero = np.zeros(len(DRIVES[0].gps))
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
     with pytest.raises(AlignmentError, match="d0: never travels 20 m"):
         tune(still, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()  # a mistake leaves nothing that stands in the way of the next try
+
+
+def test_without_truth_the_fixes_are_forecast():
+    blind = [replace(d, truth=None) for d in DRIVES]
+    assert tune(blind, **SMALL).config.objective == "innovation-nll"
+    assert tune(DRIVES, **SMALL).config.objective == "truth-rmse"
+    assert tune([DRIVES[0], blind[1]], **SMALL).config.objective == "innovation-nll"
+    # truth, where there is some, has no part in it
+    seen, unseen = (tune(d, objective="innovation-nll + outage-rmse", **SMALL) for d in (DRIVES, blind))
+    assert bits(seen) == bits(unseen)
+
+
+def test_validation_drives_are_scored_but_choose_nothing():
+    training, other = DRIVES[:1], make_drive(duration=25.0, seed=9, gps_std=4.0, name="noisy")
+    plain = tune(training, **SMALL)
+    assert plain.validation is None
+    assert any("no drives were held back" in remark for remark in plain.remarks)
+    checked = tune(training, validation=other, **SMALL)
+    assert bits(checked) == bits(plain)
+    assert checked.validation.cost == run_batch(other, [checked.parameters]).costs[0]
+    assert checked.validation.gap == pytest.approx(checked.validation.cost / checked.cost - 1)
+    assert checked.validation.gap > 0.2
+    assert any("worse than on the training drives" in remark for remark in checked.remarks)
+    assert checked.to_dict()["result"]["validation_drives"] == ["noisy"]
+
+
+def test_the_worst_drives_can_count_alone():
+    drives = [DRIVES[0], make_drive(duration=25.0, seed=9, gps_std=3.0)]
+    tuning = tune(drives, worst=0.5, **SMALL)
+    each = [run_batch(d, [tuning.parameters]).costs[0] for d in drives]
+    assert tuning.cost == max(each)
 
 
 def test_truth_of_another_time_is_refused():

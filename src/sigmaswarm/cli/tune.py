@@ -11,7 +11,9 @@ def tune(
     /,
     *,
     out: Path,
-    objective: str = "truth-rmse",
+    validation: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    objective: str = "auto",
+    worst: float = 1.0,
     scale: Literal["log10", "linear"] = "log10",
     particles: int = 30,
     generations: int = 50,
@@ -32,13 +34,14 @@ def tune(
 ) -> None:
     """Tune a filter on drives, and keep it in OUT/tuning.toml.
 
-    Put the drives first, then the options. All objectives but gps-rmse need truth.csv in each drive.
-    Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
+    Put the drives first, then the options. Truth is not needed: without truth.csv the filter is tuned to forecast
+    the fixes. Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
 
     Examples:
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
         sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
+        sigmaswarm tune drives/training --out tuned --validation drives/monday --objective innovation-nll
         sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
         sigmaswarm tune drives/training --out tuned --resume
 
@@ -48,9 +51,16 @@ def tune(
         Drive folders to tune on, or folders that hold drive folders.
     out
         Folder for tuning.toml, the convergence history and figures.
+    validation
+        Drives held back from the search, to see what the result is worth on others.
     objective
         truth-rmse: position error. truth-pose: position, heading and outage drift together.
-        gps-rmse: the paper's, which rewards copying the GPS.
+        innovation-nll: how likely each fix is before it is absorbed; needs no truth, and makes the filter
+        honest about its errors. outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency,
+        to be added to others. gps-rmse: the paper's, which rewards copying the GPS. Sums like
+        "truth-pose + 0.2 nees" are objectives, too. auto: truth-rmse with truth, else innovation-nll.
+    worst
+        Share of the drives that counts, the worst ones; by default the mean over all.
     scale
         How variances are searched; linear is the paper's way.
     particles
@@ -90,6 +100,7 @@ def tune(
 
     config: dict[str, Any] = {
         "objective": objective,
+        "worst": worst,
         "scale": scale,
         "particles": particles,
         "generations": generations,
@@ -104,16 +115,21 @@ def tune(
     if inertia is not None:
         config["inertia"] = inertia
     read = read_drives(drives)
+    held_back = read_drives(validation or [])
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
-        tuning = sigmaswarm.tune(read, out=out, resume=resume, executor=pool, progress=progress, **config)
+        tuning = sigmaswarm.tune(
+            read, validation=held_back, out=out, resume=resume, executor=pool, progress=progress, **config
+        )
     pictures = save_tuning_figures(tuning, read, out)
     if json:
         print_json(tuning.to_dict())
         return
     console = stdout()
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
-    for touched in tuning.touched_bounds:
-        console.print(f"note: {touched}: the optimum may lie outside the box")
+    if tuning.validation:
+        console.print(f"cost {tuning.validation.cost:.4f} on {len(held_back)} validation drive(s)")
+    for remark in tuning.remarks:
+        console.print(f"note: {remark}")
     console.print(f"filter:   {out / 'tuning.toml'}")
     console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
     console.print(f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...")

@@ -92,6 +92,48 @@ def random_windows(
     return np.stack([ends - lengths, ends], axis=1)
 
 
+def balanced_windows(
+    start: float,
+    end: float,
+    rng: np.random.Generator,
+    *,
+    length: tuple[float, float] = (3.0, 5.0),
+    apart: float = 5.0,
+    every: float = 12.0,
+) -> Array:
+    """Draw one outage in each ``every`` seconds between ``start`` and ``end``, so that all of the drive is tried.
+
+    Parameters
+    ----------
+    start, end : float
+        s.
+    rng : numpy.random.Generator
+        Draws lengths, then places.
+    length : (float, float)
+        s, the range from which each window draws its length.
+    apart : float
+        s from ``start`` to the first window, and from one window's end to the next one's start, at least.
+    every : float
+        s; at least the longest window and ``apart``.
+
+    Returns
+    -------
+    ndarray, shape (k, 2)
+        s, in order of time; shape (0, 2) where not one fits.
+    """
+    if not (0 < length[0] <= length[1] and apart >= 0 and every >= length[1] + apart):
+        raise InputError(
+            f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
+            "use a positive length (shortest first), and as many seconds for each as it needs"
+        )
+    # One slot for each window; what is left of the drive makes all of them longer.
+    count = int((end - start) / every) or int(end - start >= apart + length[1])
+    slot = (end - start) / max(count, 1)
+    lengths = rng.uniform(*length, count)
+    starts = start + slot * np.arange(count) + apart + rng.uniform(0.0, 1.0, count) * (slot - apart - lengths)
+    return np.stack([starts, starts + lengths], axis=1)
+
+
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
     """Shift windows so that each ends exactly on an IMU sample, where a filter's estimate is to be had.
 

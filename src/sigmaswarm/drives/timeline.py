@@ -6,7 +6,7 @@ variance added per nominal interval (the median) and scales with dt / nominal, s
 samples it grows with the gap's length.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,15 +31,17 @@ class Timeline:
     ax, ay, gz : (k,) m/s2, m/s2, rad/s: the sample that drives each step
     q_scale : (k,) dt / nominal interval of the drive
     absorbs : (k,) bool: a fix is absorbed at the step's end
+    hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
     fixes : (f, 4) m east, north, and m/s east, north (0 where the log has no velocity), in the order in which steps
-        absorb them
+        meet them, hidden ones included
     fix_time : (f,) s
     has_velocity : bool
     lever : (2,) m forward and left from the IMU to the antenna
     cornering : (k,) bool: lateral acceleration so high that tires slip
     sample : (k,) int: the number of the sample that drives each step
     drive : Drive
+        As the filter sees it.
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -52,6 +54,7 @@ class Timeline:
     gz: Array
     q_scale: Array
     absorbs: NDArray[np.bool_]
+    hides: NDArray[np.bool_]
     sampled: NDArray[np.bool_]
     fixes: Array
     fix_time: Array
@@ -69,8 +72,12 @@ class Timeline:
         return standing(self.drive)[self.sample]
 
 
-def build_timeline(drive: Drive, start: float) -> Timeline:
-    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out."""
+def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None = None) -> Timeline:
+    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
+
+    ``hidden``, shape (number of fixes,), says which of the fixes a filter does not get to see.
+    """
+    hidden = np.zeros(len(drive.gps), dtype=np.bool_) if hidden is None else hidden
     imu = drive.imu.time[drive.imu.time > start]
     usable = (drive.gps.time > start) & (drive.gps.time <= drive.imu.time[-1])
     fix_time = drive.gps.time[usable]
@@ -90,7 +97,8 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         ay=drive.imu.ay[sample],
         gz=drive.imu.gz[sample],
         q_scale=dt / nominal,
-        absorbs=np.isin(ends, fix_time),
+        absorbs=np.isin(ends, drive.gps.time[usable & ~hidden]),
+        hides=np.isin(ends, drive.gps.time[usable & hidden]),
         sampled=np.isin(ends, imu),
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
@@ -98,7 +106,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         lever=drive.lever_arm,
         cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
         sample=sample,
-        drive=drive,
+        drive=replace(drive, gps=drive.gps.select(~hidden)) if hidden.any() else drive,
         imu_time=imu,
         nominal_interval=nominal,
     )

@@ -71,15 +71,19 @@ class Sums:
     ----------
     squared_position : m2, over targets
     squared_heading : rad2, over targets whose heading counts
+    nees : sum of e^T P^-1 e of the position over targets
     squared_fix : m2, residuals of the fixes after they were absorbed
-    nis : sum of nu^T S^-1 nu over the fixes
-    log_determinant : sum of ln det S over the fixes
+    squared_forecast : m2, innovations of the hidden fixes
+    nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
+    log_determinant : sum of ln det S over the fixes, hidden ones included
     failed : bool: the covariance lost its definiteness, or something became NaN
     """
 
     squared_position: Array
     squared_heading: Array
+    nees: Array
     squared_fix: Array
+    squared_forecast: Array
     nis: Array
     log_determinant: Array
     failed: NDArray[np.bool_]
@@ -95,7 +99,7 @@ def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Su
     for members in groups.values():
         for start in range(0, len(members), lanes.LANES):
             chunk = members[start : start + lanes.LANES]
-            sums, final, _ = _run_chunk(replay, [parameter_sets[i] for i in chunk], 0)
+            sums, final = _run_chunk(replay, [parameter_sets[i] for i in chunk])
             sound = _sound(sums, final, parameter_sets[chunk[0]].n_states)[: len(chunk)]
             sound &= [plausible(parameter_sets[i]) for i in chunk]
             failed[chunk] = ~sound
@@ -105,10 +109,18 @@ def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Su
 
 def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
-    _, _, record = _run_chunk(replay, [parameters], len(replay.timeline.imu_time))
+    record = np.empty((len(replay.timeline.imu_time), lanes.N_STATE + 1, 1))
+    _run_chunk(replay, [parameters], record)
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
     sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
+
+
+def record_innovations(replay: Replay, parameters: FilterParameters) -> Array:
+    """nu (m) and S (m2; xx, xy, yy) of one filter at each fix, before it is absorbed, shape (f, 5)."""
+    innovations = np.empty((len(replay.timeline.fixes), 5))
+    _run_chunk(replay, [parameters], innovations=innovations)
+    return innovations
 
 
 def plausible(p: FilterParameters) -> bool:
@@ -128,18 +140,19 @@ def _definite(covariance: Array) -> NDArray[np.bool_]:
     return sound
 
 
-_SUM_ROWS = (
-    np.array([lanes.SQ_POSITION, lanes.SQ_HEADING, lanes.SQ_FIX, lanes.NIS, lanes.LOG_DET]) - lanes.SUMS.start
-)
+_SUM_ROWS = np.arange(lanes.SQ_POSITION, lanes.LOG_DET + 1) - lanes.SUMS.start
+"""In the order of `Sums`."""
 
 
 def _run_chunk(
-    replay: Replay, parameter_sets: Sequence[FilterParameters], n_recorded: int
-) -> tuple[Array, Array, Array]:
-    """Sums (N_SUMS, LANES), final states (N_STATE, LANES) and a record of the first lane."""
+    replay: Replay,
+    parameter_sets: Sequence[FilterParameters],
+    record: Array | None = None,
+    innovations: Array | None = None,
+) -> tuple[Array, Array]:
+    """Sums (N_SUMS, LANES) and final states (N_STATE, LANES); writes what is recorded of the first lane."""
     first, line = parameter_sets[0], replay.timeline
-    record = np.empty((n_recorded, lanes.N_STATE + 1, min(n_recorded, 1)))
-    sums, final = run.run_lanes(
+    return run.run_lanes(
         first.n_states,
         np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
         flags_of(line, *switches(first)),
@@ -149,9 +162,9 @@ def _run_chunk(
         replay.targets.end,
         pack_states(*start_of(replay.initial, parameter_sets)),
         pack_constants(parameter_sets, line.nominal_interval),
-        record,
+        np.empty((0, lanes.N_STATE + 1, 0)) if record is None else record,
+        innovations,
     )
-    return sums, final, record
 
 
 def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
@@ -161,7 +174,7 @@ def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
 
 def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:
     """What happens at the end of each step, as the kernel's bits, shape (k,)."""
-    flags = run.FIX * line.absorbs + run.IMU * line.sampled
+    flags = run.FIX * line.absorbs + run.HIDDEN * line.hides + run.IMU * line.sampled
     if velocity and line.has_velocity:
         flags = flags + run.VELOCITY * line.absorbs
     if lateral:

@@ -208,5 +208,24 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
     return {k: v for k, v in known.items() if k in stated} | {"states": list(STATE_NAMES[model])}
 
 
+_PLANE_DENSITIES = ("m/sqrt(s)", "m/sqrt(s)", "m/s/sqrt(s)", "m/s/sqrt(s)", "rad/sqrt(s)")
+_DENSITY_UNITS: dict[str, tuple[str, ...]] = {
+    "planar5": _PLANE_DENSITIES,
+    "planar8": (*_PLANE_DENSITIES, "m/s2/sqrt(s)", "m/s2/sqrt(s)", "rad/s/sqrt(s)"),
+}
+
+
+def densities(parameters: FilterParameters) -> dict[str, str]:
+    """Q as the densities of continuous white noise, sqrt(Q / nominal interval), as data sheets state them.
+
+    Empty where the parameters do not say which interval Q refers to, or a variance is negative.
+    """
+    p = parameters
+    if p.nominal_interval is None or min(p.process_noise) < 0:
+        return {}
+    each = zip(STATE_NAMES[p.model], p.process_noise, _DENSITY_UNITS[p.model], strict=True)
+    return {state: f"{np.sqrt(q / p.nominal_interval):.4g} {unit}" for state, q, unit in each}
+
+
 def _one_line(error: object) -> str:
     return " ".join(str(error).split())

@@ -9,7 +9,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.batch import Replay, Targets, record_replay
+from sigmaswarm.filters.batch import Replay, Targets, record_innovations, record_replay
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook_car import TextbookCar
@@ -83,6 +83,49 @@ def run_filter(
         "definite, or NaN in the data); are all variances positive and all samples finite?"
     )
     return replace(estimate, failure=failure)
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """What each fix said that a filter did not expect, before the fix was absorbed.
+
+    Attributes
+    ----------
+    time : ndarray, shape (f,)
+        s, of the fixes after the start.
+    innovation : ndarray, shape (f, 2)
+        nu, m east and north.
+    covariance : ndarray, shape (f, 2, 2)
+        S, m2.
+    """
+
+    time: Array
+    innovation: Array
+    covariance: Array
+
+    @property
+    def nis(self) -> Array:
+        """nu^T S^-1 nu, shape (f,): chi-square with 2 degrees of freedom where the filter is consistent."""
+        return np.square(self.normalized).sum(axis=1)
+
+    @property
+    def normalized(self) -> Array:
+        """L^-1 nu with L L^T = S, shape (f, 2): white, of variance one, where the filter is consistent."""
+        root = np.linalg.cholesky(self.covariance)
+        return np.asarray(np.linalg.solve(root, self.innovation[..., None])[..., 0], np.float64)
+
+
+def run_innovations(
+    drive: Drive, parameters: FilterParameters, *, initial: InitialState | None = None
+) -> Innovations:
+    """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
+
+    Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
+    """
+    initial = initial or initial_state(drive)
+    timeline = build_timeline(drive, initial.time)
+    rows = record_innovations(Replay(timeline, initial, Targets.none(timeline)), parameters)
+    return Innovations(timeline.fix_time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
 
 
 def run_reference(

@@ -70,7 +70,7 @@ class TextbookCar:
         )
         self.tracking = StrongTracking(p.forgetting)
         self.flags = flags_of(timeline, *switches(p))
-        self._fix_of_step = np.cumsum(timeline.absorbs) - 1
+        self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
         self._rejected = 0
         self._since = 0.0
 

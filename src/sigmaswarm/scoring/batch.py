@@ -1,8 +1,9 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,7 @@ from sigmaswarm.filters.batch import Replay, Sums, run_replay
 from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.score import Score
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, tracking_replay
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +29,16 @@ class Scores:
     heading_rmse: Array
     outage_drift: Array
     fix_rmse: Array
+    forecast_rmse: Array
+    innovation_nll: Array
     mean_nis: Array
+    mean_nees: Array
     failed: NDArray[np.bool_]
 
     def __getitem__(self, at: tuple[int, int]) -> Score:
         """The score of one set on one drive."""
-        numbers = (self.position_rmse, self.heading_rmse, self.outage_drift, self.fix_rmse, self.mean_nis)
-        return Score(*(float(a[at]) for a in numbers), failed=bool(self.failed[at]))
+        numbers = {name: float(getattr(self, name)[at]) for name in _NUMBERS}
+        return Score(**numbers, failed=bool(self.failed[at]))
 
 
 class Replayer:
@@ -44,7 +48,9 @@ class Replayer:
     ----------
     drives : sequence of Drive
     outages : bool
-        Run the outages too (a second pass over each drive).
+        Run the outages too (a pass of its own over each drive).
+    forecasts : bool
+        Run with fixes hidden all over the drive (another pass).
     outage_length : float
         s.
     outage_seed : int
@@ -61,47 +67,50 @@ class Replayer:
         drives: Sequence[Drive],
         *,
         outages: bool,
+        forecasts: bool = False,
         outage_length: float = OUTAGE_LENGTH,
         outage_seed: int = 0,
     ) -> None:
         self.drives = tuple(drives)
         self.initial = tuple(initial_state(drive) for drive in drives)
-        pairs = list(zip(self.drives, self.initial, strict=True))
-        self._tracking = [tracking_replay(d, i) for d, i in pairs]
-        self._outages = [
-            outage_replay(d, i, length=outage_length, seed=outage_seed) for d, i in pairs
-        ] * outages
+        self._passes: list[_Pass] = []
+        for i, (drive, start) in enumerate(zip(self.drives, self.initial, strict=True)):
+            self._passes.append(_Pass(i, tracking_replay(drive, start), _tracking_scores))
+            if outages:
+                replay = outage_replay(drive, start, length=outage_length, seed=outage_seed)
+                self._passes.append(_Pass(i, replay, _outage_scores))
+            if forecasts:
+                self._passes.append(
+                    _Pass(i, forecast_replay(drive, start, seed=outage_seed), _forecast_scores)
+                )
 
     @property
     def truth_moments(self) -> list[int]:
         """How many moments of truth each drive is scored at."""
-        return [replay.targets.n_positions for replay in self._tracking]
+        return [p.replay.targets.n_positions for p in self._passes if p.scores is _tracking_scores]
+
+    @property
+    def hidden_fixes(self) -> list[int]:
+        """How many fixes are hidden to be forecast on each drive; empty without forecasts."""
+        return [int(p.replay.timeline.hides.sum()) for p in self._passes if p.scores is _forecast_scores]
 
     @cached_property
     def steps_per_set(self) -> int:
         """Filter steps that one parameter set costs, over all passes."""
-        return sum(len(replay.timeline.dt) for replay in self._tracking + self._outages)
+        return sum(len(p.replay.timeline.dt) for p in self._passes)
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
-        if not parameter_sets:
-            nothing = np.empty((0, len(self.drives)))
-            return Scores(*[nothing] * len(_NUMBERS), failed=nothing.astype(np.bool_))
-        passes = self._run(self._tracking + self._outages, parameter_sets, executor)
-        tracking, outages = passes[: len(self._tracking)], passes[len(self._tracking) :]
         shape = (len(parameter_sets), len(self.drives))
         columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
         failed = np.zeros(shape, dtype=np.bool_)
-        for i, (replay, sums) in enumerate(zip(self._tracking, tracking, strict=True)):
-            n_fixes = len(replay.timeline.fixes)
-            columns["position_rmse"][:, i] = _root_mean(sums.squared_position, replay.targets.n_positions)
-            columns["heading_rmse"][:, i] = _root_mean(sums.squared_heading, replay.targets.n_headings)
-            columns["fix_rmse"][:, i] = _root_mean(sums.squared_fix, n_fixes)
-            columns["mean_nis"][:, i] = sums.nis / n_fixes if n_fixes else np.nan
-            failed[:, i] |= sums.failed
-        for i, (replay, sums) in enumerate(zip(self._outages, outages, strict=True)):
-            columns["outage_drift"][:, i] = _root_mean(sums.squared_position, replay.targets.n_positions)
-            failed[:, i] |= sums.failed
+        results = (
+            self._run([p.replay for p in self._passes], parameter_sets, executor) if parameter_sets else []
+        )
+        for p, sums in zip(self._passes, results, strict=bool(parameter_sets)):
+            for name, values in p.scores(p.replay, sums).items():
+                columns[name][:, p.drive] = values
+            failed[:, p.drive] |= sums.failed
         return Scores(**columns, failed=failed)
 
     @staticmethod
@@ -116,12 +125,42 @@ class Replayer:
         return [_joined(done[i * n : (i + 1) * n]) for i in range(len(replays))]
 
 
-_NUMBERS = ("position_rmse", "heading_rmse", "outage_drift", "fix_rmse", "mean_nis")
+_NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
 
 
 def _joined(chunks: Sequence[Sums]) -> Sums:
     return Sums(**{name: np.concatenate([getattr(c, name) for c in chunks]) for name in vars(chunks[0])})
 
 
-def _root_mean(total: Array, count: int) -> Array:
-    return np.sqrt(total / count) if count else np.full_like(total, np.nan)
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """One pass over one drive, and what its sums say."""
+
+    drive: int
+    replay: Replay
+    scores: Callable[[Replay, Sums], dict[str, Array]]
+
+
+def _tracking_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
+    n_positions, n_fixes = replay.targets.n_positions, len(replay.timeline.fixes)
+    return {
+        "position_rmse": np.sqrt(_mean(sums.squared_position, n_positions)),
+        "heading_rmse": np.sqrt(_mean(sums.squared_heading, replay.targets.n_headings)),
+        "fix_rmse": np.sqrt(_mean(sums.squared_fix, n_fixes)),
+        "innovation_nll": _mean(sums.nis + sums.log_determinant, n_fixes) / 2 + math.log(2 * math.pi),
+        "mean_nis": _mean(sums.nis, n_fixes),
+        "mean_nees": _mean(sums.nees, n_positions),
+    }
+
+
+def _outage_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
+    return {"outage_drift": np.sqrt(_mean(sums.squared_position, replay.targets.n_positions))}
+
+
+def _forecast_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
+    hidden = int(replay.timeline.hides.sum())
+    return {"forecast_rmse": np.sqrt(_mean(sums.squared_forecast, hidden))}
+
+
+def _mean(total: Array, count: int) -> Array:
+    return total / count if count else np.full_like(total, np.nan)

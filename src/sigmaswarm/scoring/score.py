@@ -29,7 +29,10 @@ class Score:
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
     outage_drift : m, RMS over windows without fixes of the position error at the window's end
     fix_rmse : m, RMS residual of the fixes after they were absorbed (the paper's equation 4)
+    forecast_rmse : m, RMS innovation of fixes hidden for 3 to 5 s, forecast through those windows
+    innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each is absorbed
     mean_nis : mean of nu^T S^-1 nu over the fixes; 2 where the covariance is right
+    mean_nees : mean of e^T P^-1 e of the position; 2 where the covariance is right
     failed : bool
     """
 
@@ -37,7 +40,10 @@ class Score:
     heading_rmse: float = float("nan")
     outage_drift: float = float("nan")
     fix_rmse: float = float("nan")
+    forecast_rmse: float = float("nan")
+    innovation_nll: float = float("nan")
     mean_nis: float = float("nan")
+    mean_nees: float = float("nan")
     failed: bool = False
 
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.outages import hide_fixes, random_windows, snap_ends
+from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, hide_fixes, random_windows, snap_ends
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
@@ -35,6 +35,13 @@ def outage_replay(
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
     rows = np.column_stack([np.ones_like(ends), x, y, np.zeros((len(ends), 2))])
     return Replay(timeline, initial, Targets(rows, _end(timeline, ends)))
+
+
+def forecast_replay(drive: Drive, initial: InitialState, *, seed: int = 0) -> Replay:
+    """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each hidden fix is compared with its forecast."""
+    windows = balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
+    timeline = build_timeline(drive, initial.time, hidden_fixes(drive.gps.time, windows))
+    return Replay(timeline, initial, Targets.none(timeline))
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: int) -> Array:

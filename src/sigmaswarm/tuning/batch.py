@@ -39,6 +39,7 @@ def run_batch(
     parameter_sets: Sequence[FilterParameters],
     *,
     objective: str = "truth-rmse",
+    worst: float = 1.0,
     outage_seed: int = 0,
     executor: Executor | None = None,
 ) -> BatchResult:
@@ -51,7 +52,9 @@ def run_batch(
     drives : Drive or sequence of Drive
     parameter_sets : sequence of FilterParameters
     objective : str
-        A name in `OBJECTIVES`.
+        A name in `OBJECTIVES`, or a weighted sum of them.
+    worst : float
+        Share of the drives that counts for the cost, the worst ones of each set.
     outage_seed : int
         Places the outages, where the objective has them.
     executor : concurrent.futures.Executor, optional
@@ -67,8 +70,7 @@ def run_batch(
     drives = [drives] if isinstance(drives, Drive) else list(drives)
     goal = objective_named(objective)
     check_drives(drives, goal)
-    replayer = Replayer(drives, outages=goal.needs_outages, outage_seed=outage_seed)
-    check_scored(replayer, goal)
+    replayer = replayer_for(goal, drives, outage_seed)
     if executor is None:
         with ThreadPoolExecutor() as pool:
             scores = replayer.scores(parameter_sets, pool)
@@ -76,7 +78,7 @@ def run_batch(
         scores = replayer.scores(parameter_sets, executor)
     sets = range(len(parameter_sets))
     each = tuple(tuple(scores[i, j] for j in range(len(drives))) for i in sets)
-    return BatchResult(goal.costs(scores), each, np.asarray(scores.failed.any(axis=1)))
+    return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
 
 def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
@@ -87,17 +89,35 @@ def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
-            "add truth.csv, or tune on drives that have truth and evaluate here by outage drift"
+            "without truth, tune with innovation-nll"
         )
 
 
-def check_scored(replayer: Replayer, objective: Objective) -> None:
-    """Raise `InputError` where a drive's truth lies outside the time in which a filter runs."""
-    for drive, initial, moments in zip(
-        replayer.drives, replayer.initial, replayer.truth_moments, strict=True
-    ):
+def replayer_for(objective: Objective, drives: Sequence[Drive], seed: int) -> Replayer:
+    """The drives, made ready for the passes that an objective needs.
+
+    Raises
+    ------
+    InputError
+        If an objective can't be computed on a drive: its truth lies outside the time in which a filter runs, or it
+        is too short to hide fixes.
+    """
+    replayer = Replayer(
+        drives,
+        outages=objective.needs_outages,
+        forecasts=objective.needs_forecasts,
+        outage_seed=seed,
+    )
+    for drive, initial, moments in zip(drives, replayer.initial, replayer.truth_moments, strict=True):
         if objective.needs_truth and drive.truth is not None and not moments:
             raise InputError(
                 f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
                 f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
             )
+    for drive, initial, hidden in zip(drives, replayer.initial, replayer.hidden_fixes, strict=False):
+        if not hidden:
+            raise InputError(
+                f"{drive.name}: from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s there is no room to "
+                f"hide fixes for 3 to 5 s, which {objective.name} needs; take longer drives or innovation-nll"
+            )
+    return replayer

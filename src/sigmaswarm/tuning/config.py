@@ -15,7 +15,8 @@ class TuneConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    objective: str = "truth-rmse"
+    objective: str = "auto"
+    """A name in `OBJECTIVES` or a weighted sum; auto: truth-rmse where all drives have truth, else innovation-nll."""
     scale: Scale = "log10"
     particles: int = Field(default=30, ge=2)
     generations: int = Field(default=50, ge=1)
@@ -25,6 +26,8 @@ class TuneConfig(BaseModel):
     kind: FilterKind = "ukf"
     use: tuple[Option, ...] = ()
     """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
+    worst: float = Field(default=1.0, gt=0, le=1)
+    """Share of the drives that counts, the worst ones; 1: the mean over all."""
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION

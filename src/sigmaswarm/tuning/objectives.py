@@ -1,9 +1,10 @@
-"""What a tuning minimizes. A new objective is one entry in `OBJECTIVES`.
+"""What a tuning minimizes. A new objective is one entry in `OBJECTIVES`; a weighted sum of them is one, too.
 
-Each takes the scores of all parameter sets on all drives and gives a cost per set and drive; the cost of a
-set is the mean over its drives, and ``inf`` where the filter failed on any of them.
+Each takes the scores of all parameter sets on all drives and gives a cost per set and drive; the cost of a set is the
+mean over its drives, or over the worst of them, and ``inf`` where the filter failed on any.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -30,7 +31,9 @@ class Objective:
         One sentence for people.
     per_drive : callable
         Scores to costs of shape (n_sets, n_drives); lower wins.
-    needs_truth, needs_outages : bool
+    needs_truth, needs_outages, needs_forecasts : bool
+    logarithmic : bool
+        The cost is a logarithm: 0.02 more nats per fix stand for errors larger by 1% on each of its two axes.
     warning : str or None
         What a user should know before trusting the result.
     """
@@ -40,12 +43,39 @@ class Objective:
     per_drive: Callable[[Scores], Array]
     needs_truth: bool = False
     needs_outages: bool = False
+    needs_forecasts: bool = False
+    logarithmic: bool = False
     warning: str | None = None
 
-    def costs(self, scores: Scores) -> Array:
-        """Cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored."""
-        mean = self.per_drive(scores).mean(axis=1)
-        return np.where(scores.failed.any(axis=1) | ~np.isfinite(mean), np.inf, mean)
+    def costs(self, scores: Scores, worst: float = 1.0) -> Array:
+        """Cost of each set, shape (n_sets,); ``inf`` for a set that failed or can't be scored.
+
+        ``worst`` is the share of the drives that counts, the worst ones of each set: 1 is the mean over all.
+        """
+        with np.errstate(invalid="ignore"):  # a failed set's
+            cost = worst_mean(self.per_drive(scores), worst)
+        return np.where(scores.failed.any(axis=1) | ~np.isfinite(cost), np.inf, cost)
+
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """How much worse costs are than another: 0.01 is 1%."""
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            change = (
+                np.expm1((np.asarray(costs) - best) / 2) if self.logarithmic else np.asarray(costs) / best - 1
+            )
+        return np.where(np.isfinite(costs), change, np.inf)
+
+
+def worst_mean(costs: Array, share: float) -> Array:
+    """The mean over the worst ``share`` of each row, shape (n, m) to (n,); where it cuts a value, with a part of it.
+
+    The conditional value at risk of R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk,
+    J. Risk 2, 2000, of the row's values, each as likely as the others.
+    """
+    count = costs.shape[1]
+    if share == 1.0:
+        return costs.mean(axis=1)
+    weight = np.clip(share * count - np.arange(count), 0.0, 1.0)
+    return np.sort(costs, axis=1)[:, ::-1] @ weight / weight.sum()
 
 
 def _pose(scores: Scores) -> Array:
@@ -53,6 +83,11 @@ def _pose(scores: Scores) -> Array:
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift
+
+
+def _off(mean: Array) -> Array:
+    """How far a mean NIS or NEES is from the 2 of a consistent filter: 0.1 where it is 10% off."""
+    return np.abs(np.log(mean / 2))
 
 
 OBJECTIVES = {
@@ -72,27 +107,83 @@ OBJECTIVES = {
             needs_outages=True,
         ),
         Objective(
+            "innovation-nll",
+            "mean negative log-likelihood of each fix before it is absorbed, nats",
+            lambda scores: scores.innovation_nll,
+            logarithmic=True,
+        ),
+        Objective(
+            "outage-rmse",
+            "RMS error of the forecast of fixes hidden for 3 to 5 s, m",
+            lambda scores: scores.forecast_rmse,
+            needs_forecasts=True,
+        ),
+        Objective(
+            "nis",
+            "|ln(mean NIS / 2)|: how far the innovations are from what the filter expects",
+            lambda scores: _off(scores.mean_nis),
+            logarithmic=True,
+        ),
+        Objective(
+            "nees",
+            "|ln(mean NEES / 2)|: how far the position error is from what the filter expects",
+            lambda scores: _off(scores.mean_nees),
+            needs_truth=True,
+            logarithmic=True,
+        ),
+        Objective(
             "gps-rmse",
             "the paper's equation 4: RMSE against the fixes that the filter has just absorbed, m",
             lambda scores: scores.fix_rmse,
             warning=(
                 "gps-rmse scores the filter against the GPS that it has just absorbed, so it rewards a filter "
-                "that copies the GPS; kept to reproduce the paper. With truth, use truth-rmse or truth-pose"
+                "that copies the GPS; kept to reproduce the paper. Without truth, use innovation-nll"
             ),
         ),
     )
 }
 """All objectives by name."""
 
+_TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<name>[a-z][a-z-]*)\s*")
+
 
 def objective_named(name: str) -> Objective:
-    """Look an objective up.
+    """Look an objective up, or a weighted sum of them, as ``truth-pose + 0.2 nees``.
 
     Raises
     ------
     InputError
         If there is none of that name.
     """
-    if name not in OBJECTIVES:
-        raise InputError(f"no objective is called {name!r}; choose one of {', '.join(OBJECTIVES)}")
-    return OBJECTIVES[name]
+    terms = [_term(part, name) for part in name.split("+")]
+    if len(terms) == 1 and terms[0][0] == 1.0:
+        return terms[0][1]
+    warnings = [o.warning for _, o in terms if o.warning]
+    return Objective(
+        name=" + ".join(o.name if w == 1.0 else f"{w:g} {o.name}" for w, o in terms),
+        summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
+        per_drive=lambda scores: np.sum([w * o.per_drive(scores) for w, o in terms], axis=0),
+        needs_truth=any(o.needs_truth for _, o in terms),
+        needs_outages=any(o.needs_outages for _, o in terms),
+        needs_forecasts=any(o.needs_forecasts for _, o in terms),
+        logarithmic=any(
+            o.name == "innovation-nll" for _, o in terms
+        ),  # others may be near zero, it may be below
+        warning=warnings[0] if warnings else None,
+    )
+
+
+def _term(part: str, whole: str) -> tuple[float, Objective]:
+    match = _TERM.fullmatch(part)
+    if not match or match["name"] not in OBJECTIVES:
+        raise InputError(
+            f"no objective is called {part.strip()!r}; choose one of {', '.join(OBJECTIVES)}, "
+            "or a sum like 'truth-pose + 0.2 nees'"
+        )
+    try:
+        weight = float(match["weight"] or 1.0)
+    except ValueError:
+        raise InputError(f"{whole!r}: {match['weight']!r} is no weight; write a number, as in 0.2") from None
+    if not 0 < weight < np.inf:
+        raise InputError(f"{whole!r}: the weight of {match['name']} must be positive (is {weight:g})")
+    return weight, OBJECTIVES[match["name"]]

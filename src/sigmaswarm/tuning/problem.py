@@ -9,10 +9,9 @@ import numpy as np
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.errors import InputError
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.tuning.batch import check_drives, check_scored
+from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.objectives import Objective, objective_named
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 
@@ -28,9 +27,13 @@ class Problem(Protocol):
         """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
         ...
 
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """How much worse costs are than another: 0.01 is 1%."""
+        ...
+
 
 class CarProblem:
-    """A filter for cars, on drives.
+    """A filter for cars, on drives; in the ``space`` of other drives, where given, whose IMU Q refers to.
 
     Raises
     ------
@@ -40,20 +43,29 @@ class CarProblem:
         If a drive never moves far enough to start a filter.
     """
 
-    def __init__(self, drives: Sequence[Drive], config: TuneConfig) -> None:
+    objective: Objective
+    space: SearchSpace
+    data: list[dict[str, Any]]
+
+    def __init__(self, drives: Sequence[Drive], config: TuneConfig, space: SearchSpace | None = None) -> None:
         self.objective = objective_named(config.objective)
         check_drives(drives, self.objective)
         _check_columns(drives, config)
         interval = float(np.median([drive.nominal_interval for drive in drives]))
-        self.space = search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
+        self.space = space or search_space(
+            config.model, config.scale, interval, kind=config.kind, use=config.use
+        )
         self.data = [described(drive) for drive in drives]
-        outages = self.objective.needs_outages
-        self.replayer = Replayer(drives, outages=outages, outage_seed=config.outage_seed)
-        check_scored(self.replayer, self.objective)
+        self.replayer = replayer_for(self.objective, drives, config.outage_seed)
+        self._worst = config.worst
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.objective.costs(self.replayer.scores(self.space.decode(points), executor))
+        return self.objective.costs(self.replayer.scores(self.space.decode(points), executor), self._worst)
+
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """How much worse costs are than another: 0.01 is 1%."""
+        return self.objective.rise(costs, best)
 
 
 def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:

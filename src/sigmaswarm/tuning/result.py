@@ -10,11 +10,41 @@ import numpy as np
 import tomli_w
 
 import sigmaswarm
-from sigmaswarm.filters.parameters import FilterParameters, units
+from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.objectives import OBJECTIVES
+from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.search import Trial
+from sigmaswarm.tuning.sensitivity import Sensitivity
 from sigmaswarm.tuning.store import write_whole
+
+LARGE_GAP = 0.2
+"""Share by which a validation cost may be worse before a user is told."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What a tuning is worth on drives that it did not see.
+
+    Attributes
+    ----------
+    cost : float
+        The objective on the validation drives.
+    gap : float
+        How much worse than on the training drives; 0.1 is 10%.
+    drives : tuple of str
+    """
+
+    cost: float
+    gap: float
+    drives: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types, as tuning.toml holds them."""
+        return {
+            "validation_cost": self.cost,
+            "validation_gap": self.gap,
+            "validation_drives": list(self.drives),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +64,10 @@ class Tuning:
     config : TuneConfig
     data : list of dict
         Name, length and fingerprint of each drive.
+    sensitivities : tuple of Sensitivity
+        How far each parameter can move before the cost rises by 1%.
+    validation : Validation or None
+        What the objective says on drives that were held back from the search.
     """
 
     parameters: FilterParameters
@@ -43,23 +77,56 @@ class Tuning:
     best_trial: int
     config: TuneConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    sensitivities: tuple[Sensitivity, ...] = ()
+    validation: Validation | None = None
+
+    @property
+    def unidentified(self) -> list[str]:
+        """Parameters for which any value in the box does as well, within 1% of the cost."""
+        return [s.name for s in self.sensitivities if not s.identified]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a user should know before trusting the result, in sentences."""
+        remarks = [f"{touched}: the optimum may lie outside the box" for touched in self.touched_bounds]
+        if self.unidentified:
+            names = ", ".join(self.unidentified)
+            remarks.append(f"the objective can't tell: {names}; any value in the box is as good within 1%")
+        if self.validation is None:
+            remarks.append(
+                "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
+            )
+        elif self.validation.gap > LARGE_GAP:
+            remarks.append(
+                f"the cost on the validation drives is {self.validation.gap:.0%} worse than on the training drives: "
+                "tune on more drives, or on drives that are more like those"
+            )
+        return remarks
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""
-        objective = OBJECTIVES[self.config.objective]
+        objective = objective_named(self.config.objective)
+        ranges = {
+            s.name: [s.lowest if s.lowest is not None else "-", s.highest if s.highest is not None else "-"]
+            for s in self.sensitivities
+        }
         return {
             "filter": self.parameters.to_dict(),
             "units": units(self.parameters),
+            "densities": densities(self.parameters),
             "result": {
                 "cost": self.cost,
                 "objective": objective.name,
                 "objective_meaning": objective.summary,
+                **({} if self.validation is None else self.validation.to_dict()),
                 "touched_bounds": self.touched_bounds,
+                "unidentified": self.unidentified,
                 "best_trial": self.best_trial,
                 "trial_costs": [trial.cost for trial in self.trials],
                 "evaluations": sum(trial.evaluations for trial in self.trials),
                 "failures": sum(trial.failures for trial in self.trials),
             },
+            "within_1_percent_of_the_cost": ranges,
             "config": self.config.model_dump(mode="json", exclude_none=True),
             "versions": versions(),
             "data": self.data,

@@ -103,10 +103,14 @@ class SearchSpace:
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
-        powers = 10.0 ** np.where(self.logarithmic, points, 0.0)
-        # 10**-5.0 is a last bit away from 1e-5: clip, so that nothing lies outside the box.
-        values = np.clip(np.where(self.logarithmic, powers, points), self.lowest, self.highest)
-        return [FilterParameters(**self.fixed, **self._fields(row)) for row in values.tolist()]
+        return [FilterParameters(**self.fixed, **self._fields(row)) for row in self.values(points).tolist()]
+
+    def values(self, points: Array) -> Array:
+        """The parameters themselves, shape (..., d), of points in search coordinates."""
+        values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
+        # 10**-5.0 is a last bit away from 1e-5: clip, so that no point of the box lies outside it.
+        inside = (points >= self.low) & (points <= self.high)
+        return np.where(inside, np.clip(values, self.lowest, self.highest), values)
 
     def _fields(self, values: list[float]) -> dict[str, Any]:
         found: dict[str, Any] = {}

@@ -13,14 +13,16 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.problem import CarProblem, Problem
-from sigmaswarm.tuning.result import Tuning, versions
+from sigmaswarm.tuning.result import Tuning, Validation, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
+from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.store import ResultFolder
 
 
 def tune(
     drives: Sequence[Drive] | Drive,
     *,
+    validation: Sequence[Drive] | Drive = (),
     out: str | Path | None = None,
     resume: bool = False,
     executor: Executor | None = None,
@@ -33,6 +35,9 @@ def tune(
     ----------
     drives : Drive or sequence of Drive
         The training drives. Keep others back for `evaluate`.
+    validation : Drive or sequence of Drive
+        Drives that the search does not see. What the objective says on them stands in the result; nothing is chosen
+        by it.
     out : path, optional
         A folder for results; every generation is saved in it, so that a killed run can be resumed.
     resume : bool
@@ -52,39 +57,63 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives = [drives] if isinstance(drives, Drive) else list(drives)
-    settings = validated_config(config)
+    drives, validation = ([d] if isinstance(d, Drive) else list(d) for d in (drives, validation))
+    settings = settled(validated_config(config), drives)
     problem = CarProblem(drives, settings)
+    held_back = CarProblem(validation, settings, problem.space) if validation else None
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
         asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
+        if held_back:
+            asked["validation"] = held_back.data
         folder = ResultFolder(Path(out), asked, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())
         search = Search(settings, problem, pool, folder, progress)
         trials = tuple(search.trial(i) for i in range(settings.trials))
-    tuning = _chosen(trials, problem, settings)
+        tuning = _chosen(trials, problem, held_back, settings, pool)
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
 
 
-def _chosen(trials: tuple[Trial, ...], problem: Problem, config: TuneConfig) -> Tuning:
+def settled(config: TuneConfig, drives: Sequence[Drive]) -> TuneConfig:
+    """The configuration with the objective that ``auto`` stands for on these drives."""
+    if config.objective != "auto":
+        return config
+    known = all(drive.truth is not None for drive in drives)
+    return config.model_copy(update={"objective": "truth-rmse" if known else "innovation-nll"})
+
+
+def _chosen(
+    trials: tuple[Trial, ...],
+    problem: Problem,
+    held_back: Problem | None,
+    config: TuneConfig,
+    executor: Executor,
+) -> Tuning:
     best = int(np.argmin([trial.cost for trial in trials]))
-    if not np.isfinite(trials[best].cost):
+    point, cost = trials[best].point, trials[best].cost
+    if not np.isfinite(cost):
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
             "look for NaN or wildly wrong values in the drives"
         )
-    point = trials[best].point
+    validation = None
+    if held_back:
+        other = float(held_back.costs(point[np.newaxis], executor)[0])
+        names = tuple(entry["name"] for entry in held_back.data)
+        validation = Validation(other, float(problem.rise(other, cost)), names)
     return Tuning(
         parameters=problem.space.decode(point[np.newaxis])[0],
-        cost=trials[best].cost,
+        cost=cost,
         touched_bounds=problem.space.touched(point),
         trials=trials,
         best_trial=best,
         config=config,
         data=problem.data,
+        sensitivities=sensitivities(problem, point, cost, executor),
+        validation=validation,
     )

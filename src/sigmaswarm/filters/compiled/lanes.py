@@ -42,17 +42,18 @@ CONSTANTS = slice(44, 67)
 N_CONSTANTS = 23
 
 # The sums that a run returns.
-SQ_POSITION, SQ_HEADING, SQ_FIX, NIS, LOG_DET, DET, OK, REJECTED, RECENT = range(67, 76)
-SUMS = slice(67, 76)
-N_SUMS = 9
+SQ_POSITION, SQ_HEADING, NEES, SQ_FIX, SQ_FORECAST, NIS, LOG_DET, DET, OK, REJECTED, RECENT = range(67, 78)
+SUMS = slice(67, 78)
+N_SUMS = 11
 
-# Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; S, nu and the gain's G.
-BEFORE_X, BEFORE_Y, BEFORE_T = range(76, 79)
-C1, C2 = 79, 87
-S11, S12, S22, N1, N2, G11, G12, G22, USE = range(95, 104)
+# Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; H P H^T, then S = H P H^T + R of a
+# fix, nu and the gain's G.
+BEFORE_X, BEFORE_Y, BEFORE_T = range(78, 81)
+C1, C2 = 81, 89
+S11, S12, S22, V11, V12, V22, N1, N2, G11, G12, G22, USE = range(97, 109)
 # Scratch of a prediction: acceleration, its covariances with the state and with itself.
-EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(104, 117)
-N_ROWS = 117
+EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(109, 122)
+N_ROWS = 122
 
 # NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
 # by zero of error_model="python" would be an early exit, which no vectorized loop may have.

@@ -18,7 +18,7 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 
 def _step(
     w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
-    *, predict, absorb_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
     """Predict, then absorb what happens at the step's end (bits as in `run`)."""
     if dt > 0.0:

@@ -27,7 +27,55 @@ def at(i, j):
 
 
 def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
-    """A position fix of the antenna: z = p + R(theta) lever - latency v; ``since`` is Q's scale since the last fix.
+    """A position fix of the antenna; ``since`` is Q's scale since the last fix."""
+    _measure_fix(w, zx, zy, lever_x, lever_y)
+    for l in range(LANES):
+        inside = (_look(w, l) <= w[GATE, l]) | (w[REJECTED, l] >= MOST_REJECTED)
+        w[USE, l] = 1.0 if inside else 0.0
+        w[REJECTED, l] = 0.0 if inside else w[REJECTED, l] + 1.0
+    _fade(w)
+    for l in range(LANES):
+        rx, ry, use = w[RX, l], w[RY, l], w[USE, l]
+        s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
+        det = s11 * s22 - s12 * s12
+        g11, g12, g22 = s22 / det, -s12 / det, s11 / det
+        n1, n2 = w[N1, l], w[N2, l]
+        e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
+        w[OK, l] = w[OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
+        w[G11, l], w[G12, l], w[G22, l] = use * g11, use * g12, use * g22
+        # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
+        r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
+        w[SQ_FIX, l] += r1 * r1 + r2 * r2
+        w[GEE, l] += rx
+        w[GNN, l] += ry
+    _adapt(w, since)
+    _absorb_two(w)
+    _keep_digits(w)
+
+
+def forecast_fix(w, zx, zy, lever_x, lever_y, *, n):
+    """A fix that the filter does not get to see: only its forecast is scored."""
+    _measure_fix(w, zx, zy, lever_x, lever_y)
+    for l in range(LANES):
+        _look(w, l)
+        w[SQ_FORECAST, l] += w[N1, l] * w[N1, l] + w[N2, l] * w[N2, l]
+
+
+@kernel
+def _look(w, l):
+    """Add what a fix says of the filter's own S, before it is absorbed; gives its NIS."""
+    s11, s12, s22 = w[S11, l] + w[RX, l], w[S12, l], w[S22, l] + w[RY, l]
+    det = s11 * s22 - s12 * s12
+    n1, n2 = w[N1, l], w[N2, l]
+    nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
+    w[V11, l], w[V12, l], w[V22, l] = s11, s12, s22
+    w[NIS, l] += nis
+    w[DET, l] *= det
+    return nis
+
+
+def _measure_fix(w, zx, zy, lever_x, lever_y, *, n):
+    """z = p + R(theta) lever - latency v: nu, H P H^T and C.
 
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
     """
@@ -51,33 +99,6 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
         w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + w[GEE, l]
         w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + w[GEN, l]
         w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + w[GNN, l]
-    for l in range(LANES):
-        s11, s12, s22 = w[S11, l] + w[RX, l], w[S12, l], w[S22, l] + w[RY, l]
-        n1, n2 = w[N1, l], w[N2, l]
-        nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / (s11 * s22 - s12 * s12)
-        inside = (nis <= w[GATE, l]) | (w[REJECTED, l] >= MOST_REJECTED)
-        w[USE, l] = 1.0 if inside else 0.0
-        w[REJECTED, l] = 0.0 if inside else w[REJECTED, l] + 1.0
-    _fade(w)
-    for l in range(LANES):
-        rx, ry, use = w[RX, l], w[RY, l], w[USE, l]
-        s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
-        det = s11 * s22 - s12 * s12
-        g11, g12, g22 = s22 / det, -s12 / det, s11 / det
-        n1, n2 = w[N1, l], w[N2, l]
-        e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
-        w[NIS, l] += n1 * e1 + n2 * e2
-        w[DET, l] *= det
-        w[OK, l] = w[OK, l] if (s11 > 0.0) & (det > 0.0) & (rx > 0.0) & (ry > 0.0) else 0.0
-        w[G11, l], w[G12, l], w[G22, l] = use * g11, use * g12, use * g22
-        # The residual after the update is R S^-1 nu; all of nu where the fix was turned away.
-        r1, r2 = (rx * e1 if use > 0.0 else n1), (ry * e2 if use > 0.0 else n2)
-        w[SQ_FIX, l] += r1 * r1 + r2 * r2
-        w[GEE, l] += rx
-        w[GNN, l] += ry
-    _adapt(w, since)
-    _absorb_two(w)
-    _keep_digits(w)
 
 
 def _keep_digits(w, *, n):
@@ -241,9 +262,9 @@ def _absorb_two(w, *, n):
 
 
 def absorbers(n):
-    """The four `absorb_...` functions, compiled for a model of n states."""
+    """`forecast_fix` and the four `absorb_...` functions, compiled for a model of n states."""
     ready = {"n": n}
-    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_velocity, _fade, _adapt):
+    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_fix, _measure_velocity, _fade, _adapt):
         ready[function.__name__] = kernel(unrolled(function, **ready))
-    public = (absorb_fix, absorb_velocity, absorb_standstill, absorb_lateral)
+    public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill, absorb_lateral)
     return {function.__name__: kernel(unrolled(function, **ready)) for function in public}

@@ -24,6 +24,7 @@ IMU = 2  # it is an IMU sample's time: estimates are recorded and scored
 VELOCITY = 4  # the fix has a velocity
 LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car stands
+HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
 
 # Columns of a target: a moment of truth inside an IMU interval.
 WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
@@ -43,7 +44,10 @@ def _take_logarithm(w):
 
 @kernel
 def _score(w, weight, true_x, true_y, true_theta, scores_heading):
-    """Add the squared errors at a moment of truth; the estimate is linear between two IMU samples."""
+    """Add the squared errors at a moment of truth, and the position's NEES.
+
+    The estimate is linear between two IMU samples; the covariance is that at the later one.
+    """
     for l in range(LANES):
         x = w[BEFORE_X, l] + weight * (w[X, l] - w[BEFORE_X, l]) - true_x
         y = w[BEFORE_Y, l] + weight * (w[Y, l] - w[BEFORE_Y, l]) - true_y
@@ -53,11 +57,13 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading):
         wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
         w[SQ_POSITION, l] += x * x + y * y
         w[SQ_HEADING, l] += scores_heading * wrong * wrong
+        xx, xy, yy = w[XX, l], w[XY, l], w[YY, l]
+        w[NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
 def _run(
-    w, steps, flags, fixes, lever, targets, target_end, record,
-    *, predict, absorb_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    w, steps, flags, fixes, lever, targets, target_end, record, innovations,
+    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
     """All steps of a run; w holds initial state and constants, and in the end state and sums."""
     n_fixes = 0
@@ -81,6 +87,13 @@ def _run(
             if happens & VELOCITY:
                 absorb_velocity(w, z[2], z[3])
             since = 0.0
+        if happens & HIDDEN:
+            z = fixes[n_fixes]
+            forecast_fix(w, z[0], z[1], lever[0], lever[1])
+        if happens & (FIX | HIDDEN):
+            if innovations.shape[0] > 0:
+                for r in range(5):
+                    innovations[n_fixes, r] = w[(N1, N2, V11, V12, V22)[r], 0]
             n_fixes += 1
             if n_fixes % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
@@ -142,12 +155,14 @@ def cached_by_sources(make):
 
 @cached_by_sources
 def _run_planar5(sources):
-    def run_planar5(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+    def run_planar5(
+        steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record, innovations
+    ):
         if sources == "":  # never; so the name is closed over
             return
         w = np.empty((N_ROWS, LANES))
         _load(w, initial, constants)
-        _run5(w, steps, flags, fixes, lever, targets, target_end, record)
+        _run5(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
         _store(w, sums, final)
 
     return run_planar5
@@ -155,12 +170,14 @@ def _run_planar5(sources):
 
 @cached_by_sources
 def _run_planar8(sources):
-    def run_planar8(steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record):
+    def run_planar8(
+        steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record, innovations
+    ):
         if sources == "":  # never; so the name is closed over
             return
         w = np.empty((N_ROWS, LANES))
         _load(w, initial, constants)
-        _run8(w, steps, flags, fixes, lever, targets, target_end, record)
+        _run8(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
         _store(w, sums, final)
 
     return run_planar8
@@ -181,6 +198,7 @@ def run_lanes(
     initial: Array,
     constants: Array,
     record: Array,
+    innovations: Array | None = None,
 ) -> tuple[Array, Array]:
     """Run LANES filters over one time line; gives sums (N_SUMS, LANES) and final states (N_STATE, LANES).
 
@@ -196,7 +214,10 @@ def run_lanes(
     initial : (N_STATE, LANES)
     constants : (N_CONSTANTS, LANES)
     record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
+    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix, before it is absorbed
     """
+    innovations = np.empty((0, 5)) if innovations is None else innovations
     sums, final = np.empty((N_SUMS, LANES)), np.empty((N_STATE, LANES))
-    KERNELS[n](steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record)
+    arrays = steps, flags, fixes, lever, targets, target_end, initial, constants
+    KERNELS[n](*arrays, sums, final, record, innovations)
     return sums, final

@@ -1,0 +1,110 @@
+"""How well a tuning knows its parameters: how far each can move before the cost rises by 1%.
+
+One at a time, all others left where they are: a parameter that looks sharp here may still be traded for another. One
+such trade is known beforehand and tried as well: all noise variances times one factor, which changes what a filter says
+of its own errors, but hardly its estimates.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.space import SearchSpace
+
+RISE = 0.01
+"""Share by which the cost may rise."""
+HALVINGS = 10
+"""The steps away from the optimum are the way to the bound, halved so often, doubled until the bound is reached."""
+NOISES = ("process_noise", "measurement_noise", "velocity_noise", "lateral_noise", "standstill_noise")
+NOISE_SCALE = "all noise variances times"
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How far one parameter can move.
+
+    Attributes
+    ----------
+    name : str
+    value : float
+        In the tuned filter; 1 for the factor of all noise variances.
+    lowest, highest : float or None
+        Where the cost has risen by 1%; None where it has not when the box ends.
+    """
+
+    name: str
+    value: float
+    lowest: float | None
+    highest: float | None
+
+    @property
+    def identified(self) -> bool:
+        """False where the whole box does as well: the objective can't tell this parameter."""
+        return self.lowest is not None or self.highest is not None
+
+
+def sensitivities(problem: Problem, point: Array, cost: float, executor: Executor) -> tuple[Sensitivity, ...]:
+    """Move each parameter of a tuned filter away from its value, both ways, until the cost has risen by 1%.
+
+    Parameters
+    ----------
+    problem : Problem
+    point : ndarray, shape (d,)
+        The optimum, in search coordinates.
+    cost : float
+        There.
+    executor : concurrent.futures.Executor
+    """
+    ways = list(_ways(problem.space, point))
+    shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
+    points = np.concatenate([point + shares[:, None] * step for way in ways for step in (way.down, way.up)])
+    rises = problem.rise(problem.costs(points, executor), cost).reshape(len(ways), 2, len(shares))
+    found = []
+    for way, (falling, rising) in zip(ways, rises, strict=True):
+        reached = (_crossing(shares, falling), way.down), (_crossing(shares, rising), way.up)
+        lowest, highest = (None if s is None else way.value(point + s * step) for s, step in reached)
+        found.append(Sensitivity(way.name, way.value(point), lowest, highest))
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A direction in the box: the steps to its two ends, and what a point on it is called."""
+
+    name: str
+    down: Array
+    up: Array
+    value: Callable[[Array], float]
+
+
+def _ways(space: SearchSpace, point: Array) -> Iterator[_Way]:
+    for i, name in enumerate(space.names):
+        axis = np.where(np.arange(len(point)) == i, 1.0, 0.0)
+        yield _Way(
+            name,
+            (space.low[i] - point[i]) * axis,
+            (space.high[i] - point[i]) * axis,
+            lambda p, i=i: float(space.values(p)[i]),
+        )
+    noises = space.logarithmic & np.array([d.field in NOISES for d in space.dimensions])
+    if noises.any():
+        # two decades each way, out of the box if need be: a variance at its bound would else hide the trade
+        first = int(np.argmax(noises))
+        together = np.where(noises, 2.0, 0.0)
+        yield _Way(NOISE_SCALE, -together, together, lambda p: float(10 ** (p[first] - point[first])))
+
+
+def _crossing(shares: Array, rise: Array) -> float | None:
+    """The share of the way at which the cost has risen by 1%, linear between the steps; None: it never does."""
+    above = np.flatnonzero(~(rise < RISE))
+    if not len(above):
+        return None
+    k = int(above[0])
+    left, before = (0.0, 0.0) if k == 0 else (float(shares[k - 1]), float(rise[k - 1]))
+    if not np.isfinite(rise[k]):
+        return left
+    return left + (float(shares[k]) - left) * (RISE - before) / (float(rise[k]) - before)

@@ -1,0 +1,148 @@
+"""What needs no truth: likelihood and forecasts of fixes, against the textbook filter and SciPy."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import gps_position
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter, run_innovations
+from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.targets import forecast_replay
+from support import make_drive
+
+PLANAR5 = FilterParameters(0.5, 2.0, 1.0, (1e-4, 1e-4, 1e-3, 1e-3, 1e-5), (1.2, 0.8), latency=0.05)
+PLANAR8 = FilterParameters(
+    0.3,
+    2.0,
+    0.0,
+    (1e-5,) * 2 + (1e-4,) * 2 + (1e-6,) + (1e-7,) * 2 + (1e-9,),
+    (1.0, 1.0),
+    "planar8",
+    gate=4.0,
+)
+ADAPTIVE = replace(PLANAR5, kind="adaptive-ukf")
+STRONG = replace(PLANAR5, kind="strong-tracking-ukf", forgetting=0.95)
+SETS = {"planar5": PLANAR5, "planar8": PLANAR8, "adaptive": ADAPTIVE, "strong": STRONG}
+DRIVE = replace(make_drive(duration=40.0, jitter=0.3, seed=2), metadata={"gps_lever_arm_m": [1.0, 0.4]})
+
+
+def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
+    """Innovations nu and S at all fixes, and which of them were hidden, from the filter in NumPy."""
+    start = initial_state(drive)
+    line = build_timeline(drive, start.time, hidden)
+    car = TextbookCar(line, parameters, start)
+    h = gps_position(tuple(line.lever), parameters.latency)
+    found, fixes = [], iter(line.fixes)
+    for i in range(len(line.dt)):
+        absorbed, line.absorbs[i] = line.absorbs[i], False
+        fix_flag = car.flags[i]
+        car.flags[i] = 0
+        car.step(i)  # predicts only
+        if absorbed or line.hides[i]:
+            z = next(fixes)[:2]
+            innovation = car.filter.measure(z, np.diag(car.noise.measurement_noise), h)
+            found.append((innovation.nu, innovation.variance, bool(line.hides[i])))
+            if absorbed:
+                car._absorb_fix(z)
+        line.absorbs[i], car.flags[i] = absorbed, fix_flag
+    nu, s, hides = zip(*found, strict=True)
+    return np.array(nu), np.array(s), np.array(hides)
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
+    parameters = SETS[kind]
+    nu, s, _ = by_textbook(DRIVE, parameters, np.zeros(len(DRIVE.gps), bool))
+    found = run_innovations(DRIVE, parameters)
+    np.testing.assert_allclose(found.innovation, nu, atol=1e-7)
+    np.testing.assert_allclose(found.covariance, s, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(
+        found.time, DRIVE.gps.time[DRIVE.gps.time > initial_state(DRIVE).time][: len(nu)]
+    )
+    likelihood = [multivariate_normal(cov=c).logpdf(v) for v, c in zip(nu, s, strict=True)]
+    score = Replayer([DRIVE], outages=False).scores([parameters])[0, 0]
+    assert score.innovation_nll == pytest.approx(-np.mean(likelihood), rel=1e-6)
+    nis = [v @ np.linalg.solve(c, v) for v, c in zip(nu, s, strict=True)]
+    assert score.mean_nis == pytest.approx(np.mean(nis), rel=1e-6)
+    np.testing.assert_allclose(found.nis, nis, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(np.square(found.normalized).sum(axis=1), nis, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
+    parameters = SETS[kind]
+    replay = forecast_replay(DRIVE, initial_state(DRIVE), seed=5)
+    hidden = np.isin(DRIVE.gps.time, replay.timeline.end[replay.timeline.hides])
+    assert 20 < hidden.sum() < len(DRIVE.gps) / 2
+    nu, _, hides = by_textbook(DRIVE, parameters, hidden)
+    expected = math.sqrt(np.square(nu[hides]).sum(axis=1).mean())
+    score = Replayer([DRIVE], outages=False, forecasts=True, outage_seed=5).scores([parameters])[0, 0]
+    assert score.forecast_rmse == pytest.approx(expected, rel=1e-6)
+    # hiding fixes changes nothing of the scores with all of them
+    assert score.innovation_nll == Replayer([DRIVE], outages=False).scores([parameters])[0, 0].innovation_nll
+
+
+def test_a_hidden_fix_is_not_seen():
+    gps = DRIVE.gps
+    replay = forecast_replay(DRIVE, initial_state(DRIVE), seed=1)
+    hidden = np.isin(gps.time, replay.timeline.end[replay.timeline.hides])
+    moved = replace(DRIVE, gps=replace(gps, x=gps.x + 1000.0 * hidden))
+    far, near = (
+        Replayer([d], outages=False, forecasts=True, outage_seed=1).scores([PLANAR5])[0, 0]
+        for d in (moved, DRIVE)
+    )
+    assert near.forecast_rmse < 10.0
+    # every forecast misses by 1000 m and what it missed by before: the filter itself has seen nothing
+    assert far.forecast_rmse == pytest.approx(1000.0, abs=10.0)
+
+
+def test_nees_is_that_of_the_trajectory():
+    estimate = run_filter(DRIVE, PLANAR5)
+    x, y = (np.interp(estimate.time, DRIVE.truth.time, c) for c in (DRIVE.truth.x, DRIVE.truth.y))
+    error = estimate.mean[:, :2] - np.stack([x, y], axis=1)
+    p = estimate.covariance[:, :2, :2]
+    nees = np.einsum("ti,tij,tj->t", error, np.linalg.inv(p), error)
+    score = Replayer([DRIVE], outages=False).scores([PLANAR5])[0, 0]
+    assert score.mean_nees == pytest.approx(nees.mean(), rel=0.01)  # truth at the start counts too
+
+
+@given(
+    start=st.floats(-1e3, 1e6),
+    duration=st.floats(0.0, 900.0),
+    apart=st.floats(0.0, 6.0),
+    seed=st.integers(0, 99),
+)
+def test_balanced_windows_are_all_over_the_drive(start: float, duration: float, apart: float, seed: int):
+    end = start + duration
+    windows = balanced_windows(start, end, np.random.default_rng(seed), apart=apart)
+    again = balanced_windows(start, end, np.random.default_rng(seed), apart=apart)
+    np.testing.assert_array_equal(windows, again)
+    lengths = windows[:, 1] - windows[:, 0]
+    assert np.all((lengths > 3 - 1e-6) & (lengths < 5 + 1e-6))
+    before = np.concatenate([[start], windows[:-1, 1]]) if len(windows) else np.empty(0)
+    assert np.all(windows[:, 0] - before >= apart - 1e-6)
+    assert np.all(windows[:, 1] <= end + 1e-6)
+    assert (len(windows) >= 1) == (end - start >= min(12.0, apart + 5.0))
+    slot = (end - start) / max(len(windows), 1)
+    assert np.all((windows[:, 0] - start) // slot == np.arange(len(windows)))
+
+
+def test_windows_that_can_not_be_drawn_are_refused():
+    with pytest.raises(InputError, match="can't be drawn"):
+        balanced_windows(0.0, 60.0, np.random.default_rng(0), every=5.0)
+
+
+def test_both_ends_of_a_window_hide():
+    assert hidden_fixes([0.0, 1.0, 2.0, 3.0], [[1.0, 2.0]]).tolist() == [False, True, True, False]
