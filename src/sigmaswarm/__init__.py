@@ -42,7 +42,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
     from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-    from sigmaswarm.filters.run import Estimate, run_filter, run_reference
+    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_reference
+    from sigmaswarm.scoring.consistency import Consistency, consistency
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score
     from sigmaswarm.simulation.conditions import simulate_many
@@ -63,7 +64,8 @@ _HOMES = {
     "filters.presets": ("datasheet", "preset"),
     "filters.live": ("LiveFilter",),
     "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
-    "filters.run": ("Estimate", "run_filter", "run_reference"),
+    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_reference"),
+    "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),
     "simulation.conditions": ("simulate_many",),
@@ -78,6 +80,7 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "AlignmentError",
     "BatchResult",
+    "Consistency",
     "Drive",
     "DriveError",
     "Estimate",
@@ -87,6 +90,7 @@ __all__ = [
     "Gps",
     "Imu",
     "InitialState",
+    "Innovations",
     "InputError",
     "LiveFilter",
     "Score",
@@ -98,6 +102,7 @@ __all__ = [
     "Tuning",
     "UnscentedKalmanFilter",
     "clip",
+    "consistency",
     "datasheet",
     "evaluate",
     "initial_state",
@@ -105,6 +110,7 @@ __all__ = [
     "read_drive",
     "run_batch",
     "run_filter",
+    "run_innovations",
     "run_reference",
     "simulate",
     "simulate_many",

@@ -146,7 +146,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     )
     names = {p.name for p in Path("e").glob("*.png")}
     assert names == {"comparison.png"} | {
-        f"urban-clear-0{i}-{kind}.png" for i in range(2) for kind in ("track", "error")
+        f"urban-clear-0{i}-{kind}.png" for i in range(2) for kind in ("track", "error", "consistency")
     }
     assert all(is_picture(p) for p in Path("e").glob("*.png"))
     assert all(name in ended.out for name in names)
@@ -215,7 +215,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     ):
         assert words in ended.out
     pictures = list(Path("show").rglob("*.png"))
-    assert len(pictures) == 9
+    assert len(pictures) == 12
     assert all(is_picture(p) for p in pictures)
     assert FilterParameters.load("show/tuning").nominal_interval == pytest.approx(0.01)
     said = json.loads(Path("show/evaluation/scores.json").read_text())

@@ -186,7 +186,7 @@ def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
 
 def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path):
     written = save_evaluation(evaluate(GOOD, [DRIVE, DRIVE]), GOOD, [DRIVE, DRIVE], tmp_path)
-    assert len(set(written)) == len(written) == 7
+    assert len(set(written)) == len(written) == 9
 
 
 def test_pyplot_is_not_touched():

@@ -112,6 +112,7 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
             style = "bold" if method == "tuned" else None
             table.add_row("mean" if i == 0 else "", name, *cells, style=style)
     console.print(table)
+    _print_consistency(evaluation, console)
     for over in ("defaults", "datasheet", "raw_gps"):
         improvement = evaluation.improvement(over)
         if improvement is not None:
@@ -121,7 +122,28 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
             )
 
 
+def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
+    """Whether the tuned filter's covariances say what its errors are."""
+    from rich.table import Table
+
+    table = Table(title="Does the tuned filter know its own errors?", title_justify="left")
+    table.add_column("drive")
+    for title in ("mean NIS\n(2)", "inside 95%\ngate", "mean NEES\n(2)", "correlation to\nthe next fix (0)"):
+        table.add_column(title, justify="right")
+    for drive, c in evaluation.consistency.items():
+        cells = ["-"] * 4
+        if c is not None:
+            cells = [
+                _number(c.mean_nis),
+                f"{c.inside_gate:.0%}",
+                _number(c.mean_nees),
+                f"{c.autocorrelation[0]:+.2f}",
+            ]
+        table.add_row(drive, *cells)
+    console.print(table)
+
+
 def _number(value: float | None) -> str:
-    if value is None:
+    if value is None or math.isnan(value):
         return "-"
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"

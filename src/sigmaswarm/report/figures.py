@@ -14,9 +14,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
-from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
+from sigmaswarm.scoring.consistency import GATE_95, judged
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
 from sigmaswarm.tuning.result import Tuning
 
@@ -57,6 +58,8 @@ def save_evaluation(
     for name, drive in zip(evaluation.scores, drives, strict=True):
         stem = name.replace("/", "-")
         written.append(save(tracks(drive, parameters), folder / f"{stem}-track.png"))
+        if evaluation.consistency[name]:
+            written.append(save(consistency_figure(drive, parameters), folder / f"{stem}-consistency.png"))
         if drive.truth is not None:
             written.append(save(errors(drive, parameters), folder / f"{stem}-error.png"))
     return written
@@ -160,6 +163,36 @@ def comparison(evaluation: Evaluation) -> Figure:
         ax.set_yticks(range(len(shown)), [LABELS[m] for m in shown], fontsize=8)
         ax.invert_yaxis()
         ax.margins(x=0.25)
+    return figure
+
+
+def consistency_figure(drive: Drive, parameters: FilterParameters) -> Figure:
+    """NIS of the tuned filter over time and as a histogram, and the autocorrelation of its innovations."""
+    innovations = run_innovations(drive, parameters)
+    found = judged(innovations)
+    if found is None:
+        raise InputError(f"{drive.name}: the filter failed or saw too few fixes to judge its consistency")
+    nis = innovations.nis
+    figure, (over_time, histogram, lags) = new_figure(11, 3.4, 1, 3)
+    over_time.plot(innovations.time, nis, ".", ms=3, color=LOOKS["tuned"]["color"])
+    over_time.axhline(GATE_95, color="0.3", lw=1, ls="--")
+    over_time.annotate("95% gate", (innovations.time[0], GATE_95), fontsize=8, va="bottom")
+    over_time.set(xlabel="time, s", ylabel="NIS", yscale="log", ylim=(1e-2, None))
+    over_time.set_title(f"{drive.name}: {found.inside_gate:.1%} inside", loc="left")
+    edges: list[float] = np.linspace(0, max(12.0, float(np.quantile(nis, 0.98))), 30).tolist()
+    histogram.hist(np.minimum(nis, edges[-1]), edges, density=True, color="0.8", edgecolor="0.6")
+    middle = (np.array(edges[1:]) + np.array(edges[:-1])) / 2
+    histogram.plot(middle, np.exp(-middle / 2) / 2, color="k", lw=1.2, label="consistent filter")
+    low, high = found.nis_band
+    histogram.set(xlabel="NIS (the last bar: and above)", ylabel="share per unit")
+    histogram.set_title(f"mean {found.mean_nis:.2f}, consistent: {low:.2f} to {high:.2f}", loc="left")
+    histogram.legend(frameon=False, fontsize=8)
+    at = np.arange(1, len(found.autocorrelation) + 1)
+    lags.axhspan(-found.white_band, found.white_band, color="0.9")
+    lags.axhline(0, color="0.5", lw=0.8)
+    lags.vlines(at, 0, found.autocorrelation, color=LOOKS["tuned"]["color"], lw=3)
+    lags.set(xlabel="fixes apart", ylabel="autocorrelation", ylim=(-1, 1))
+    lags.set_title("innovations (grey: white, 95%)", loc="left")
     return figure
 
 

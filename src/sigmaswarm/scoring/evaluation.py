@@ -1,7 +1,7 @@
 """What a tuning is worth: the same drives by the tuned filter, the manual ones, raw GPS and IMU only."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.consistency import Consistency, consistency
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
 
@@ -42,9 +43,12 @@ class Evaluation:
     Attributes
     ----------
     scores : mapping of drive name to mapping of method to Score
+    consistency : mapping of drive name to Consistency or None
+        Of the tuned filter; None where it failed or saw too few fixes.
     """
 
     scores: Mapping[str, Mapping[str, Score]]
+    consistency: Mapping[str, Consistency | None] = field(default_factory=dict[str, Consistency | None])
 
     def mean(self, method: str, measure: str) -> float | None:
         """The mean of a measure over the drives that have it; None where none has, or the method failed."""
@@ -72,6 +76,7 @@ class Evaluation:
                 for drive in self.scores
             },
             "mean": {m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
+            "consistency": {name: c.to_dict() if c else None for name, c in self.consistency.items()},
             "improvement_percent": {
                 over: {k: self.improvement(over, k) for k in MEASURES} for over in ("defaults", "datasheet")
             },
@@ -117,18 +122,23 @@ def evaluate(
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
     scores: dict[str, dict[str, Score]] = {}
+    consistent: dict[str, Consistency | None] = {}
     for drive in drives:
         replayer = Replayer([drive], outages=True, outage_length=outage_length, outage_seed=outage_seed)
         batch = replayer.scores([parameters, DEFAULTS, datasheet(drive)])
         initial = replayer.initial[0]
-        scores[_unique(drive.name, scores)] = {
+        name = _unique(drive.name, scores)
+        consistent[name] = (
+            None if batch.failed[0, 0] else consistency(drive, parameters, batch[0, 0].mean_nees)
+        )
+        scores[name] = {
             "tuned": batch[0, 0],
             "defaults": batch[1, 0],
             "datasheet": batch[2, 0],
             "raw_gps": score_raw_gps(drive, initial),
             "imu_only": _score_imu_only(drive, initial, outage_length, outage_seed),
         }
-    return Evaluation(scores)
+    return Evaluation(scores, consistent)
 
 
 def _score_imu_only(drive: Drive, initial: InitialState, length: float, seed: int) -> Score:

@@ -88,7 +88,11 @@ class Tuning:
     @property
     def remarks(self) -> list[str]:
         """What a user should know before trusting the result, in sentences."""
-        remarks = [f"{touched}: the optimum may lie outside the box" for touched in self.touched_bounds]
+        remarks = [
+            f"{touched}: the optimum may lie outside the box"
+            for touched in self.touched_bounds
+            if touched.split()[0] not in self.unidentified
+        ]
         if self.unidentified:
             names = ", ".join(self.unidentified)
             remarks.append(f"the objective can't tell: {names}; any value in the box is as good within 1%")

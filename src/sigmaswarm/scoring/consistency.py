@@ -1,0 +1,102 @@
+"""Whether a filter's covariances say what its errors are: NIS, NEES and the whiteness of the innovations.
+
+Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001,
+section 5.4.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import Innovations, run_innovations
+
+GATE_95 = float(chi2.ppf(0.95, 2))
+"""NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
+LAGS = 10
+"""Fixes over which innovations are tested for correlation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Consistency:
+    """What the fixes say of a filter's own covariances on one drive.
+
+    Attributes
+    ----------
+    n_fixes : int
+    mean_nis : float
+        2 where the filter is consistent; above, it is too sure of itself.
+    nis_band : (float, float)
+        Where 95% of the means of so many independent values lie.
+    inside_gate : float
+        Share of the fixes inside the 95% gate.
+    autocorrelation : ndarray, shape (LAGS,)
+        Of the normalized innovations, 1 to LAGS fixes apart, mean of both axes; 0 where they are white.
+    white_p : float
+        p-value of the test of G. M. Ljung and G. E. P. Box (1978) that they are white.
+    mean_nees : float
+        Of the position at moments of truth; 2 where the filter is consistent, NaN without truth. Its values hang
+        together over time, so it has no band.
+    """
+
+    n_fixes: int
+    mean_nis: float
+    nis_band: tuple[float, float]
+    inside_gate: float
+    autocorrelation: Array
+    white_p: float
+    mean_nees: float = float("nan")
+
+    @property
+    def white_band(self) -> float:
+        """95% of the autocorrelations of white innovations lie within plus and minus this."""
+        return float(1.96 / np.sqrt(2 * self.n_fixes))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types for JSON; what can't be said is None."""
+        return {
+            "n_fixes": self.n_fixes,
+            "mean_nis": self.mean_nis,
+            "nis_band_95": list(self.nis_band),
+            "share_inside_95_gate": self.inside_gate,
+            "autocorrelation": self.autocorrelation.tolist(),
+            "autocorrelation_band_95": self.white_band,
+            "white_p": self.white_p,
+            "mean_nees": None if np.isnan(self.mean_nees) else self.mean_nees,
+        }
+
+
+def consistency(
+    drive: Drive, parameters: FilterParameters, mean_nees: float = float("nan")
+) -> Consistency | None:
+    """Look at a filter's innovations over a drive; None where it failed, or saw too few fixes to tell."""
+    return judged(run_innovations(drive, parameters), mean_nees)
+
+
+def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consistency | None:
+    """What innovations say; None where some are not finite, or they are too few."""
+    n = len(innovations.time)
+    if n <= 2 * LAGS or not np.isfinite(innovations.covariance).all():
+        return None
+    nis = innovations.nis
+    band = chi2.ppf([0.025, 0.975], 2 * n) / n
+    each = np.stack([_autocorrelation(column) for column in innovations.normalized.T])
+    ljung_box = n * (n + 2) * float(np.sum(each**2 / (n - np.arange(1, LAGS + 1))))
+    return Consistency(
+        n_fixes=n,
+        mean_nis=float(nis.mean()),
+        nis_band=(float(band[0]), float(band[1])),
+        inside_gate=float(np.mean(nis <= GATE_95)),
+        autocorrelation=each.mean(axis=0),
+        white_p=float(chi2.sf(ljung_box, 2 * LAGS)),
+        mean_nees=mean_nees,
+    )
+
+
+def _autocorrelation(values: Array) -> Array:
+    """Around zero, which is the mean that a consistent filter's innovations have."""
+    power = float(values @ values)
+    return np.array([float(values[k:] @ values[:-k]) / power for k in range(1, LAGS + 1)])

@@ -1,0 +1,72 @@
+"""NIS, its band, and whiteness: on innovations whose law is known."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import Innovations
+from sigmaswarm.scoring.consistency import GATE_95, consistency, judged
+from sigmaswarm.scoring.evaluation import evaluate
+from support import make_drive
+
+
+def innovations(n: int, seed: int, *, scale: float = 1.0, memory: float = 0.0) -> Innovations:
+    """Drawn from a covariance that differs from fix to fix; ``memory`` correlates neighbours."""
+    rng = np.random.default_rng(seed)
+    root = np.array([[1.0, 0.0], [0.6, 0.5]]) * rng.uniform(0.5, 2.0, (n, 1, 1))
+    white = rng.standard_normal((n, 2))
+    for i in range(1, n):
+        white[i] = memory * white[i - 1] + np.sqrt(1 - memory**2) * white[i]
+    nu = np.einsum("fij,fj->fi", root, scale * white)
+    return Innovations(np.arange(n, dtype=float), nu, root @ root.transpose(0, 2, 1))
+
+
+def test_a_consistent_filter_lies_in_its_bands_as_often_as_they_say():
+    found = [judged(innovations(200, seed)) for seed in range(300)]
+    inside = np.mean([c.nis_band[0] < c.mean_nis < c.nis_band[1] for c in found])
+    white = np.mean([c.white_p > 0.05 for c in found])
+    assert 0.91 < inside < 0.99
+    assert 0.91 < white < 0.99
+    assert np.mean([c.inside_gate for c in found]) == pytest.approx(0.95, abs=0.005)
+    correlations = np.concatenate([c.autocorrelation for c in found])
+    assert np.mean(np.abs(correlations) < found[0].white_band) == pytest.approx(0.95, abs=0.02)
+
+
+def test_one_that_is_too_sure_or_not_white_is_caught():
+    sure = judged(innovations(1000, 1, scale=1.2))
+    assert sure.mean_nis > sure.nis_band[1]
+    assert sure.inside_gate < 0.93
+    assert sure.white_p > 0.01  # its size is wrong, not its colour
+    slow = judged(innovations(1000, 2, memory=0.4))
+    assert slow.white_p < 1e-6
+    assert slow.autocorrelation[0] == pytest.approx(0.4, abs=0.06)
+
+
+def test_a_constant_innovation_is_not_white():
+    few = innovations(100, 3)
+    biased = Innovations(few.time, np.full((100, 2), 1.0), np.tile(np.eye(2), (100, 1, 1)))
+    assert judged(biased).autocorrelation[0] == pytest.approx(0.99)
+
+
+def test_the_gate_is_the_chi_square_s():
+    assert chi2.cdf(GATE_95, 2) == pytest.approx(0.95)
+
+
+def test_too_few_fixes_or_a_failed_filter_are_not_judged():
+    assert judged(innovations(20, 0)) is None
+    drive = make_drive(duration=30.0)
+    failing = FilterParameters(0.5, 2.0, 1.0, (-1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 1.0))
+    evaluation = evaluate(failing, drive)
+    assert evaluation.consistency[drive.name] is None
+    assert evaluation.to_dict()["consistency"] == {drive.name: None}
+
+
+def test_an_evaluation_tells_of_it():
+    drive = make_drive(duration=60.0, seed=1)
+    parameters = FilterParameters(0.5, 2.0, 1.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
+    told = evaluate(parameters, drive).to_dict()["consistency"][drive.name]
+    found = consistency(drive, parameters)
+    assert told["mean_nis"] == found.mean_nis
+    assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such
+    assert told["mean_nees"] > 0
