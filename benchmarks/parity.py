@@ -62,7 +62,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.sets % lanes.LANES or arguments.car_sets % lanes.LANES:
         parser.error(f"--sets and --car-sets must be multiples of {lanes.LANES}")
-    console = Console(width=160, soft_wrap=False)
+    console = Console(width=190, soft_wrap=False)
     drive = urban(0.0, 60.0) if arguments.drive is None else _read(arguments.drive)
     plain = replace(drive, metadata={**drive.metadata, "gps_lever_arm_m": [0.0, 0.0, 0.0]})
     timeline, initial = on_time_line(plain)
@@ -117,7 +117,7 @@ def every_filter(drive: Drive, n_sets: int) -> Table:
                 over = f"{np.sum(chosen > 1e-9)} > 1e-09"
                 out.add_row("", name, *_cells(chosen), "known", str(chosen.size), over)
         most = errors.beyond(1e-9, 1)[errors.known].max()
-        out.add_row("", "covariance / max(1e-9, eps x shrunk)", *[""] * 4, f"{most:.2g}", "known", "", "")
+        out.add_row("", "cov. / max(1e-9, eps x shrunk)", *[""] * 4, f"{most:.2g}", "known", "", "")
         out.add_section()
     return out
 
