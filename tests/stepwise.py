@@ -225,10 +225,11 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
         true = [oracle.nis, oracle.log_determinant, oracle.squared_residual]
         if compiled.remembers:
             true.append(np.where(np.isnan(oracle.recent), -1, oracle.recent))
-            noise = np.concatenate([oracle.q, oracle.r], axis=1)
-            errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
             decided = (compiled.rows[:, lanes.REJECTED] == oracle.rejected) | ~np.isfinite(errors["turn"])
             assert decided.all(), "the gates disagree"
+        if oracle.kind == "adaptive-ukf":
+            noise = np.concatenate([oracle.q, oracle.r], axis=1)
+            errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
         # A residual is known to within the rounding of a position, whatever its size.
         wrong = np.abs(compiled.sums[: len(true)] - true) / np.maximum(1, np.abs(true))
         errors["sums"] = np.max(wrong, axis=0).astype(float)
