@@ -1,11 +1,11 @@
 """How far the filters are from each other, over a whole drive: the figures behind tests/filters/test_parity.py.
 
-    python benchmarks/parity.py                         # a simulated drive of a minute, with a gap of 1.6 s
-    python benchmarks/parity.py --drive DIR --sets 50
+    python benchmarks/parity.py                         # a simulated minute in town, with a gap and standstills
+    python benchmarks/parity.py --drive DIR --sets 64
 
-Errors are those of single steps, both sides restarted from the same state: the mean's relative to max(1, |x_i|),
+Errors are those of single steps, both sides started from the same state: the mean's relative to max(1, |x_i|),
 the covariance's to sqrt(P_ii P_jj). Free runs stand beside a twin's, whose initial heading is moved by 1e-13 rad.
-Takes some two minutes per 100 s of driving, nearly all of it FilterPy's.
+Takes some two minutes per 60 s of driving, most of it FilterPy's.
 """
 
 import argparse
@@ -13,6 +13,8 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,44 +23,57 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from filters.test_parity import (
+from filter_cases import KINDS
+from free_running import compiled_run, filterpy_run, free_run
+from oracles.box import as_parameters, box_sets, box_table
+from oracles.extended import Extended, covariance_error, mean_error
+from oracles.extended_filters import ExtendedCar
+from oracles.filterpy_car import FilterPyCar
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled import lanes
+from sigmaswarm.filters.compiled.run import FIX, IMU
+from sigmaswarm.filters.parameters import FilterParameters
+from stepwise import (
     EPS,
     Stepwise,
     compiled_against_extended,
-    compiled_run,
-    free_run,
+    equipped,
+    heading_std,
+    on_time_line,
     shrinkage,
-    simulated,
     steps_with_fixes,
     textbook_against_filterpy,
+    urban,
 )
-from oracles.extended_ukf import ExtendedUkf, box_table, covariance_error, mean_error
-from oracles.filterpy_ukf import FilterPyUkf
-from sigmaswarm.drives.alignment import InitialState, initial_state
-from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.timeline import Timeline, build_timeline
 
+Sets = list[FilterParameters]
 QUANTILES = (0.5, 0.9, 0.99, 0.999, 1.0)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--drive", type=Path, help="a drive folder; a simulated drive if left out")
-    parser.add_argument("--sets", type=int, default=50, help="parameter sets of the paper's box (50)")
-    parser.add_argument("--slow-sets", type=int, default=10, help="how many of them FilterPy runs with (10)")
+    parser.add_argument("--sets", type=int, default=64, help="planar5 UKFs of the paper's box (64)")
+    parser.add_argument("--car-sets", type=int, default=16, help="sets of each kind and model (16)")
+    parser.add_argument("--slow-sets", type=int, default=5, help="how many of them FilterPy runs with (5)")
     arguments = parser.parse_args()
-    console = Console(width=150, soft_wrap=False)
-    drive = simulated() if arguments.drive is None else _read(arguments.drive)
-    initial = initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
+    if arguments.sets % lanes.LANES or arguments.car_sets % lanes.LANES:
+        parser.error(f"--sets and --car-sets must be multiples of {lanes.LANES}")
+    console = Console(width=190, soft_wrap=False)
+    drive = urban(0.0, 60.0) if arguments.drive is None else _read(arguments.drive)
+    plain = replace(drive, metadata={**drive.metadata, "gps_lever_arm_m": [0.0, 0.0, 0.0]})
+    timeline, initial = on_time_line(plain)
     table = box_table(arguments.sets)
-    slow = table[np.linspace(0, len(table) - 1, min(arguments.slow_sets, len(table))).astype(int)]
+    slow = table[np.linspace(0, len(table) - 1, arguments.slow_sets).astype(int)]
     console.print(
         f"[bold]{drive.name}[/]: {len(timeline.dt)} steps, {len(timeline.fixes)} fixes, longest step "
-        f"{timeline.dt.max():.3f} s; {len(table)} parameter sets of the paper's box, the first 32 its corners\n"
+        f"{timeline.dt.max():.3f} s, stands in {timeline.stands.sum()} steps\n"
     )
     started = time.perf_counter()
+    console.print(every_filter(equipped(drive), arguments.car_sets))
     steps, notes = step_by_step(timeline, initial, table, slow)
     console.print(steps)
     console.print(*notes, "", sep="\n", highlight=False)
@@ -73,70 +88,96 @@ def _read(folder: Path) -> Drive:
         return read_drive(folder)
 
 
-def with_alpha(table: np.ndarray, alpha: float | None = None) -> np.ndarray:
+def with_alpha(table: np.ndarray, alpha: float | None = None) -> Sets:
     """The sets with one alpha for all, or by default with alpha >= 0.1."""
     chosen = table.copy()
     chosen[:, 0] = np.maximum(chosen[:, 0], 0.1) if alpha is None else alpha
-    return chosen
+    return as_parameters(chosen)
 
 
 # --- Step by step ------------------------------------------------------------------------------------------
+
+
+def every_filter(drive: Drive, n_sets: int) -> Table:
+    """Every kind and model with all measurements against the oracle, heading known to a radian, and lost."""
+    timeline, initial = on_time_line(drive)
+    out = _table("Compiled - extended, all measurements", "heading", "steps x sets", "over limit")
+    for model, kind in product(("planar5", "planar8"), KINDS):
+        errors = compiled_against_extended(timeline, initial, box_sets(model, kind, n_sets))
+        failed = f", {np.isinf(errors.turn).any(axis=0).sum()} sets failed"
+        lost = ~errors.known & np.isfinite(errors.turn)
+        for heading, part, rest in (("known", errors.known, ""), ("lost", lost, failed)):
+            for name, values in (("mean", errors.mean[part]), ("covariance", errors.covariance[part])):
+                over = f"{np.sum(values > 1e-9)} > 1e-09" + (rest if name == "covariance" else "")
+                label = f"{model} {kind}" if name == "mean" else ""
+                out.add_row(label, name, *_cells(values), heading, str(values.size), over)
+        for name, values in (("sums", errors.sums), ("adapted Q, R", errors.noise)):
+            if values is not None and values.size:
+                chosen = values[errors.known[errors.absorbed]]
+                over = f"{np.sum(chosen > 1e-9)} > 1e-09"
+                out.add_row("", name, *_cells(chosen), "known", str(chosen.size), over)
+        most = errors.beyond(1e-9, 1)[errors.known].max()
+        out.add_row("", "cov. / max(1e-9, eps x shrunk)", *[""] * 4, f"{most:.2g}", "known", "", "")
+        out.add_section()
+    return out
 
 
 def step_by_step(
     timeline: Timeline, initial: InitialState, table: np.ndarray, slow: np.ndarray
 ) -> tuple[Table, list[str]]:
     """Three rows per pair of filters: mean, covariance, sums; and what to say about the largest errors."""
-    runs = {"compiled - extended": (compiled_against_extended(timeline, initial, table), 1e-9)}
+    runs = {"compiled - extended": (compiled_against_extended(timeline, initial, as_parameters(table)), 1e-9)}
     for name, theta_first, redraw in (
         ("textbook - FilterPy, theta first", True, True),
         ("textbook - FilterPy, plain root", False, True),
         ("the same, not redrawn", False, False),
     ):
-        runs[name] = (
-            textbook_against_filterpy(
-                timeline, initial, with_alpha(slow), theta_first=theta_first, redraw=redraw
-            ),
-            1e-10,
+        errors = textbook_against_filterpy(
+            timeline, initial, with_alpha(slow), theta_first=theta_first, redraw=redraw
         )
+        runs[name] = errors, 1e-10
+    ekf = [replace(p, kind="ekf") for p in with_alpha(slow)]
+    errors = textbook_against_filterpy(timeline, initial, ekf, theta_first=True)
+    runs["textbook - FilterPy, extended filter"] = errors, 1e-10
     for alpha in (0.1, 1e-3):
         errors = filterpy_against_extended(timeline, initial, with_alpha(slow, alpha))
         runs[f"FilterPy - extended, alpha {alpha:g}"] = errors, 1e-10
-    out = _table("Step by step", "steps x sets", "over limit")
+    out = _table(
+        "Step by step, planar5, fixes of the IMU's place, the paper's box", "steps x sets", "over limit"
+    )
     for name, (errors, limit) in runs.items():
         _add(out, name, errors, limit)
     return out, [loss(name, errors, limit) for name, (errors, limit) in runs.items()]
 
 
-def filterpy_against_extended(timeline: Timeline, initial: InitialState, table: np.ndarray) -> Stepwise:
+def filterpy_against_extended(timeline: Timeline, initial: InitialState, sets: Sets) -> Stepwise:
     """FilterPy's own error, restarted from the oracle's trajectory, rounded to doubles."""
-    oracle = ExtendedUkf(table)
-    oracle.restart(initial.mean, initial.covariance)
-    theirs = [FilterPyUkf(row, theta_first=True) for row in table]
-    errors = []
+    oracle, errors = ExtendedCar(timeline, sets), []
+    oracle.mean = np.tile(initial.mean, (len(sets), 1))
+    oracle.covariance = np.tile(initial.covariance, (len(sets), 1, 1))
+    theirs = [FilterPyCar(timeline, p, theta_first=True) for p in sets]
     for i, fix in steps_with_fixes(timeline):
         mean, covariance = oracle.mean.astype(np.float64), oracle.covariance.astype(np.float64)
+        happens = IMU if fix is None else FIX
         for j, ukf in enumerate(theirs):
             ukf.restart(mean[j], covariance[j])
-            _step(ukf, timeline, i, fix)
-        oracle.restart(mean, covariance)
-        oracle.predict(timeline.dt[i], timeline.ax[i], timeline.ay[i], timeline.gz[i], timeline.q_scale[i])
-        prior = oracle.covariance
-        if fix is not None:
-            oracle.update(fix)
+            _step(ukf, i, happens, fix)
+        oracle.mean, oracle.covariance = mean.astype(Extended), covariance.astype(Extended)
+        oracle.step(i, happens, fix)
         errors.append(
             (
                 mean_error(np.array([ukf.mean for ukf in theirs]), oracle.mean),
                 covariance_error(np.array([ukf.covariance for ukf in theirs]), oracle.covariance),
-                shrinkage(prior, oracle.covariance) if fix is not None else np.ones(len(table)),
+                shrinkage(oracle.prior, oracle.covariance),
+                heading_std(oracle.prior, np.ones(len(sets), dtype=bool)),
             )
         )
     return Stepwise(*(np.array(e) for e in zip(*errors, strict=True)))
 
 
-def _step(ukf: FilterPyUkf, timeline: Timeline, i: int, fix: np.ndarray | None) -> None:
+def _step(ukf: FilterPyCar, i: int, happens: int, fix: np.ndarray | None) -> None:
     try:
-        ukf.step(timeline, i, fix)
+        ukf.step(i, happens, fix)
     except np.linalg.LinAlgError:  # its rounding made P indefinite
         ukf.restart(np.full(5, np.nan), np.full((5, 5), np.nan))
 
@@ -144,15 +185,19 @@ def _step(ukf: FilterPyUkf, timeline: Timeline, i: int, fix: np.ndarray | None) 
 def _add(out: Table, name: str, errors: Stepwise, limit: float) -> None:
     for kind, values in (("mean", errors.mean), ("covariance", errors.covariance)):
         finite = values[np.isfinite(values)]
-        cells = [f"{q:.1e}" for q in np.quantile(finite, QUANTILES)]
+        cells = _cells(finite)
         over = f"{np.sum(finite > limit)} > {limit:g}"
         if finite.size < values.size:
             over += f", {values.size - finite.size} failed"
         out.add_row(name if kind == "mean" else "", kind, *cells, str(values.size), over)
     if errors.sums is not None:
-        cells = [f"{q:.1e}" for q in np.quantile(errors.sums, QUANTILES)]
+        cells = _cells(errors.sums)
         out.add_row("", "sums", *cells, str(errors.sums.size), f"{np.sum(errors.sums > limit)} > {limit:g}")
     out.add_section()
+
+
+def _cells(values: np.ndarray) -> list[str]:
+    return [f"{q:.1e}" for q in np.quantile(values, QUANTILES)] if values.size else [""] * len(QUANTILES)
 
 
 def loss(name: str, errors: Stepwise, limit: float) -> str:
@@ -171,10 +216,10 @@ def loss(name: str, errors: Stepwise, limit: float) -> str:
 # --- Free running ------------------------------------------------------------------------------------------
 
 
-def free_running(timeline: Timeline, initial: InitialState, table: np.ndarray) -> Table:
+def free_running(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
     """The mean's distance along whole runs."""
     out = _table("Free running: distance of the mean from the compiled filter's", "samples", "sets")
-    runs = [free_run(timeline, initial, row) for row in table]
+    runs = [free_run(timeline, initial, p) for p in sets]
     sound = [run for run in runs if run.judged.all()]
     for name, parts in (
         ("the twin", [run.twin for run in runs]),
@@ -183,13 +228,13 @@ def free_running(timeline: Timeline, initial: InitialState, table: np.ndarray) -
         ("FilterPy, where the twin stays", [run.filterpy[run.judged] for run in runs]),
     ):
         values = np.concatenate(parts)
-        cells = [f"{q:.1e}" for q in np.quantile(values, QUANTILES)]
+        cells = _cells(values)
         whole = f"{len(sound)} of {len(runs)} stay" if "stays" in name else str(len(runs))
         out.add_row(name, "mean", *cells, str(values.size), whole)
     return out
 
 
-def roots(timeline: Timeline, initial: InitialState, table: np.ndarray) -> Table:
+def roots(timeline: Timeline, initial: InitialState, sets: Sets) -> Table:
     """How little it matters which square root of P the sigma points are drawn from."""
     out = _table("Free running: FilterPy with its plain root, from the compiled filter", "samples", "sets")
     rows = {
@@ -197,26 +242,20 @@ def roots(timeline: Timeline, initial: InitialState, table: np.ndarray) -> Table
         "paper": np.array([0.03, 2.5, 0.48, *[2.0] * 5, 0.1, 0.1]),
     }
     rows["careful"] = np.array([0.1, 2, 0, 1e-5, 1e-5, 1e-4, 1e-4, 1e-5, 1.0, 1.0])
-    named = [(name, row[None]) for name, row in rows.items()]
-    for name, group in [*named, ("sets of the box, alpha >= 0.1", table)]:
-        distances = [_root_distance(timeline, initial, row) for row in group]
+    named = [(name, as_parameters(row[None])) for name, row in rows.items()]
+    for name, group in [*named, ("sets of the box, alpha >= 0.1", sets)]:
+        distances = [_root_distance(timeline, initial, p) for p in group]
         values = np.concatenate(distances)
-        cells = [f"{q:.1e}" for q in np.quantile(values, QUANTILES)]
+        cells = _cells(values)
         out.add_row(name, "position, m", *cells, str(values.size), str(len(group)))
     return out
 
 
-def _root_distance(timeline: Timeline, initial: InitialState, row: np.ndarray) -> np.ndarray:
+def _root_distance(timeline: Timeline, initial: InitialState, p: FilterParameters) -> np.ndarray:
     """Distance (m) of FilterPy with its own root from the compiled filter, at IMU samples."""
-    plain = FilterPyUkf(row, theta_first=False)
-    plain.restart(initial.mean, initial.covariance)
-    positions = []
-    for i, fix in steps_with_fixes(timeline):
-        plain.step(timeline, i, fix)
-        if timeline.sampled[i]:
-            positions.append(plain.mean[:2])
-    ours = compiled_run(timeline, initial, row)[0][:, :2]
-    return np.hypot(*(np.array(positions) - ours).T)
+    theirs = filterpy_run(timeline, initial, p, theta_first=False)[0][:, :2]
+    ours = compiled_run(timeline, initial, p)[0][:, :2]
+    return np.hypot(*(theirs - ours).T)
 
 
 def _table(title: str, *last: str) -> Table:

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from oracles.extended_ukf import box_table
+from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from oracles.extended_ukf import box_table
+from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.batch import Replay, Sums, run_replay
 from sigmaswarm.filters.compiled import lanes, run

@@ -176,14 +176,12 @@ def _adapt(w, since, *, n):
 
 def absorb_velocity(w, zu, zv, *, n):
     """The receiver's velocity over ground, m/s east and north; linear in the state."""
-    _measure_velocity(w, zu, zv, R_VELOCITY)
-    _absorb_two(w)
+    _take_velocity(w, zu, zv, R_VELOCITY)
 
 
 def absorb_standstill(w, gz, *, n):
     """The car stands: it has no velocity, and all that the gyro shows is its bias (planar8)."""
-    _measure_velocity(w, 0.0, 0.0, R_STANDSTILL)
-    _absorb_two(w)
+    _take_velocity(w, 0.0, 0.0, R_STANDSTILL)
     if n > W:
         for l in range(LANES):
             w[N1, l] = gz - w[W, l]
@@ -193,7 +191,8 @@ def absorb_standstill(w, gz, *, n):
         _absorb_one(w)
 
 
-def _measure_velocity(w, zu, zv, variance, *, n):
+def _take_velocity(w, zu, zv, variance, *, n):
+    """Absorb a velocity; then its rows of P once more from P+ H^T = C S^-1 R, as in `_keep_digits`."""
     for l in range(LANES):
         w[N1, l], w[N2, l] = zu - w[U, l], zv - w[V, l]
         s11, s12, s22 = w[UU, l] + w[variance, l], w[UV, l], w[VV, l] + w[variance, l]
@@ -201,6 +200,12 @@ def _measure_velocity(w, zu, zv, variance, *, n):
         w[G11, l], w[G12, l], w[G22, l] = s22 / det, -s12 / det, s11 / det
         for i in range(n):
             w[C1 + i, l], w[C2 + i, l] = w[at(i, U), l], w[at(i, V), l]
+    _absorb_two(w)
+    for l in range(LANES):
+        r, g11, g12, g22 = w[variance, l], w[G11, l], w[G12, l], w[G22, l]
+        for i in range(n):
+            w[at(i, U), l] = r * (w[C1 + i, l] * g11 + w[C2 + i, l] * g12)
+            w[at(i, V), l] = r * (w[C1 + i, l] * g12 + w[C2 + i, l] * g22)
 
 
 def absorb_lateral(w, gz, *, n):
@@ -264,7 +269,7 @@ def _absorb_two(w, *, n):
 def absorbers(n):
     """`forecast_fix` and the four `absorb_...` functions, compiled for a model of n states."""
     ready = {"n": n}
-    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_fix, _measure_velocity, _fade, _adapt):
+    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_fix, _take_velocity, _fade, _adapt):
         ready[function.__name__] = kernel(unrolled(function, **ready))
     public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill, absorb_lateral)
     return {function.__name__: kernel(unrolled(function, **ready)) for function in public}

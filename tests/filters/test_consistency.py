@@ -1,0 +1,181 @@
+"""Consistency: on data drawn from a filter's own model, its errors are as large as its covariance says.
+
+The start is drawn from the initial covariance, Q is added per step, R per fix. Then the normalized error squared
+(NEES) of n states is chi-square with n degrees of freedom, that of an innovation (NIS) with two; runs are independent,
+innovations too. Headings are known to some hundredths of a radian, so that turning is nearly linear.
+
+Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001,
+section 5.4.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Drive, Gps, Imu
+from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.filters.batch import Replay, Targets, record_replay, run_replay
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.geodesy import wrap_angle
+
+EARLY = 12  # IMU samples after the start, where the initial covariance still counts
+STATES = {"planar5": 5, "planar8": 8}
+
+
+def band(freedom: int) -> np.ndarray:
+    """Where 95% of the means of chi-square variables lie, relative to what is expected; ``freedom`` of all together."""
+    return chi2.ppf([0.025, 0.975], freedom) / freedom
+
+
+def chance_to_see(off: float, freedom: int) -> float:
+    """The chance that errors ``off`` times as large (squared) as they should be leave the band."""
+    low, high = band(freedom) / off
+    return float(chi2.cdf(low * freedom, freedom) + chi2.sf(high * freedom, freedom))
+
+
+def runs_needed(n: int) -> int:
+    """So many runs show a covariance that is 10% off, either way, with a chance of 95%."""
+    return next(k for k in range(100, 5000) if min(chance_to_see(x, k * n) for x in (1.1, 1 / 1.1)) > 0.95)
+
+
+def model_parameters(model: str, kind: str) -> FilterParameters:
+    q = (1e-3, 2e-3, 4e-3, 3e-3, 1e-5) + ((1e-5, 2e-5, 1e-8) if model == "planar8" else ())
+    return FilterParameters(0.5, 2.0, 0.0, q, (0.5, 0.8), model, kind=kind)
+
+
+def start(n: int) -> InitialState:
+    """A start with a covariance that is not diagonal."""
+    rng = np.random.default_rng(5)
+    mix = np.eye(n) + 0.2 * rng.standard_normal((n, n))
+    covariance = mix @ mix.T
+    std = np.array([1.0, 1.5, 0.6, 0.5, 0.02, 0.1, 0.15, 0.003])[:n] / np.sqrt(np.diagonal(covariance))
+    mean = np.array([10.0, -20.0, 8.0, 3.0, 3.1, 0.1, -0.1, 0.002])[:n]
+    return InitialState(mean=mean, covariance=std[:, None] * covariance * std, time=0.0)
+
+
+@cache
+def time_line() -> Timeline:
+    """12 s at about 10 Hz, 2 fixes a second between the samples, braking and turning across the seam of an angle."""
+    rng = np.random.default_rng(1)
+    time = np.arange(121) * 0.1
+    time[1:-1] += rng.uniform(-0.03, 0.03, 119)
+    zero = 0 * time
+    imu = Imu(
+        time=time,
+        ax=1.5 * np.sin(time),
+        ay=2.0 * np.cos(0.7 * time),
+        gz=0.3 * np.cos(0.5 * time),
+        az=zero,
+        gx=zero,
+        gy=zero,
+    )
+    fix_time = np.arange(0.47, 12.0, 0.5)
+    gps = Gps(time=fix_time, x=0 * fix_time, y=0 * fix_time)
+    drive = Drive("own model", imu, gps, None, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})
+    return build_timeline(drive, 0.0)
+
+
+def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """True states at the ends of steps (k, runs, n), and fixes (f, runs, 2)."""
+    rng, line, initial = np.random.default_rng(seed), time_line(), start(p.n_states)
+    s = rng.multivariate_normal(initial.mean, initial.covariance, runs)
+    forward, left = line.lever
+    states, fixes = [], []
+    for i, dt in enumerate(line.dt):
+        a, b, w = s[:, 5:].T if p.n_states == 8 else np.zeros((3, runs))
+        cos, sin = np.cos(s[:, 4]), np.sin(s[:, 4])
+        east, north = (
+            cos * (line.ax[i] - a) - sin * (line.ay[i] - b),
+            sin * (line.ax[i] - a) + cos * (line.ay[i] - b),
+        )
+        change = np.zeros_like(s)
+        change[:, 0], change[:, 1] = s[:, 2] * dt + east * dt**2 / 2, s[:, 3] * dt + north * dt**2 / 2
+        change[:, 2], change[:, 3], change[:, 4] = east * dt, north * dt, (line.gz[i] - w) * dt
+        s = s + change + rng.standard_normal(s.shape) * np.sqrt(np.array(p.process_noise) * line.q_scale[i])
+        if line.absorbs[i]:
+            cos, sin = np.cos(s[:, 4]), np.sin(s[:, 4])
+            antenna = s[:, :2] + np.stack([cos * forward - sin * left, sin * forward + cos * left], axis=1)
+            fixes.append(antenna + rng.standard_normal((runs, 2)) * np.sqrt(p.measurement_noise))
+        states.append(s)
+    return np.array(states), np.array(fixes)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Mean NEES and NIS, relative to what is expected, and of how many degrees of freedom they are."""
+
+    early: float
+    late: float
+    nis: float
+    nees_freedom: int
+    nis_freedom: int
+
+    @property
+    def inside(self) -> dict[str, bool]:
+        """Whether each lies in its 95% band."""
+        nees, nis = band(self.nees_freedom), band(self.nis_freedom)
+        values = {"early": (self.early, nees), "late": (self.late, nees), "nis": (self.nis, nis)}
+        return {name: bool(low < value < high) for name, (value, (low, high)) in values.items()}
+
+
+def consistency(
+    model: str, kind: str, *, q: float = 1.0, r: float = 1.0, p0: float = 1.0, seed: int = 0
+) -> Consistency:
+    """Run the compiled filter, with its Q, R and P0 scaled, over data of its unscaled model."""
+    right, n = model_parameters(model, kind), STATES[model]
+    runs, line, initial = runs_needed(n), time_line(), start(n)
+    states, fixes = draw(right, runs, seed=0)
+    truth = states[line.sampled]
+    wrong = replace(
+        right,
+        process_noise=tuple(q * v for v in right.process_noise),
+        measurement_noise=tuple(r * v for v in right.measurement_noise),
+    )
+    initial = replace(initial, covariance=p0 * initial.covariance)
+    nees, nis = [], 0.0
+    for j in range(runs):
+        own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 2))]))
+        replay = Replay(own, initial, Targets.none(own))
+        mean, covariance, sound = record_replay(replay, wrong)
+        assert sound.all()
+        nis += run_replay(replay, [wrong]).nis[0]
+        error = mean[[EARLY, -1]] - truth[[EARLY, -1], j]
+        error[:, 4] = wrap_angle(error[:, 4])
+        nees.append([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance[[EARLY, -1]], strict=True)])
+    early, late = np.mean(nees, axis=0) / n
+    return Consistency(early, late, nis / (2 * fixes[..., 0].size), runs * n, 2 * fixes[..., 0].size)
+
+
+EVERY_FILTER = pytest.mark.parametrize("kind", ["ukf", "ekf"])
+EVERY_MODEL = pytest.mark.parametrize("model", STATES)
+
+
+@EVERY_FILTER
+@EVERY_MODEL
+def test_errors_are_as_large_as_the_covariance_says(model: str, kind: str):
+    found = consistency(model, kind)
+    assert all(found.inside.values()), found
+
+
+@pytest.mark.parametrize(
+    "off", [{"q": 1.25}, {"q": 0.8}, {"r": 1.25}, {"r": 0.8}, {"p0": 1.25}, {"p0": 0.8}], ids=str
+)
+@pytest.mark.parametrize(("model", "kind"), [("planar5", "ukf"), ("planar8", "ekf")])
+def test_a_quarter_too_much_or_too_little_noise_is_seen(model: str, kind: str, off: dict[str, float]):
+    found = consistency(model, kind, **off)
+    assert not all(found.inside.values()), found
+
+
+@pytest.mark.parametrize("n", STATES.values())
+def test_the_runs_are_enough_to_see_ten_percent(n: int):
+    runs = runs_needed(n)
+    assert 300 < runs < 600
+    drawn = np.random.default_rng(0).chisquare(n, (2000, runs)).mean(axis=1) / n
+    low, high = band(runs * n)
+    assert np.mean((drawn > low) & (drawn < high)) == pytest.approx(0.95, abs=0.02)
+    for off in (1.1, 1 / 1.1):
+        assert np.mean((drawn * off > low) & (drawn * off < high)) < 0.07

@@ -1,0 +1,79 @@
+"""Whole runs beside each other, and beside a twin: the same filter with its heading moved by a hair."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oracles.extended import THETA, covariance_error, mean_error
+from oracles.filterpy_car import FilterPyCar
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.batch import Replay, Targets, record_replay
+from sigmaswarm.filters.compiled import run
+from sigmaswarm.filters.parameters import FilterParameters
+from stepwise import steps_with_fixes
+
+TWIN_TURN = 1e-13  # rad, how far the twin's initial heading is moved
+TWIN_LIMIT = 1e-12  # where the twin is farther away, the filter is chaotic and proves nothing
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """One set, free running: distance of the compiled means (n, at IMU samples) from FilterPy's and a twin's."""
+
+    filterpy: np.ndarray
+    filterpy_covariance: np.ndarray
+    twin: np.ndarray
+
+    @property
+    def judged(self) -> np.ndarray:
+        """Up to where the twin has never been farther away than TWIN_LIMIT."""
+        return np.maximum.accumulate(self.twin) < TWIN_LIMIT
+
+
+def free_run(
+    timeline: Timeline, initial: InitialState, p: FilterParameters, n_steps: int | None = None
+) -> FreeRun:
+    """The compiled filter, FilterPy with the same root of P, and the compiled twin with its heading moved."""
+    their_mean, their_covariance = filterpy_run(timeline, initial, p, n_steps, theta_first=True)
+    n = len(their_mean)
+    ours, twin = (compiled_run(timeline, start, p) for start in (initial, moved(initial, TWIN_TURN)))
+    return FreeRun(
+        filterpy=mean_error(ours[0][:n], their_mean),
+        filterpy_covariance=covariance_error(ours[1][:n], their_covariance),
+        twin=mean_error(twin[0][:n], ours[0][:n]),
+    )
+
+
+def compiled_run(
+    timeline: Timeline, initial: InitialState, p: FilterParameters
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means and covariances of the compiled filter over the whole time line."""
+    mean, covariance, sound = record_replay(Replay(timeline, initial, Targets.none(timeline)), p)
+    assert sound.all(), "the compiled filter failed"
+    return mean, covariance
+
+
+def filterpy_run(
+    timeline: Timeline,
+    initial: InitialState,
+    p: FilterParameters,
+    n_steps: int | None = None,
+    *,
+    theta_first: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same of FilterPy; fixes are all that it takes."""
+    theirs = FilterPyCar(timeline, p, theta_first=theta_first)
+    theirs.restart(initial.mean, initial.covariance)
+    states = []
+    for i, fix in steps_with_fixes(timeline, n_steps):
+        theirs.step(i, run.IMU if fix is None else run.FIX, fix)
+        if timeline.sampled[i]:
+            states.append((theirs.mean, theirs.covariance))
+    mean, covariance = map(np.array, zip(*states, strict=True))
+    return mean, covariance
+
+
+def moved(initial: InitialState, turn: float) -> InitialState:
+    """The same start with its heading moved by ``turn`` (rad)."""
+    return replace(initial, mean=initial.mean + turn * np.eye(5)[THETA])

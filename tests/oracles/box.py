@@ -1,0 +1,76 @@
+"""Parameter sets of the boxes that a tuning searches, written down a second time: corners, and random sets inside."""
+
+import numpy as np
+
+from sigmaswarm.filters.parameters import FilterParameters
+
+# alpha, beta, kappa, five variances of Q, two of R: the paper's box.
+LOWER = np.array([1e-3, 0, 0, *[1e-5] * 5, *[1e-5] * 2])
+UPPER = np.array([1, 3, 5, *[10] * 5, *[10] * 2])
+
+# Besides: bias_std (2), velocity_noise, lateral_noise, rear_axle, standstill_noise, gate, latency, forgetting.
+_MORE = np.array([
+    [1e-3, 1], [1e-5, 0.1], [1e-4, 10], [1e-4, 10], [-1, 4], [1e-6, 1], [4, 100], [0, 0.5], [0.9, 0.9999]
+]).T  # fmt: skip
+
+
+def box_table(n: int, seed: int = 0) -> np.ndarray:
+    """Parameter sets of the paper's box, (n, 10): 32 plain corners first, then random corners and random sets.
+
+    A plain corner has one level for all of Q and one for all of R; at a random corner each of the ten parameters
+    is at one of its bounds. Inside, alpha and the variances are uniform in their logarithms.
+    """
+    rng = np.random.default_rng(seed)
+    corners = np.array([[a, b, k, *[q] * 5, *[r] * 2] for q in (0, 1) for r in (0, 1) for a in (0, 1)
+                        for b in (0, 1) for k in (0, 1)])  # fmt: skip
+    rows = list(np.where(corners == 1, UPPER, LOWER))
+    while len(rows) < n:
+        rows.append(_draw(rng, LOWER, UPPER, corner=len(rows) % 2 == 1))
+    return np.array(rows[:n])
+
+
+def _draw(rng: np.random.Generator, lower: np.ndarray, upper: np.ndarray, *, corner: bool) -> np.ndarray:
+    """A random corner, or a random row: uniform, in its logarithm where a bound is positive."""
+    if corner:
+        return np.where(rng.random(len(lower)) < 0.5, upper, lower)
+    share = rng.random(len(lower))
+    row = lower + share * (upper - lower)
+    log = lower > 0
+    row[log] = lower[log] * (upper[log] / lower[log]) ** share[log]
+    return row
+
+
+def as_parameters(table: np.ndarray, **more) -> list[FilterParameters]:
+    """The library's records of the rows of a `box_table`."""
+    return [FilterParameters(*map(float, row[:3]), tuple(row[3:8]), tuple(row[8:]), **more) for row in table]
+
+
+def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParameters]:
+    """Sets of a model's box that use every measurement: corners and random sets in turn."""
+    rng = np.random.default_rng(seed)
+    low, states = LOWER, 5
+    high = UPPER
+    if model == "planar8":
+        states = 8
+        low = np.array([*LOWER[:3], *[1e-12] * 5, *[1e-16] * 3, *LOWER[8:]])
+        high = np.array([*UPPER[:8], *[1e-4] * 3, *UPPER[8:]])
+    low, high = np.concatenate([low, _MORE[0]]), np.concatenate([high, _MORE[1]])
+    return [_equipped(_draw(rng, low, high, corner=i % 2 == 1), states, model, kind) for i in range(n)]
+
+
+def _equipped(row: np.ndarray, states: int, model: str, kind: str) -> FilterParameters:
+    values = row.tolist()
+    q, r, more = values[3 : 3 + states], values[3 + states : 5 + states], values[5 + states :]
+    names = (
+        "velocity_noise",
+        "lateral_noise",
+        "rear_axle",
+        "standstill_noise",
+        "gate",
+        "latency",
+        "forgetting",
+    )
+    options = dict(zip(names, more[2:], strict=True))
+    return FilterParameters(
+        *values[:3], tuple(q), tuple(r), model, kind=kind, bias_std=(more[0], more[1]), **options
+    )

@@ -1,0 +1,57 @@
+"""Extended precision: what the oracles calculate with, and how far a filter in doubles is from them.
+
+On x86 ``numpy.longdouble`` has 64 bits of mantissa. LAPACK has none of it, so factors and inverses are loops here.
+Leading axes are parameter sets, side by side.
+"""
+
+import numpy as np
+
+Extended = np.longdouble
+PI = Extended("3.14159265358979323846264338327950288")
+THETA = 4
+
+
+def wrap(angle: np.ndarray) -> np.ndarray:
+    """Wrap to [-pi, pi) without touching an angle that is inside already."""
+    return angle - 2 * PI * np.floor(angle / (2 * PI) + Extended(0.5))
+
+
+def cholesky(p: np.ndarray) -> np.ndarray:
+    """The lower factor of (s, n, n), column by column."""
+    n = p.shape[-1]
+    factor = np.zeros_like(p)
+    for j in range(n):
+        rest = p[:, j:, j] - np.einsum("sik,sk->si", factor[:, j:, :j], factor[:, j, :j])
+        factor[:, j:, j] = rest / np.sqrt(rest[:, :1])
+    return factor
+
+
+def whiten(p: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """L^-1 B for P = L L^T (s, n, n) and B (s, n, m); so B^T P^-1 B is this squared, and stays symmetric."""
+    factor, x = cholesky(p), b.astype(Extended)
+    for i in range(p.shape[-1]):
+        x[:, i] = (x[:, i] - np.einsum("sk,skm->sm", factor[:, i, :i], x[:, :i])) / factor[:, i, i, None]
+    return x
+
+
+def transposed(a: np.ndarray) -> np.ndarray:
+    return a.swapaxes(-1, -2)
+
+
+def diagonal(a: np.ndarray) -> np.ndarray:
+    return np.diagonal(a, axis1=-2, axis2=-1)
+
+
+def mean_error(mean: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The largest difference of two means (..., n), relative to max(1, |x_i|) of ``other``; heading wrapped."""
+    difference = np.asarray(mean, dtype=Extended) - other
+    difference[..., THETA] = wrap(difference[..., THETA])
+    return np.max(np.abs(difference) / np.maximum(1, np.abs(other)), axis=-1).astype(float)
+
+
+def covariance_error(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The largest difference of two covariances (..., n, n), relative to sqrt(P_ii P_jj) of ``other``."""
+    std = np.sqrt(diagonal(other))
+    scale = std[..., :, None] * std[..., None, :]
+    difference = np.asarray(covariance, dtype=Extended) - other
+    return np.max(np.abs(difference) / scale, axis=(-2, -1)).astype(float)

@@ -1,0 +1,204 @@
+"""Every kind of filter for a car, step by step from the textbook's equations, in extended precision.
+
+Nothing here is clever, nothing is shared with sigmaswarm's filters, and nothing is the closed form: sigma points are
+drawn, pushed through Newton's equations and averaged; redrawn after Q is added and after each measurement, and pushed
+through h. The extended filter has its Jacobians by hand and Joseph's form of the update. All arrays have the parameter
+sets, s of them, in the leading axis.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oracles.extended import Extended, cholesky, diagonal, transposed, whiten
+from oracles.extended_car import Measurement, coasted, fix, lateral, linear, newton, newton_jacobian
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY
+from sigmaswarm.filters.parameters import FilterParameters
+
+GYRO_AT_REST = (
+    Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180
+) ** 2  # (0.5 deg/s)^2
+MOST_REJECTED = 5
+
+
+@dataclass
+class Innovation:
+    """nu (s, m), S (s, m, m), C (s, n, m), R (s, m, m)."""
+
+    nu: np.ndarray
+    s: np.ndarray
+    c: np.ndarray
+    r: np.ndarray
+
+
+class SigmaPointForm:
+    """Merwe's scaled sigma points, (s, 2n + 1) of them, from the Cholesky factor with theta first."""
+
+    def __init__(self, sets: Sequence[FilterParameters]) -> None:
+        alpha, beta, kappa = np.array([[p.alpha, p.beta, p.kappa] for p in sets], dtype=Extended).T
+        n = sets[0].n_states
+        self.order = [4, 0, 1, 2, 3, 5, 6, 7][:n]
+        self.n_plus_lambda = alpha**2 * (n + kappa)
+        self.wm = np.repeat(1 / (2 * self.n_plus_lambda)[:, None], 2 * n + 1, axis=1)
+        self.wc = self.wm.copy()
+        self.wm[:, 0] = (self.n_plus_lambda - n) / self.n_plus_lambda
+        self.wc[:, 0] = self.wm[:, 0] + 1 - alpha**2 + beta
+
+    def offsets(self, p: np.ndarray) -> np.ndarray:
+        """The sigma points as seen from the centre, (s, 2n + 1, n)."""
+        root = np.empty_like(p)
+        root[:, self.order] = cholesky(p[:, self.order][:, :, self.order])
+        columns = np.sqrt(self.n_plus_lambda)[:, None, None] * transposed(root)
+        return np.concatenate([np.zeros_like(columns[:, :1]), columns, -columns], axis=1)
+
+    def _moments(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (s, m) and the points' distances from it; the weights of the mean add up to one."""
+        mean = points[:, 0] + np.einsum("sk,ski->si", self.wm, points - points[:, :1])
+        return mean, (points - points[:, :1]) - (mean - points[:, 0])[:, None]
+
+    def predict(self, mean, p, q, dt, imu) -> tuple[np.ndarray, np.ndarray]:
+        moved, spread = self._moments(newton(mean[:, None], self.offsets(p), dt, imu))
+        weighted = self.wc[..., None] * spread
+        return coasted(mean, dt, imu[2]) + moved, transposed(weighted) @ spread + q
+
+    def measure(self, mean, p, z: Measurement, r: np.ndarray) -> Innovation:
+        offsets = self.offsets(p)
+        moved, spread = self._moments(z.change(mean[:, None], offsets))
+        weighted = self.wc[..., None] * spread
+        s, c = transposed(weighted) @ spread + r, transposed(offsets) @ weighted
+        return Innovation(z.innovation(mean) - moved, s, c, r)
+
+    def absorb(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        c, nu = whiten(seen.s, transposed(seen.c)), whiten(seen.s, seen.nu[..., None])
+        return mean + (transposed(c) @ nu)[..., 0], p - transposed(c) @ c  # x + K nu, P - K S K^T
+
+
+class JacobianForm:
+    """The extended Kalman filter."""
+
+    def predict(self, mean, p, q, dt, imu) -> tuple[np.ndarray, np.ndarray]:
+        f = newton_jacobian(mean, dt, imu)
+        moved = newton(mean[:, None], np.zeros_like(mean)[:, None], dt, imu)[:, 0]
+        return coasted(mean, dt, imu[2]) + moved, f @ p @ transposed(f) + q
+
+    def measure(self, mean, p, z: Measurement, r: np.ndarray) -> Innovation:
+        h = z.jacobian(mean)
+        return Innovation(z.innovation(mean), h @ p @ transposed(h) + r, p @ transposed(h), r)
+
+    def absorb(self, mean, p, seen: Innovation, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+        c = whiten(seen.s, transposed(seen.c))
+        gain = transposed(c) @ whiten(seen.s, np.broadcast_to(np.eye(seen.s.shape[-1]), seen.s.shape))
+        rest = np.eye(p.shape[-1], dtype=Extended) - gain @ z.jacobian(mean)
+        new = rest @ p @ transposed(rest) + gain @ seen.r @ transposed(gain)
+        return mean + (gain @ seen.nu[..., None])[..., 0], new
+
+
+class ExtendedCar:
+    """Filters of one kind, model and choice of measurements on a drive's time line, one per parameter set.
+
+    Attributes
+    ----------
+    mean, covariance : (s, n), (s, n, n)
+    q, r : (s, n), (s, 2), the diagonals of Q and R; an adaptive filter changes them
+    recent : (s,), strong tracking's recent size of the innovations; NaN before the first
+    rejected : (s,), how many fixes in a row the gate has turned away
+    since : Q's scale since the last fix
+    nis, log_determinant, squared_residual : (s,), of the last fix
+    """
+
+    def __init__(self, timeline: Timeline, sets: Sequence[FilterParameters]) -> None:
+        def column(name: str, without: float = 1.0) -> np.ndarray:
+            values = [getattr(p, name) for p in sets]
+            return np.array([without if value is None else value for value in values], dtype=Extended)
+
+        self.line, self.kind, self.n = timeline, sets[0].kind, sets[0].n_states
+        self.form = JacobianForm() if self.kind == "ekf" else SigmaPointForm(sets)
+        nominal = Extended(timeline.nominal_interval)
+        self.q = np.array([p.process_noise for p in sets], dtype=Extended)
+        self.q *= (nominal / column("nominal_interval", timeline.nominal_interval))[:, None]
+        self.r = np.array([p.measurement_noise for p in sets], dtype=Extended)
+        self.velocity_noise, self.lateral_noise = column("velocity_noise"), column("lateral_noise")
+        self.standstill_noise, self.axle = column("standstill_noise"), column("rear_axle")
+        self.gate, self.latency = column("gate", np.inf), column("latency")
+        self.forgetting = column("forgetting")
+        self.recent = np.full(len(sets), np.nan, dtype=Extended)
+        self.rejected = np.zeros(len(sets), dtype=int)
+        self.since = Extended(0)
+
+    def step(self, i: int, happens: int, z: np.ndarray | None) -> None:
+        """The time line's step i: predict, then absorb what ``happens`` says there is at its end."""
+        line = self.line
+        dt, scale = Extended(line.dt[i]), Extended(line.q_scale[i])
+        imu = np.array([line.ax[i], line.ay[i], line.gz[i]], dtype=Extended)
+        q = np.eye(self.n, dtype=Extended) * (self.q * scale)[:, None]
+        self.mean, self.covariance = self.form.predict(self.mean, self.covariance, q, dt, imu)
+        self.prior = self.covariance
+        self.since += scale
+        if happens & FIX and z is not None:
+            self._absorb_fix(fix(z[:2], line.lever, self.latency))
+            self.since = Extended(0)
+            if happens & VELOCITY:
+                self._absorb(linear(z[2:], [2, 3]), self.velocity_noise)
+        if happens & LATERAL:
+            self._absorb(lateral(line.gz[i], self.axle), self.lateral_noise)
+        if happens & STANDSTILL:
+            self._absorb(linear(np.zeros(2), [2, 3]), self.standstill_noise)
+            if self.n == 8:
+                noise = np.full(len(self.mean), GYRO_AT_REST)
+                self._absorb(linear(np.array([line.gz[i]]), [7]), noise)
+
+    def _absorb(self, z: Measurement, variance: np.ndarray) -> None:
+        r = variance[:, None, None] * np.eye(z.jacobian(self.mean).shape[1], dtype=Extended)
+        seen = self.form.measure(self.mean, self.covariance, z, r)
+        self.mean, self.covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+
+    def _absorb_fix(self, z: Measurement) -> None:
+        r = np.eye(2, dtype=Extended) * self.r[:, None]
+        seen = self.form.measure(self.mean, self.covariance, z, r)
+        self.nis = _nis(seen)  # before S is stretched: a forecast must not know what it forecasts
+        self.log_determinant = np.log(seen.s[:, 0, 0] * seen.s[:, 1, 1] - seen.s[:, 0, 1] * seen.s[:, 1, 0])
+        used = (self.nis <= self.gate) | (self.rejected >= MOST_REJECTED)
+        self.rejected = np.where(used, 0, self.rejected + 1)
+        if self.kind == "strong-tracking-ukf":
+            self._stretch(seen, used)
+        # Of z itself: M = S - R is what the filter knew, so M S^-1 nu is what it learns.
+        m = seen.s - r
+        known, nu = whiten(seen.s, m), whiten(seen.s, seen.nu[..., None])
+        residual = seen.nu - (transposed(known) @ nu)[..., 0]
+        self.squared_residual = np.sum(np.where(used[:, None], residual, seen.nu) ** 2, axis=1)
+        mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+        if self.kind == "adaptive-ukf":
+            self._adapt(used, residual, m - transposed(known) @ known, mean - self.mean, covariance)
+        self.mean = np.where(used[:, None], mean, self.mean)
+        self.covariance = np.where(used[:, None, None], covariance, self.covariance)
+
+    def _stretch(self, seen: Innovation, used: np.ndarray) -> None:
+        """Strong tracking: P + (factor - 1) C (H P H^T)^-1 C^T with H = C^T P^-1, factor from the traces."""
+        size, rho = np.sum(seen.nu**2, axis=1), self.forgetting
+        recent = np.where(np.isnan(self.recent), size, rho * self.recent + (1 - rho) * size)
+        self.recent = np.where(used, recent, self.recent)
+        root = whiten(self.covariance, seen.c)
+        hph = transposed(root) @ root
+        factor = (recent - diagonal(seen.r).sum(axis=1)) / diagonal(hph).sum(axis=1)
+        factor = np.where(used, np.maximum(factor, 1), 1)[:, None, None]
+        part = whiten(hph, transposed(seen.c))
+        self.covariance = self.covariance + (factor - 1) * transposed(part) @ part
+        seen.s = seen.s + (factor - 1) * hph
+        seen.c = factor * seen.c
+
+    def _adapt(self, used, residual, left, moved, covariance) -> None:
+        """Sage and Husa, in the steady state of their weights: Q and R drift to what a fix says they are.
+
+        R is seen as eps eps^T + M+, with eps (s, 2) the ``residual`` and M+ what is ``left`` of the prediction's
+        variance; Q as the step ``moved`` by the fix, its square + P+ - (P- - Q), but never below zero.
+        """
+        weight = np.where(used, 1 - self.forgetting, 0)[:, None]
+        self.r = (1 - weight) * self.r + weight * (residual**2 + diagonal(left))
+        change = (moved**2 + diagonal(covariance) - diagonal(self.covariance)) / self.since
+        self.q = (1 - weight) * self.q + weight * np.maximum(self.q + change, 0)
+
+
+def _nis(seen: Innovation) -> np.ndarray:
+    return np.sum(whiten(seen.s, seen.nu[..., None]) ** 2, axis=(1, 2))

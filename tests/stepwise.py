@@ -1,0 +1,332 @@
+"""How closely the filters agree, one step at a time: what tests/filters/test_parity.py asserts on, and what
+benchmarks/parity.py prints whole figures of.
+
+Far from its optimum a Kalman filter is chaotic, so whole runs can't be compared to 1e-9. One step can: at each step
+of a drive both sides start from the same state, and from the same memory where a filter has one.
+"""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from oracles.extended import THETA, covariance_error, diagonal, mean_error
+from oracles.extended_filters import ExtendedCar
+from oracles.filterpy_car import FilterPyCar
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.filters import batch
+from sigmaswarm.filters.compiled import lanes, run
+from sigmaswarm.filters.compiled.live import live_step
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.simulation.gps import find_gps
+from sigmaswarm.simulation.scenarios import simulate
+from support import DRIVES, make_drive
+
+EPS = np.finfo(float).eps
+
+REAL = "kitti-09-30-0033"
+SIMULATED = "simulated"
+
+
+# --- The steps ---------------------------------------------------------------------------------------------
+
+
+def steps_with_fixes(
+    timeline: Timeline, n_steps: int | None = None
+) -> Iterator[tuple[int, np.ndarray | None]]:
+    """Each step's number and the fix absorbed at its end."""
+    fixes = iter(timeline.fixes)
+    for i in range(len(timeline.dt))[:n_steps]:
+        yield i, next(fixes) if timeline.absorbs[i] else None
+
+
+def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
+    """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
+    flags = batch.flags_of(timeline, *batch.switches(sets[0]))
+    kinds = [flags == run.IMU, *(flags & bit != 0 for bit in (run.FIX, run.LATERAL, run.STANDSTILL))]
+    chosen: set[int] = set()
+    for kind in kinds:
+        steps = np.flatnonzero(kind)
+        if len(steps):
+            chosen.update(steps[np.linspace(0, len(steps) - 1, n).astype(int)].tolist())
+    after = timeline.end - timeline.end[np.argmax(timeline.dt)]
+    return chosen | set(
+        np.flatnonzero((after >= 0) & (after < 1) & ((after == 0) | timeline.absorbs)).tolist()
+    )
+
+
+class CompiledCars:
+    """The compiled filter, one per parameter set; ``rows`` (s, N_ROWS) is all that they are and remember.
+
+    A filter that remembers nothing but its state takes its steps with the kernel that a tuning runs. That one can't be
+    started in the midst of a memory; so an adaptive or strong tracking filter takes them with the live filter's kernel.
+    """
+
+    def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
+        assert len(sets) % lanes.LANES == 0
+        self.line, self.n = timeline, sets[0].n_states
+        self.remembers = sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf")
+        self.parts = [slice(a, a + lanes.LANES) for a in range(0, len(sets), lanes.LANES)]
+        self.rows = np.zeros((len(sets), lanes.N_ROWS))
+        for part in self.parts:
+            start = batch.pack_states(*batch.start_of(initial, sets[part]))
+            self.rows[part, : lanes.N_STATE] = start.T
+            self.rows[part, lanes.CONSTANTS] = batch.pack_constants(sets[part], timeline.nominal_interval).T
+        self.rows[:, lanes.RECENT], self.rows[:, lanes.OK] = -1.0, 1.0
+
+    def step(self, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
+        self.rows[:, [lanes.NIS, lanes.SQ_FIX, lanes.LOG_DET]], self.rows[:, lanes.DET] = 0.0, 1.0
+        if not self.remembers:
+            self.rows[:, lanes.REJECTED] = 0.0
+        for part in self.parts:
+            (self._live if self.remembers else self._run)(part, i, happens, fix, since)
+
+    def _run(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
+        t = self.line
+        sums, final = run.run_lanes(
+            self.n,
+            np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
+            np.array([happens]),
+            np.empty((0, 4)) if fix is None else fix[None].copy(),
+            t.lever,
+            np.empty((0, 5)),
+            np.zeros(1, dtype=np.int64),
+            self.rows[part, : lanes.N_STATE].T.copy(),
+            self.rows[part, lanes.CONSTANTS].T.copy(),
+            np.empty((0, lanes.N_STATE + 1, 0)),
+        )
+        self.rows[part, : lanes.N_STATE], self.rows[part, lanes.SUMS] = final.T, sums.T
+
+    def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
+        t, step = self.line, live_step
+        z = (0.0, 0.0, 0.0, 0.0) if fix is None else tuple(fix.tolist())
+        for row in self.rows[part]:
+            step(row, self.n, t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i], happens, *z, *t.lever, since)
+
+    @property
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        return batch.unpack_states(self.rows[:, : lanes.N_STATE].T, self.n)
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Diagonals of Q and R, (s, n + 2)."""
+        return self.rows[:, [*range(lanes.Q0, lanes.Q0 + self.n), lanes.RX, lanes.RY]]
+
+    @property
+    def sums(self) -> np.ndarray:
+        """NIS, ln det S and squared residual of the last fix, and the recent size of the innovations, (4, s)."""
+        rows = self.rows.T
+        log_determinant = rows[lanes.LOG_DET] + np.log(rows[lanes.DET])
+        return np.array([rows[lanes.NIS], log_determinant, rows[lanes.SQ_FIX], rows[lanes.RECENT]])
+
+
+# --- The oracle beside the compiled filter -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Stepwise:
+    """Errors of single steps, each (steps, sets).
+
+    ``shrunk`` says by how much a step's fix divided a variance, at most; 1 where there was no fix. A covariance
+    kept in doubles can't come out of such a fix with more than eps x shrunk: that much is rounded off before.
+    ``turn`` is the standard deviation of the heading (rad) before anything is absorbed; inf where a lane has failed.
+    ``absorbed`` (steps,) says where there was a fix; ``sums`` and ``noise`` (the adapted Q and R) have those only.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    shrunk: np.ndarray
+    turn: np.ndarray
+    absorbed: np.ndarray | None = None
+    sums: np.ndarray | None = None
+    noise: np.ndarray | None = None
+
+    @property
+    def known(self) -> np.ndarray:
+        """Where the heading is known to within a radian; elsewhere an antenna may be anywhere around the IMU."""
+        return self.turn < 1.0
+
+    def beyond(self, tolerance: float, margin: float) -> np.ndarray:
+        """The covariance's error over the larger of ``tolerance`` and what the fix must lose, x ``margin``."""
+        return self.covariance / np.maximum(tolerance, margin * EPS * self.shrunk)
+
+
+def shrinkage(prior: np.ndarray, posterior: np.ndarray) -> np.ndarray:
+    """The largest P_ii before over P_ii after, (...)."""
+    return np.max(diagonal(prior) / diagonal(posterior), axis=-1).astype(float)
+
+
+def heading_std(prior: np.ndarray, sound: np.ndarray) -> np.ndarray:
+    return np.where(sound, np.sqrt(prior[:, THETA, THETA]), np.inf).astype(float)
+
+
+def compiled_against_extended(
+    timeline: Timeline,
+    initial: InitialState,
+    sets: Sequence[FilterParameters],
+    steps: set[int] | None = None,
+    *,
+    until: int | None = None,
+) -> Stepwise:
+    """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
+    compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
+    flags = batch.flags_of(timeline, *batch.switches(sets[0]))
+    found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
+    since = 0.0
+    for i, fix in steps_with_fixes(timeline, until):
+        beside = steps is None or i in steps
+        if beside:
+            restart(oracle, compiled, since)
+        since += timeline.q_scale[i]
+        compiled.step(i, int(flags[i]), fix, since)
+        if beside:
+            with np.errstate(all="ignore"):  # of lanes that have failed
+                oracle.step(i, int(flags[i]), fix)
+                for name, error in errors_of(compiled, oracle, fix is not None).items():
+                    found[name].append(error)
+        since = 0.0 if fix is not None else since
+    return Stepwise(**{name: np.array(errors) for name, errors in found.items()})
+
+
+def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
+    """Put the oracle where the compiled filter is."""
+    extended, n = np.longdouble, compiled.n
+    mean, covariance = compiled.state
+    oracle.mean, oracle.covariance = mean.astype(extended), covariance.astype(extended)
+    if compiled.remembers:
+        noise, recent = compiled.noise.astype(extended), compiled.rows[:, lanes.RECENT].astype(extended)
+        oracle.q, oracle.r = noise[:, :n], noise[:, n:]
+        oracle.recent = np.where(recent < 0, np.nan, recent)
+    oracle.rejected = (
+        compiled.rows[:, lanes.REJECTED].astype(int) if compiled.remembers else 0 * oracle.rejected
+    )
+    oracle.since = extended(since)
+
+
+def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> dict[str, np.ndarray]:
+    """The fields of `Stepwise` for one step, each (s,)."""
+    mean, covariance = compiled.state
+    errors: dict[str, Any] = {
+        "mean": mean_error(mean, oracle.mean),
+        "covariance": covariance_error(covariance, oracle.covariance),
+        "shrunk": shrinkage(oracle.prior, oracle.covariance),
+        "turn": heading_std(oracle.prior, compiled.rows[:, lanes.OK] == 1.0),
+        "absorbed": np.bool_(absorbed),
+    }
+    if absorbed:
+        true = [oracle.nis, oracle.log_determinant, oracle.squared_residual]
+        if compiled.remembers:
+            true.append(np.where(np.isnan(oracle.recent), -1, oracle.recent))
+            decided = (compiled.rows[:, lanes.REJECTED] == oracle.rejected) | ~np.isfinite(errors["turn"])
+            assert decided.all(), "the gates disagree"
+        if oracle.kind == "adaptive-ukf":
+            noise = np.concatenate([oracle.q, oracle.r], axis=1)
+            errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
+        # A residual is known to within the rounding of a position, whatever its size.
+        wrong = np.abs(compiled.sums[: len(true)] - true) / np.maximum(1, np.abs(true))
+        errors["sums"] = np.max(wrong, axis=0).astype(float)
+    return errors
+
+
+# --- FilterPy beside the textbook's filter -----------------------------------------------------------------
+
+
+def textbook_against_filterpy(
+    timeline: Timeline,
+    initial: InitialState,
+    sets: Sequence[FilterParameters],
+    steps: set[int] | None = None,
+    *,
+    theta_first: bool,
+    redraw: bool = True,
+    until: int | None = None,
+) -> Stepwise:
+    """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
+    flags, per_set = batch.flags_of(timeline, *batch.switches(sets[0])), []
+    for p in sets:
+        theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
+        means, covariances = batch.start_of(initial, [p])
+        theirs.restart(means[0], covariances[0])
+        ours = TextbookCar(timeline, p, initial, heading_first=theta_first, redraw_sigma_points=redraw)
+        states = []
+        for i, fix in steps_with_fixes(timeline, until):
+            beside = steps is None or i in steps
+            if beside:
+                ours.filter.mean, ours.filter.covariance = theirs.mean.copy(), theirs.covariance.copy()
+                ours.step(i)
+            theirs.step(i, int(flags[i]), fix)
+            if beside:
+                found = ours.filter.mean, ours.filter.covariance, theirs.mean, theirs.covariance, theirs.prior
+                states.append(found)
+        mean, covariance, their_mean, their_covariance, prior = map(np.array, zip(*states, strict=True))
+        per_set.append(
+            (
+                mean_error(mean, their_mean),
+                covariance_error(covariance, their_covariance),
+                shrinkage(prior, their_covariance),
+                heading_std(prior, np.isfinite(their_mean).all(axis=1)),
+            )
+        )
+    return Stepwise(*(np.array(errors).T for errors in zip(*per_set, strict=True)))
+
+
+# --- The drives --------------------------------------------------------------------------------------------
+
+
+def with_gap(drive: Drive, start: float, length: float) -> Drive:
+    """The drive with nothing recorded, by either sensor, for ``length`` s after ``start``."""
+    imu, gps = (s.select(~((s.time > start) & (s.time < start + length))) for s in (drive.imu, drive.gps))
+    return replace(drive, imu=imu, gps=gps, name=f"{drive.name} with a gap")
+
+
+def simulated() -> Drive:
+    """A minute on a curvy road, jittering clocks, and a gap of 1.6 s soon after the start."""
+    drive = make_drive(duration=60, jitter=0.3, seed=7)
+    return with_gap(drive, initial_state(drive).time + 2.0, 1.6)
+
+
+def equipped(drive: Drive) -> Drive:
+    """The drive with an antenna away from the IMU, and velocities of the fixes, as far as they tell them."""
+    gps = drive.gps
+    if gps.speed is None:
+        vx, vy = np.gradient(gps.x, gps.time), np.gradient(gps.y, gps.time)
+        gps = replace(gps, speed=np.hypot(vx, vy), course=np.arctan2(vy, vx))
+    return replace(drive, gps=gps, metadata={**drive.metadata, "gps_lever_arm_m": [1.0, -0.5, 0.3]})
+
+
+def real(name: str) -> Drive:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the reader's, about gaps
+        return read_drive(DRIVES / name)
+
+
+def on_time_line(drive: Drive) -> tuple[Timeline, InitialState]:
+    initial = initial_state(drive)
+    return build_timeline(drive, initial.time), initial
+
+
+def urban(first: float = 7.0, last: float = 22.0) -> Drive:
+    """A simulated town: an antenna away from the IMU, velocities, jitter, a gap soon after the start, a standstill."""
+    grade = replace(find_gps("ublox-m8"), lever_arm=(0.4, -0.3, 1.2), latency=0.08)
+    drive = clip(simulate("urban", run=1, duration=60, gps=grade, gps_rate=8, jitter=1e-3), first, last)
+    return with_gap(drive, initial_state(drive).time + 1.0, 0.7)
+
+
+def colorado() -> Drive:
+    """A real car that comes to a halt, equipped."""
+    return equipped(clip(real("colorado-1"), 186.0, 206.0))
+
+
+@cache
+def ready(name: str) -> tuple[Timeline, InitialState]:
+    """A drive of this module by its function's name, or a real one by its own."""
+    made = {SIMULATED: simulated, "urban": urban, "colorado": colorado}
+    return on_time_line(made[name]() if name in made else real(name))
