@@ -38,6 +38,9 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
+    from sigmaswarm.filters.custom.log import Log
+    from sigmaswarm.filters.custom.model import Model, Tunable
+    from sigmaswarm.filters.custom.run import ModelEstimate, run_model
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
@@ -59,6 +62,9 @@ _HOMES = {
     "drives.split": ("clip", "split_drives", "split_time"),
     "drives.writer": ("write_drive",),
     "errors": ("AlignmentError", "DriveError", "InputError", "SigmaswarmError", "SigmaswarmWarning"),
+    "filters.custom.log": ("Log",),
+    "filters.custom.model": ("Model", "Tunable"),
+    "filters.custom.run": ("ModelEstimate", "run_model"),
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("datasheet", "preset"),
     "filters.live": ("LiveFilter",),
@@ -89,11 +95,15 @@ __all__ = [
     "InitialState",
     "InputError",
     "LiveFilter",
+    "Log",
+    "Model",
+    "ModelEstimate",
     "Score",
     "SigmaPoints",
     "SigmaswarmError",
     "SigmaswarmWarning",
     "Truth",
+    "Tunable",
     "TuneConfig",
     "Tuning",
     "UnscentedKalmanFilter",
@@ -105,6 +115,7 @@ __all__ = [
     "read_drive",
     "run_batch",
     "run_filter",
+    "run_model",
     "run_reference",
     "simulate",
     "simulate_many",

@@ -2,27 +2,38 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, check_scored
+from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.space import SearchSpace, search_space
+from sigmaswarm.tuning.space import search_space
+
+P = TypeVar("P", covariant=True)
 
 
-class Problem(Protocol):
+class Problem(Protocol[P]):
     """What `tune` needs to know of a filter, its data and its objective."""
 
-    space: SearchSpace
-    """The box that is searched."""
     data: list[dict[str, Any]]
     """Name, length and fingerprint of each drive."""
+
+    @property
+    def space(self) -> Box:
+        """The box that is searched."""
+        ...
+
+    def parameters(self, point: Array) -> P:
+        """The filter at a point, shape (d,), in search coordinates."""
+        ...
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
@@ -50,6 +61,10 @@ class CarProblem:
         outages = self.objective.needs_outages
         self.replayer = Replayer(drives, outages=outages, outage_seed=config.outage_seed)
         check_scored(self.replayer, self.objective)
+
+    def parameters(self, point: Array) -> FilterParameters:
+        """The filter at a point, shape (d,), in search coordinates."""
+        return self.space.decode(point[np.newaxis])[0]
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""

@@ -5,34 +5,62 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.tuning.config import TuneConfig, validated_config
+from sigmaswarm.filters.custom.log import Log
+from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.parameters import FilterParameters, ModelName
+from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
+from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.store import ResultFolder
 
+P = TypeVar("P")
 
+
+@overload
 def tune(
     drives: Sequence[Drive] | Drive,
+    *,
+    model: ModelName = ...,
+    out: str | Path | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    **config: Any,
+) -> Tuning[FilterParameters]: ...
+@overload
+def tune(
+    drives: Sequence[Log] | Log,
+    *,
+    model: Model,
+    out: str | Path | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    **config: Any,
+) -> Tuning[dict[str, float]]: ...
+def tune(
+    drives: Sequence[Drive] | Sequence[Log] | Drive | Log,
     *,
     out: str | Path | None = None,
     resume: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
-) -> Tuning:
+) -> Tuning[Any]:
     """Tune a filter on drives with particle swarm optimization.
 
     Parameters
     ----------
-    drives : Drive or sequence of Drive
-        The training drives. Keep others back for `evaluate`.
+    drives : Drive or sequence of Drive; Log or sequence of Log
+        The training drives, or the logs of a model of your own. Keep others back for `evaluate`.
     out : path, optional
         A folder for results; every generation is saved in it, so that a killed run can be resumed.
     resume : bool
@@ -43,6 +71,7 @@ def tune(
         Called with a `Progress` after every generation.
     **config
         The fields of `TuneConfig`: objective, scale, particles, generations, trials, seed, model, ...
+        ``model`` may be a `Model` of your own; its objectives are truth-rmse and innovation-nll.
 
     Raises
     ------
@@ -52,11 +81,8 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives = [drives] if isinstance(drives, Drive) else list(drives)
-    settings = validated_config(config)
-    problem = CarProblem(drives, settings)
-    if problem.objective.warning:
-        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
+    data = [drives] if isinstance(drives, Drive | Log) else list(drives)
+    problem, settings = _problem(data, config)
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
         asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
@@ -71,7 +97,24 @@ def tune(
     return tuning
 
 
-def _chosen(trials: tuple[Trial, ...], problem: Problem, config: TuneConfig) -> Tuning:
+def _problem(data: Sequence[Any], config: dict[str, Any]) -> tuple[Problem[Any], SearchConfig]:
+    """What is minimized: for a model of the user's own on logs, or for a car's on drives."""
+    model = config.get("model")
+    wanted = Log if isinstance(model, Model) else Drive
+    stray = [type(thing).__name__ for thing in data if not isinstance(thing, wanted)]
+    if stray:
+        raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
+    if isinstance(model, Model):
+        settings = validated_config(ModelTuneConfig, config | {"model": model.identity()})
+        return ModelProblem(data, model, settings), settings
+    settings = validated_config(TuneConfig, config)
+    problem = CarProblem(data, settings)
+    if problem.objective.warning:
+        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
+    return problem, settings
+
+
+def _chosen(trials: tuple[Trial, ...], problem: Problem[P], config: SearchConfig) -> Tuning[P]:
     best = int(np.argmin([trial.cost for trial in trials]))
     if not np.isfinite(trials[best].cost):
         raise InputError(
@@ -80,7 +123,7 @@ def _chosen(trials: tuple[Trial, ...], problem: Problem, config: TuneConfig) -> 
         )
     point = trials[best].point
     return Tuning(
-        parameters=problem.space.decode(point[np.newaxis])[0],
+        parameters=problem.parameters(point),
         cost=trials[best].cost,
         touched_bounds=problem.space.touched(point),
         trials=trials,
