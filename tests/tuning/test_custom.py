@@ -82,7 +82,7 @@ def test_the_cost_is_that_of_the_parameters():
 def test_truth_between_the_steps_is_met_by_a_line_that_goes_round():
     log = pendulum_log(start=(0.7, 9.0), duration=6.0)
     moments = np.arange(0.2043, 7.0, 0.31)
-    truth = {"angle": np.interp(moments, log.time, log.truth["angle"])}
+    truth = {"angle": (np.interp(moments, log.time, log.truth["angle"]) + np.pi) % (2 * np.pi) - np.pi}
     sparse = Log(**(vars(log) | {"truth": truth, "truth_time": moments}))
     tuning = tune(sparse, **SMALL)
     mean = run_model(log, PENDULUM, tuning.parameters).mean[:, 0]

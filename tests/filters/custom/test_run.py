@@ -132,6 +132,18 @@ def test_an_angle_may_pass_half_a_turn(start):
     assert 0.7 < estimate.nis.mean() < 1.3
 
 
+def test_a_process_that_wraps_its_angle_is_the_same_filter():
+    def f(state, dt, u, p):
+        rate = state[1] - 9.81 / p.length * np.sin(state[0]) * dt
+        return np.array([(state[0] + rate * dt + np.pi) % (2 * np.pi) - np.pi, rate])
+
+    log = pendulum_log(start=(0.7, 9.0))
+    plain = run_model(log, PENDULUM, PARAMETERS)
+    for run in both(replace(PENDULUM, f=f), log, PARAMETERS):
+        assert np.abs(run.mean[:, 0]).max() < 4  # it is wrapped
+        np.testing.assert_allclose(run.nll, plain.nll, rtol=0, atol=1e-8)
+
+
 # --- What can't be compiled --------------------------------------------------------------------------------
 
 
