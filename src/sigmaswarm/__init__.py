@@ -38,6 +38,9 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
+    from sigmaswarm.filters.custom.log import Log
+    from sigmaswarm.filters.custom.model import Model, Tunable
+    from sigmaswarm.filters.custom.run import ModelEstimate, run_model
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
@@ -60,6 +63,9 @@ _HOMES = {
     "drives.split": ("clip", "split_drives", "split_time"),
     "drives.writer": ("write_drive",),
     "errors": ("AlignmentError", "DriveError", "InputError", "SigmaswarmError", "SigmaswarmWarning"),
+    "filters.custom.log": ("Log",),
+    "filters.custom.model": ("Model", "Tunable"),
+    "filters.custom.run": ("ModelEstimate", "run_model"),
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("datasheet", "preset"),
     "filters.live": ("LiveFilter",),
@@ -93,11 +99,15 @@ __all__ = [
     "Innovations",
     "InputError",
     "LiveFilter",
+    "Log",
+    "Model",
+    "ModelEstimate",
     "Score",
     "SigmaPoints",
     "SigmaswarmError",
     "SigmaswarmWarning",
     "Truth",
+    "Tunable",
     "TuneConfig",
     "Tuning",
     "UnscentedKalmanFilter",
@@ -111,6 +121,7 @@ __all__ = [
     "run_batch",
     "run_filter",
     "run_innovations",
+    "run_model",
     "run_reference",
     "simulate",
     "simulate_many",

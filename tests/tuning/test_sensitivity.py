@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, sensitivities
-from sigmaswarm.tuning.space import Dimension, SearchSpace
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -21,8 +21,8 @@ class Bowl:
     def __init__(self, weights, optimum, logarithmic):
         names = [f"p{i}" for i in range(len(weights))]
         lowest, highest = (1e-4, 1e4) if logarithmic else (-4.0, 4.0)
-        dimensions = tuple(Dimension(n, n, -1, lowest, highest) for n in names)
-        self.space = SearchSpace(dimensions, {}, np.full(len(weights), logarithmic))
+        bounds = np.full(len(names), lowest), np.full(len(names), highest)
+        self.space = Box(tuple(names), *bounds, np.full(len(names), logarithmic))
         self.weights, self.optimum = np.array(weights), np.array(optimum)
 
     def costs(self, points, executor):

@@ -1,6 +1,6 @@
 """What a tuning is asked for."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -9,9 +9,11 @@ from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
 from sigmaswarm.tuning.space import Option, Scale
 
+C = TypeVar("C", bound="SearchConfig")
 
-class TuneConfig(BaseModel):
-    """What a tuning is asked for; saved with every result. Defaults are the paper's where it gives them."""
+
+class SearchConfig(BaseModel):
+    """What any tuning is asked for; saved with every result. Defaults are the paper's where it gives them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -22,10 +24,6 @@ class TuneConfig(BaseModel):
     generations: int = Field(default=50, ge=1)
     trials: int = Field(default=1, ge=1)
     seed: int = Field(default=0, ge=0)
-    model: ModelName = "planar5"
-    kind: FilterKind = "ukf"
-    use: tuple[Option, ...] = ()
-    """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
     worst: float = Field(default=1.0, gt=0, le=1)
     """Share of the drives that counts, the worst ones; 1: the mean over all."""
     inertia: float = INERTIA
@@ -34,13 +32,29 @@ class TuneConfig(BaseModel):
     zero_velocity_at_bounds: bool = False
     patience: int | None = Field(default=None, ge=1)
     """Stop a trial after that many generations without a better cost; None: never."""
+
+
+class TuneConfig(SearchConfig):
+    """What the tuning of a filter for cars is asked for."""
+
+    model: ModelName = "planar5"
+    kind: FilterKind = "ukf"
+    use: tuple[Option, ...] = ()
+    """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
     outage_seed: int = Field(default=0, ge=0)
 
 
-def validated_config(config: dict[str, Any]) -> TuneConfig:
+class ModelTuneConfig(SearchConfig):
+    """What the tuning of a model of the user's own is asked for."""
+
+    model: dict[str, Any]
+    """What `Model.identity` says of it."""
+
+
+def validated_config(kind: type[C], config: dict[str, Any]) -> C:
     """The configuration of a tuning, or an `InputError` that names the option."""
     try:
-        return TuneConfig(**config)
+        return kind(**config)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])

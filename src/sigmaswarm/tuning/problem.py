@@ -2,26 +2,37 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.batch import check_drives, replayer_for
+from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, objective_named
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
+P = TypeVar("P", covariant=True)
 
-class Problem(Protocol):
+
+class Problem(Protocol[P]):
     """What `tune` needs to know of a filter, its data and its objective."""
 
-    space: SearchSpace
-    """The box that is searched."""
     data: list[dict[str, Any]]
     """Name, length and fingerprint of each drive."""
+
+    @property
+    def space(self) -> Box:
+        """The box that is searched."""
+        ...
+
+    def parameters(self, point: Array) -> P:
+        """The filter at a point, shape (d,), in search coordinates."""
+        ...
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
@@ -29,6 +40,10 @@ class Problem(Protocol):
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
+        ...
+
+    def on(self, data: Sequence[Any]) -> "Problem[P]":
+        """The same filters and objective on other data."""
         ...
 
 
@@ -57,15 +72,25 @@ class CarProblem:
         )
         self.data = [described(drive) for drive in drives]
         self.replayer = replayer_for(self.objective, drives, config.outage_seed)
-        self._worst = config.worst
+        self._config = config
+
+    def parameters(self, point: Array) -> FilterParameters:
+        """The filter at a point, shape (d,), in search coordinates."""
+        return self.space.decode(point[np.newaxis])[0]
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.objective.costs(self.replayer.scores(self.space.decode(points), executor), self._worst)
+        return self.objective.costs(
+            self.replayer.scores(self.space.decode(points), executor), self._config.worst
+        )
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
         return self.objective.rise(costs, best)
+
+    def on(self, data: Sequence[Drive]) -> "CarProblem":
+        """The same filters and objective on other drives."""
+        return CarProblem(data, self._config, self.space)
 
 
 def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:

@@ -3,20 +3,23 @@
 import platform
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic
 
 import numba
 import numpy as np
 import tomli_w
+from typing_extensions import TypeVar
 
 import sigmaswarm
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
-from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
+from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import Sensitivity
 from sigmaswarm.tuning.store import write_whole
 
+P = TypeVar("P", default=FilterParameters)
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
 
@@ -48,12 +51,12 @@ class Validation:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuning:
+class Tuning(Generic[P]):
     """What `tune` found.
 
     Attributes
     ----------
-    parameters : FilterParameters
+    parameters : FilterParameters, or dict of str to float for a model of your own
         Of the best trial.
     cost : float
         Its objective on the training drives.
@@ -61,7 +64,7 @@ class Tuning:
         Which parameters ended on a bound of the box: the optimum may lie outside it.
     trials : tuple of Trial
     best_trial : int
-    config : TuneConfig
+    config : TuneConfig, or ModelTuneConfig for a model of your own
     data : list of dict
         Name, length and fingerprint of each drive.
     sensitivities : tuple of Sensitivity
@@ -70,12 +73,12 @@ class Tuning:
         What the objective says on drives that were held back from the search.
     """
 
-    parameters: FilterParameters
+    parameters: P
     cost: float
     touched_bounds: list[str]
     trials: tuple[Trial, ...]
     best_trial: int
-    config: TuneConfig
+    config: SearchConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
@@ -109,19 +112,16 @@ class Tuning:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""
-        objective = objective_named(self.config.objective)
         ranges = {
             s.name: [s.lowest if s.lowest is not None else "-", s.highest if s.highest is not None else "-"]
             for s in self.sensitivities
         }
         return {
-            "filter": self.parameters.to_dict(),
-            "units": units(self.parameters),
-            "densities": densities(self.parameters),
+            **self._filter(),
             "result": {
                 "cost": self.cost,
-                "objective": objective.name,
-                "objective_meaning": objective.summary,
+                "objective": self.config.objective,
+                "objective_meaning": self._meaning(),
                 **({} if self.validation is None else self.validation.to_dict()),
                 "touched_bounds": self.touched_bounds,
                 "unidentified": self.unidentified,
@@ -135,6 +135,25 @@ class Tuning:
             "versions": versions(),
             "data": self.data,
         }
+
+    def _filter(self) -> dict[str, Any]:
+        if isinstance(self.parameters, FilterParameters):
+            return {
+                "filter": self.parameters.to_dict(),
+                "units": units(self.parameters),
+                "densities": densities(self.parameters),
+            }
+        model = self.config.model if isinstance(self.config, ModelTuneConfig) else {}
+        stated = {t["name"]: t["unit"] for t in model["parameters"] if t["unit"]}
+        return {"filter": self.parameters, "units": stated | {"states": model["states"]}}
+
+    def _meaning(self) -> str:
+        name = self.config.objective
+        return (
+            MODEL_OBJECTIVES[name]
+            if isinstance(self.config, ModelTuneConfig)
+            else objective_named(name).summary
+        )
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `FilterParameters.load` reads."""

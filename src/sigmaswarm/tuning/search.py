@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
 from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
@@ -56,7 +57,7 @@ class Search:
 
     Attributes
     ----------
-    config : TuneConfig
+    config : SearchConfig
     problem : Problem
         What is minimized.
     executor : concurrent.futures.Executor
@@ -67,8 +68,8 @@ class Search:
         Told of every generation.
     """
 
-    config: TuneConfig
-    problem: Problem
+    config: SearchConfig
+    problem: Problem[Any]
     executor: Executor
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None

@@ -8,18 +8,18 @@ of its own errors, but hardly its estimates.
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.problem import Problem
-from sigmaswarm.tuning.space import SearchSpace
 
 RISE = 0.01
 """Share by which the cost may rise."""
 HALVINGS = 10
 """The steps away from the optimum are the way to the bound, halved so often, doubled until the bound is reached."""
-NOISES = ("process_noise", "measurement_noise", "velocity_noise", "lateral_noise", "standstill_noise")
 NOISE_SCALE = "all noise variances times"
 
 
@@ -47,7 +47,9 @@ class Sensitivity:
         return self.lowest is not None or self.highest is not None
 
 
-def sensitivities(problem: Problem, point: Array, cost: float, executor: Executor) -> tuple[Sensitivity, ...]:
+def sensitivities(
+    problem: Problem[Any], point: Array, cost: float, executor: Executor
+) -> tuple[Sensitivity, ...]:
     """Move each parameter of a tuned filter away from its value, both ways, until the cost has risen by 1%.
 
     Parameters
@@ -81,7 +83,7 @@ class _Way:
     value: Callable[[Array], float]
 
 
-def _ways(space: SearchSpace, point: Array) -> Iterator[_Way]:
+def _ways(space: Box, point: Array) -> Iterator[_Way]:
     for i, name in enumerate(space.names):
         axis = np.where(np.arange(len(point)) == i, 1.0, 0.0)
         yield _Way(
@@ -90,7 +92,7 @@ def _ways(space: SearchSpace, point: Array) -> Iterator[_Way]:
             (space.high[i] - point[i]) * axis,
             lambda p, i=i: float(space.values(p)[i]),
         )
-    noises = space.logarithmic & np.array([d.field in NOISES for d in space.dimensions])
+    noises = space.logarithmic & space.noises
     if noises.any():
         # two decades each way, out of the box if need be: a variance at its bound would else hide the trade
         first = int(np.argmax(noises))

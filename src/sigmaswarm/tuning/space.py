@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import STATE_NAMES, FilterKind, FilterParameters, ModelName
+from sigmaswarm.tuning.box import Box
 
 Scale = Literal["log10", "linear"]
 Option = Literal["velocity", "lateral", "standstill", "gate", "latency"]
@@ -56,61 +57,32 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "gate": (Dimension("gate", "gate", -1, 4.0, 100.0),),
     "latency": (Dimension("latency", "latency", -1, 0.0, 0.5, spread=False),),
 }
+NOISES = ("process_noise", "measurement_noise", "velocity_noise", "lateral_noise", "standstill_noise")
 ADAPTIVE = Dimension("forgetting", "forgetting", -1, 0.9, 0.9999, spread=False)
 
 
 @dataclass(frozen=True, eq=False)
-class SearchSpace:
-    """A box of filter parameters.
+class SearchSpace(Box):
+    """A box of filter parameters for cars.
 
     Attributes
     ----------
     dimensions : tuple of Dimension, length d
     fixed : dict
         Fields of `FilterParameters` that are not searched.
-    logarithmic : ndarray of bool, shape (d,)
-        Which dimensions are searched in log10.
     """
 
     dimensions: tuple[Dimension, ...]
     fixed: dict[str, Any]
-    logarithmic: NDArray[np.bool_]
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Of the dimensions."""
-        return tuple(d.name for d in self.dimensions)
-
-    @property
-    def lowest(self) -> Array:
-        """Lower bounds of the parameters themselves, shape (d,)."""
-        return np.array([d.lowest for d in self.dimensions])
-
-    @property
-    def highest(self) -> Array:
-        """Upper bounds of the parameters themselves, shape (d,)."""
-        return np.array([d.highest for d in self.dimensions])
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds in search coordinates, shape (d,)."""
-        return self._encode(self.lowest)
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds in search coordinates, shape (d,)."""
-        return self._encode(self.highest)
+    def noises(self) -> NDArray[np.bool_]:
+        """Which dimensions are variances of noise, shape (d,)."""
+        return np.array([d.field in NOISES for d in self.dimensions])
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
         return [FilterParameters(**self.fixed, **self._fields(row)) for row in self.values(points).tolist()]
-
-    def values(self, points: Array) -> Array:
-        """The parameters themselves, shape (..., d), of points in search coordinates."""
-        values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
-        # 10**-5.0 is a last bit away from 1e-5: clip, so that no point of the box lies outside it.
-        inside = (points >= self.low) & (points <= self.high)
-        return np.where(inside, np.clip(values, self.lowest, self.highest), values)
 
     def _fields(self, values: list[float]) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -120,19 +92,6 @@ class SearchSpace:
             else:
                 found[dimension.field] = (*found.get(dimension.field, ()), value)
         return found
-
-    def touched(self, point: Array) -> list[str]:
-        """Which parameters lie on a bound of the box, as ``name at its lower bound (value)``."""
-        margin = 1e-9 * (self.high - self.low)
-        sides = (("lower", self.low, self.lowest), ("upper", self.high, self.highest))
-        return [
-            f"{self.names[i]} at its {side} bound ({value[i]:g})"
-            for side, bound, value in sides
-            for i in np.flatnonzero(np.abs(point - bound) <= margin)
-        ]
-
-    def _encode(self, values: Array) -> Array:
-        return np.where(self.logarithmic, np.log10(np.where(self.logarithmic, values, 1.0)), values)
 
 
 def search_space(
@@ -160,7 +119,14 @@ def search_space(
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if kind == "ekf":  # it has no sigma points
         fixed |= {"alpha": 1.0, "beta": 0.0, "kappa": 0.0}
-    return SearchSpace(dimensions, fixed, logarithmic)
+    return SearchSpace(
+        names=tuple(d.name for d in dimensions),
+        lowest=np.array([d.lowest for d in dimensions]),
+        highest=np.array([d.highest for d in dimensions]),
+        logarithmic=logarithmic,
+        dimensions=dimensions,
+        fixed=fixed,
+    )
 
 
 def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> Iterator[Dimension]:

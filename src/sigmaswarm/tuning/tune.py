@@ -5,36 +5,67 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.tuning.config import TuneConfig, validated_config
+from sigmaswarm.filters.custom.log import Log
+from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.parameters import FilterParameters, ModelName
+from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
+from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, Validation, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.store import ResultFolder
 
+C = TypeVar("C", bound=SearchConfig)
+P = TypeVar("P")
 
+
+@overload
 def tune(
     drives: Sequence[Drive] | Drive,
     *,
-    validation: Sequence[Drive] | Drive = (),
+    validation: Sequence[Drive] | Drive = ...,
+    model: ModelName = ...,
     out: str | Path | None = None,
     resume: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
-) -> Tuning:
+) -> Tuning[FilterParameters]: ...
+@overload
+def tune(
+    drives: Sequence[Log] | Log,
+    *,
+    model: Model,
+    validation: Sequence[Log] | Log = ...,
+    out: str | Path | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    **config: Any,
+) -> Tuning[dict[str, float]]: ...
+def tune(
+    drives: Sequence[Drive] | Sequence[Log] | Drive | Log,
+    *,
+    validation: Sequence[Drive] | Sequence[Log] | Drive | Log = (),
+    out: str | Path | None = None,
+    resume: bool = False,
+    executor: Executor | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    **config: Any,
+) -> Tuning[Any]:
     """Tune a filter on drives with particle swarm optimization.
 
     Parameters
     ----------
-    drives : Drive or sequence of Drive
-        The training drives. Keep others back for `evaluate`.
+    drives : Drive or sequence of Drive; Log or sequence of Log
+        The training drives, or the logs of a model of your own. Keep others back for `evaluate`.
     validation : Drive or sequence of Drive
         Drives that the search does not see. What the objective says on them stands in the result; nothing is chosen
         by it.
@@ -48,6 +79,7 @@ def tune(
         Called with a `Progress` after every generation.
     **config
         The fields of `TuneConfig`: objective, scale, particles, generations, trials, seed, model, ...
+        ``model`` may be a `Model` of your own; its objectives are truth-rmse and innovation-nll.
 
     Raises
     ------
@@ -57,12 +89,8 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives, validation = ([d] if isinstance(d, Drive) else list(d) for d in (drives, validation))
-    settings = settled(validated_config(config), drives)
-    problem = CarProblem(drives, settings)
-    held_back = CarProblem(validation, settings, problem.space) if validation else None
-    if problem.objective.warning:
-        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
+    problem, settings = _problem(_listed(drives), config)
+    held_back = problem.on(others) if (others := _listed(validation)) else None
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
         asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
@@ -79,21 +107,42 @@ def tune(
     return tuning
 
 
-def settled(config: TuneConfig, drives: Sequence[Drive]) -> TuneConfig:
-    """The configuration with the objective that ``auto`` stands for on these drives."""
+def _problem(data: Sequence[Any], config: dict[str, Any]) -> tuple[Problem[Any], SearchConfig]:
+    """What is minimized: for a model of the user's own on logs, or for a car's on drives."""
+    model = config.get("model")
+    wanted = Log if isinstance(model, Model) else Drive
+    stray = [type(thing).__name__ for thing in data if not isinstance(thing, wanted)]
+    if stray:
+        raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
+    if isinstance(model, Model):
+        settings = _settled(validated_config(ModelTuneConfig, config | {"model": model.identity()}), data)
+        return ModelProblem(data, model, settings), settings
+    settings = _settled(validated_config(TuneConfig, config), data)
+    problem = CarProblem(data, settings)
+    if problem.objective.warning:
+        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
+    return problem, settings
+
+
+def _settled(config: C, data: Sequence[Drive | Log]) -> C:
+    """The configuration with the objective that ``auto`` stands for on this data."""
     if config.objective != "auto":
         return config
-    known = all(drive.truth is not None for drive in drives)
+    known = all(one.truth for one in data)
     return config.model_copy(update={"objective": "truth-rmse" if known else "innovation-nll"})
+
+
+def _listed(data: Any) -> list[Any]:
+    return [data] if isinstance(data, Drive | Log) else list(data)
 
 
 def _chosen(
     trials: tuple[Trial, ...],
-    problem: Problem,
-    held_back: Problem | None,
-    config: TuneConfig,
+    problem: Problem[P],
+    held_back: Problem[P] | None,
+    config: SearchConfig,
     executor: Executor,
-) -> Tuning:
+) -> Tuning[P]:
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost = trials[best].point, trials[best].cost
     if not np.isfinite(cost):
@@ -107,7 +156,7 @@ def _chosen(
         names = tuple(entry["name"] for entry in held_back.data)
         validation = Validation(other, float(problem.rise(other, cost)), names)
     return Tuning(
-        parameters=problem.space.decode(point[np.newaxis])[0],
+        parameters=problem.parameters(point),
         cost=cost,
         touched_bounds=problem.space.touched(point),
         trials=trials,

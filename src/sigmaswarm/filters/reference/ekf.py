@@ -5,11 +5,18 @@ References
 D. Simon, Optimal State Estimation, Wiley 2006, section 13.2.3.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+from sigmaswarm.filters.reference.gaussian import (
+    Array,
+    GaussianFilter,
+    Innovation,
+    Measurement,
+    Process,
+    less_whole_turns,
+)
 
 
 class ExtendedKalmanFilter(GaussianFilter):
@@ -23,10 +30,20 @@ class ExtendedKalmanFilter(GaussianFilter):
         ``h(state) -> measurement``, shapes (n,) to (m,).
     mean, covariance : ndarray, shapes (n,), (n, n)
         Where it starts.
+    measured_angles : sequence of int
+        Elements of ``h`` that are angles: their innovations are wrapped.
     """
 
-    def __init__(self, f: Process, h: Measurement, mean: Array, covariance: Array) -> None:
-        self.f, self.h = f, h
+    def __init__(
+        self,
+        f: Process,
+        h: Measurement,
+        mean: Array,
+        covariance: Array,
+        *,
+        measured_angles: Sequence[int] = (),
+    ) -> None:
+        self.f, self.h, self.measured_angles = f, h, list(measured_angles)
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
@@ -39,12 +56,12 @@ class ExtendedKalmanFilter(GaussianFilter):
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
         """nu = z - h(x), S = H P H^T + R, C = P H^T."""
+        angles = self.measured_angles if h is None else []
         h = h or self.h
         jacobian = complex_step(h, self.mean)
         cross = self.covariance @ jacobian.T
-        return Innovation(
-            measurement - h(self.mean), jacobian @ cross + measurement_noise, cross, measurement_noise
-        )
+        nu = less_whole_turns(measurement - h(self.mean), angles)
+        return Innovation(nu, jacobian @ cross + measurement_noise, cross, measurement_noise)
 
 
 def complex_step(function: Callable[[Array], Array], x: Array) -> Array:

@@ -1,6 +1,6 @@
 """What all Kalman filters share: a Gaussian state, and how it absorbs an innovation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,13 @@ class Innovation:
     def nis(self) -> float:
         """Normalized innovation squared, nu^T S^-1 nu."""
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
+
+
+def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
+    """``values``, shape (..., m), with the columns that are angles (rad) brought to within half a turn of zero."""
+    values = values.copy()
+    values[..., columns] -= 2 * np.pi * np.round(values[..., columns] / (2 * np.pi))
+    return values
 
 
 class GaussianFilter:

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.errors import SigmaswarmError
-from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+from sigmaswarm.filters.reference.gaussian import (
+    Array,
+    GaussianFilter,
+    Innovation,
+    Measurement,
+    Process,
+    less_whole_turns,
+)
 
 
 class NotPositiveDefiniteError(SigmaswarmError):
@@ -91,6 +98,9 @@ class UnscentedKalmanFilter(GaussianFilter):
     angles : sequence of int
         States that are angles. What f changes of their differences from the centre point is wrapped:
         a circular mean would not do, since the centre's weight is hugely negative for a small alpha.
+    measured_angles : sequence of int
+        Elements of ``h`` that are angles: their differences from the centre point's, and their innovations, are
+        wrapped.
 
     Attributes
     ----------
@@ -108,11 +118,12 @@ class UnscentedKalmanFilter(GaussianFilter):
         *,
         redraw_sigma_points: bool = True,
         angles: Sequence[int] = (),
+        measured_angles: Sequence[int] = (),
     ) -> None:
         self.f, self.h, self.points = f, h, points
         self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
         self.redraw_sigma_points = redraw_sigma_points
-        self.angles = list(angles)
+        self.angles, self.measured_angles = list(angles), list(measured_angles)
         self._propagated: Array | None = None
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
@@ -134,17 +145,21 @@ class UnscentedKalmanFilter(GaussianFilter):
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
         """nu, S and C from the sigma points; ``h`` takes the place of the filter's own."""
+        angles = self.measured_angles if h is None else []
         h = h or self.h
         wm, wc = self.points.weights(len(self.mean))
         sigmas = self._propagated
         if self.redraw_sigma_points or sigmas is None:
             sigmas = self.points.draw(self.mean, self.covariance)
         predicted = np.array([h(s) for s in sigmas])
+        offsets = less_whole_turns(predicted - predicted[0], angles)
+        predicted[:, angles] = predicted[0, angles] + offsets[:, angles]
         centre = wm @ (predicted - predicted[0]) + predicted[0]
         spread_z = predicted - centre
         spread_x = sigmas - self.mean
         s = (spread_z.T * wc) @ spread_z + measurement_noise
-        return Innovation(measurement - centre, s, (spread_x.T * wc) @ spread_z, measurement_noise)
+        nu = less_whole_turns(measurement - centre, angles)
+        return Innovation(nu, s, (spread_x.T * wc) @ spread_z, measurement_noise)
 
     def absorb(self, innovation: Innovation) -> None:
         """x + K nu, P - K S K^T."""

@@ -1,0 +1,245 @@
+"""The unscented filter of `textbook`, compiled around a user's f and h: one parameter set over one log.
+
+Nothing is known of f and h, so nothing can be vectorized; what remains is to leave out Python. A function of the user's
+can't be cached between processes, so each process compiles its own kernel when it first needs it. Plain loops, since
+whole-array expressions take Numba several times as long to compile, and plain arguments, since a tuple of the arrays
+makes each step take twice as long.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false
+
+import math
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_TWO_PI = 2 * math.pi
+
+_kernel = njit(error_model="numpy")
+
+_Weights = namedtuple("_Weights", "gamma centre_mean centre_covariance other")
+
+
+def build_kernel(
+    f: Callable[..., Any], h: Callable[..., Any], process_noise: Callable[..., Any], *, diagonal: bool
+) -> Any:
+    """The filter around a user's functions, compiled when it is first called; `run` in it says what it takes.
+
+    ``diagonal``: process_noise gives the diagonal of Q. Bounds are checked in the user's functions: an index that is
+    off raises there, too, in place of reading foreign memory.
+    """
+    user = njit(error_model="numpy", boundscheck=True)
+    f, h, process_noise = (user(getattr(g, "py_func", g)) for g in (f, h, process_noise))
+    put = _put_diagonal if diagonal else _put_matrix
+
+    @_kernel
+    def predict(mean, covariance, root, drawn, moved, state, weights, dt, u, p, angles):
+        """Push the sigma points through f, and add Q; False where P has no root."""
+        if not _draw(mean, covariance, weights.gamma, root, drawn):
+            return False
+        for k in range(drawn.shape[0]):
+            _copy(drawn[k], state)  # a copy: f may work in place
+            _copy(f(state, dt, u, p), moved[k])
+        _centre(moved, drawn, angles, weights, mean)
+        put(process_noise(dt, p), covariance)
+        _add_products(moved, moved, weights, covariance)
+        return True
+
+    @_kernel
+    def measure(
+        mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights, z, noise, p, angles
+    ):
+        """Draw sigma points anew and push them through h: nu, S and C; False where P has no root."""
+        if not _draw(mean, covariance, weights.gamma, root, drawn):
+            return False
+        for k in range(drawn.shape[0]):
+            _copy(drawn[k], state)
+            _copy(h(state, p), seen[k])
+            for i in range(mean.size):
+                drawn[k, i] -= mean[i]
+        _centre(seen, seen[:, :0], angles, weights, predicted)
+        for i in range(z.size):
+            nu[i] = z[i] - predicted[i]
+            if angles[i]:
+                nu[i] -= _TWO_PI * np.rint(nu[i] / _TWO_PI)
+        _put_matrix(noise, s)
+        _add_products(seen, seen, weights, s)
+        _clear(cross)
+        _add_products(drawn, seen, weights, cross)
+        return True
+
+    def run(
+        dt, source, absorbs, records, inputs, measurements, mean0, covariance0, angles, measured_angles,
+        scaling, noise, p, means, covariances, nis, nll,
+    ):  # fmt: skip
+        """Take all steps, write to the last four arrays; gives the step in which the filter failed, or -1."""
+        m = measurements.shape[1]
+        n, weights = mean0.size, _weights(mean0.size, scaling)
+        mean, covariance, root, state = mean0.copy(), covariance0.copy(), np.zeros((n, n)), np.empty(n)
+        drawn, moved, seen = np.empty((2 * n + 1, n)), np.empty((2 * n + 1, n)), np.empty((2 * n + 1, m))
+        predicted, nu, cross = np.empty(m), np.empty(m), np.empty((n, m))
+        s, root_s = np.empty((m, m)), np.zeros((m, m))
+        for step in range(dt.size):
+            row, at = absorbs[step], records[step]
+            if dt[step] > 0 and not predict(
+                mean, covariance, root, drawn, moved, state, weights, dt[step], inputs[source[step]], p, angles
+            ):  # fmt: skip
+                return step
+            if row >= 0:
+                if not measure(
+                    mean, covariance, root, drawn, state, seen, predicted, nu, s, cross, weights,
+                    measurements[row], noise, p, measured_angles,
+                ):  # fmt: skip
+                    return step
+                nis[row], log_det = _absorb(mean, covariance, nu, s, cross, root_s)
+                nll[row] = 0.5 * (nis[row] + log_det + m * math.log(_TWO_PI))
+            if not _finite(mean, covariance):
+                return step
+            if at >= 0:
+                _copy(mean, means[at])
+                if covariances.shape[0] > 0:
+                    _put_matrix(covariance, covariances[at])
+        return -1
+
+    return njit(nogil=True, error_model="numpy")(run)
+
+
+@_kernel
+def _weights(n, scaling):
+    alpha, beta, kappa = scaling[0], scaling[1], scaling[2]
+    gamma2 = alpha**2 * (n + kappa)
+    centre = 1 - n / gamma2
+    return _Weights(math.sqrt(gamma2), centre, centre + 1 - alpha**2 + beta, 0.5 / gamma2)
+
+
+@_kernel
+def _draw(mean, covariance, gamma, root, sigmas):
+    """Sigma points: centre, centre plus each column of the root, centre minus each; False where there is no root."""
+    n = mean.size
+    if not _root(covariance, root):
+        return False
+    for i in range(n):
+        sigmas[0, i] = mean[i]
+        for j in range(n):
+            offset = gamma * root[i, j]
+            sigmas[1 + j, i] = mean[i] + offset
+            sigmas[1 + n + j, i] = mean[i] - offset
+    return True
+
+
+@_kernel
+def _root(a, root):
+    """The Cholesky factor of ``a``, written to the lower half of ``root``; False where there is none (NaN included)."""
+    for j in range(a.shape[0]):
+        for i in range(j, a.shape[0]):
+            s = a[i, j]
+            for k in range(j):
+                s -= root[i, k] * root[j, k]
+            if i > j:
+                root[i, j] = s / root[j, j]
+            elif s > 0 and s < np.inf:
+                root[j, j] = math.sqrt(s)
+            else:
+                return False
+    return True
+
+
+@_kernel
+def _centre(images, points, angles, weights, mean):
+    """The mean of ``images``, written to ``mean``, and what they differ from it, in their place.
+
+    In an angle, a difference from the first image less that of the points they are images of (where such are given)
+    is no more than half a turn.
+    """
+    for i in range(images.shape[1]):
+        first, shift = images[0, i], 0.0
+        for k in range(images.shape[0]):
+            offset = images[k, i] - first
+            if angles[i]:
+                own = points[k, i] - points[0, i] if points.shape[1] > 0 else 0.0
+                offset -= _TWO_PI * np.rint((offset - own) / _TWO_PI)
+            images[k, i] = offset
+            shift += (weights.centre_mean if k == 0 else weights.other) * offset
+        for k in range(images.shape[0]):
+            images[k, i] -= shift
+        mean[i] = first + shift
+
+
+@_kernel
+def _add_products(a, b, weights, out):
+    """Add the weighted outer products of the rows of ``a`` and ``b`` to ``out``."""
+    for k in range(a.shape[0]):
+        weight = weights.centre_covariance if k == 0 else weights.other
+        for i in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += weight * a[k, i] * b[k, j]
+
+
+@_kernel
+def _absorb(mean, covariance, nu, s, cross, root):
+    """x + K nu and P - K S K^T; gives NIS and log det S, all NaN where S has no root.
+
+    With S = L L^T, y = L^-1 nu and W = C L^-T: K nu = W y, K S K^T = W W^T, and the NIS is y^T y.
+    """
+    n, m = cross.shape
+    if not _root(s, root):
+        covariance[0, 0] = np.nan
+        return np.nan, np.nan
+    nis, log_det = 0.0, 0.0
+    for j in range(m):
+        for k in range(j):
+            nu[j] -= root[j, k] * nu[k]
+            for i in range(n):
+                cross[i, j] -= root[j, k] * cross[i, k]
+        nu[j] /= root[j, j]
+        nis += nu[j] * nu[j]
+        log_det += 2 * math.log(root[j, j])
+        for i in range(n):
+            cross[i, j] /= root[j, j]
+            mean[i] += cross[i, j] * nu[j]
+    for i in range(n):
+        for j in range(n):
+            for k in range(m):
+                covariance[i, j] -= cross[i, k] * cross[j, k]
+    return nis, log_det
+
+
+@_kernel
+def _finite(mean, covariance):
+    """Whether both are finite numbers throughout: zero times anything else is NaN."""
+    total = 0.0
+    for i in range(mean.size):
+        total += 0.0 * mean[i]
+        for j in range(mean.size):
+            total += 0.0 * covariance[i, j]
+    return total == 0.0
+
+
+@_kernel
+def _copy(a, out):
+    for i in range(out.size):
+        out[i] = a[i]
+
+
+@_kernel
+def _put_matrix(a, out):
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = a[i, j]
+
+
+@_kernel
+def _put_diagonal(a, out):
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = a[i] if i == j else 0.0
+
+
+@_kernel
+def _clear(a):
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            a[i, j] = 0.0

@@ -1,0 +1,133 @@
+"""A log: what the sensors said, for a model of the user's own."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What the sensors said in one recording, where a filter starts, and what was true where that is known.
+
+    The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement in between splits
+    that step, as in drives. Measurements outside of ``time`` are left out.
+
+    Attributes
+    ----------
+    name : str
+    time : ndarray, shape (k,)
+        s, strictly increasing.
+    measurement_time : ndarray, shape (f,)
+        s, strictly increasing; a clock of its own.
+    measurements : ndarray, shape (f, m)
+        (f,) stands for (f, 1).
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Of the state at ``time[0]``: where the filter starts. Not taken from truth, or the filter has seen it.
+    inputs : ndarray, shape (k, u), optional
+        What drives the process; (k,) stands for (k, 1). None: nothing does, and f gets an empty array.
+    truth : mapping of str to ndarray, shape (j,)
+        True values of some or all states, by name. Never shown to a filter.
+    truth_time : ndarray, shape (j,), optional
+        s, strictly increasing; ``time`` by default.
+
+    Raises
+    ------
+    InputError
+        If a shape or a value can't be used.
+    """
+
+    name: str
+    time: Array
+    measurement_time: Array
+    measurements: Array
+    mean: Array
+    covariance: Array
+    inputs: Array | None = None
+    truth: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    truth_time: Array | None = None
+
+    def __post_init__(self) -> None:
+        time = self._keep("time", self._clock("time", self.time))
+        fixes = self._keep("measurement_time", self._clock("measurement_time", self.measurement_time))
+        self._keep("measurements", self._table("measurements", self.measurements, len(fixes)))
+        inputs = np.empty((len(time), 0)) if self.inputs is None else self.inputs
+        self._keep("inputs", self._table("inputs", inputs, len(time)))
+        mean = self._keep("mean", self._finite("mean", self.mean))
+        self._keep("covariance", self._finite("covariance", self.covariance))
+        self._check_start(mean)
+        given = self.truth_time is not None
+        moments = self._clock("truth_time", self.truth_time) if given else time
+        self._keep("truth_time", moments)
+        truth = {name: self._finite(f"truth[{name!r}]", column) for name, column in self.truth.items()}
+        for name, column in truth.items():
+            if column.shape != moments.shape:
+                clock = "truth_time" if given else "time"
+                raise self.wrong(
+                    f"truth[{name!r}] has shape {column.shape}, {clock} has {len(moments)} values"
+                )
+        object.__setattr__(self, "truth", truth)
+        if not np.any((fixes >= time[0]) & (fixes <= time[-1])):
+            raise self.wrong(
+                f"no measurement lies within time = {time[0]:g} to {time[-1]:g} s; put both on one clock"
+            )
+
+    def wrong(self, what: str) -> InputError:
+        """The error that says what is wrong with this log."""
+        return InputError(f"log {self.name}: {what}")
+
+    def _keep(self, name: str, column: Array) -> Array:
+        column.setflags(write=False)
+        object.__setattr__(self, name, column)
+        return column
+
+    def _finite(self, name: str, values: ArrayLike | None) -> Array:
+        try:
+            column = np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise self.wrong(f"{name} is no array of numbers") from None
+        bad = np.argwhere(~np.isfinite(column))
+        if len(bad):
+            place = ", ".join(str(i) for i in bad[0])
+            value = column[tuple(bad[0])]
+            raise self.wrong(f"{name}[{place}] is {value:g}; repair it, or leave the row out")
+        return column
+
+    def _clock(self, name: str, values: ArrayLike | None) -> Array:
+        time = self._finite(name, values)
+        if time.ndim != 1 or not len(time):
+            raise self.wrong(f"{name} has shape {time.shape}; give one time, in s, for each row")
+        late = np.flatnonzero(np.diff(time) <= 0)
+        if len(late):
+            i = int(late[0]) + 1
+            raise self.wrong(
+                f"{name}[{i}] = {time[i]:g} s does not come after {time[i - 1]:g} s; sort the rows"
+            )
+        return time
+
+    def _table(self, name: str, values: Any, length: int) -> Array:
+        table = self._finite(name, values)
+        table = table[:, np.newaxis] if table.ndim == 1 else table
+        if table.ndim != 2 or len(table) != length:
+            clock = {"inputs": "time"}.get(name, "measurement_time")
+            raise self.wrong(f"{name} has shape {np.shape(values)}, {clock} has {length} values")
+        return table
+
+    def _check_start(self, mean: Array) -> None:
+        if mean.ndim != 1:
+            raise self.wrong(f"mean has shape {mean.shape}; give one value for each state")
+        n = len(mean)
+        if self.covariance.shape != (n, n):
+            raise self.wrong(f"covariance has shape {self.covariance.shape}; for {n} states it is ({n}, {n})")
+        try:
+            np.linalg.cholesky(self.covariance)
+            sound = np.allclose(self.covariance, self.covariance.T, rtol=1e-9, atol=0)
+        except np.linalg.LinAlgError:
+            sound = False
+        if not sound:
+            raise self.wrong("covariance is not symmetric and positive definite; start from a diagonal one")

@@ -1,0 +1,62 @@
+"""The box that a swarm searches, whatever its parameters mean."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Names and bounds of d parameters, and the coordinates in which they are searched.
+
+    Attributes
+    ----------
+    names : tuple of str, length d
+    lowest, highest : ndarray, shape (d,)
+        Bounds of the parameters themselves.
+    logarithmic : ndarray of bool, shape (d,)
+        Which of them are searched in log10.
+    """
+
+    names: tuple[str, ...]
+    lowest: Array
+    highest: Array
+    logarithmic: NDArray[np.bool_]
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds in search coordinates, shape (d,)."""
+        return self._encode(self.lowest)
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds in search coordinates, shape (d,)."""
+        return self._encode(self.highest)
+
+    @property
+    def noises(self) -> NDArray[np.bool_]:
+        """Which of them are variances that all grow together with the filter's covariance, shape (d,)."""
+        return np.zeros(len(self.names), dtype=np.bool_)
+
+    def values(self, points: Array) -> Array:
+        """The parameters themselves, shape (..., d), of points in search coordinates."""
+        values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
+        # 10**-5.0 is a last bit away from 1e-5: clip, so that no point of the box lies outside it.
+        inside = (points >= self.low) & (points <= self.high)
+        return np.where(inside, np.clip(values, self.lowest, self.highest), values)
+
+    def touched(self, point: Array) -> list[str]:
+        """Which parameters lie on a bound of the box, as ``name at its lower bound (value)``."""
+        margin = 1e-9 * (self.high - self.low)
+        sides = (("lower", self.low, self.lowest), ("upper", self.high, self.highest))
+        return [
+            f"{self.names[i]} at its {side} bound ({value[i]:g})"
+            for side, bound, value in sides
+            for i in np.flatnonzero(np.abs(point - bound) <= margin)
+        ]
+
+    def _encode(self, values: Array) -> Array:
+        return np.where(self.logarithmic, np.log10(np.where(self.logarithmic, values, 1.0)), values)

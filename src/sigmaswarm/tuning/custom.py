@@ -1,0 +1,108 @@
+"""What a tuning minimizes for a model of the user's own."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.custom.identity import fingerprint
+from sigmaswarm.filters.custom.log import Log
+from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.custom.run import Runner
+from sigmaswarm.scoring.custom import state_targets
+from sigmaswarm.tuning.box import Box
+from sigmaswarm.tuning.config import ModelTuneConfig
+from sigmaswarm.tuning.objectives import objective_named, worst_mean
+from sigmaswarm.tuning.space import SCALING, Scale
+
+MODEL_OBJECTIVES = {
+    "truth-rmse": "root mean square of the scored states' errors against truth",
+    "innovation-nll": "mean negative log-likelihood of each measurement before it is absorbed",
+}
+"""What a model of the user's own can be tuned by."""
+
+
+class ModelProblem:
+    """A model of the user's own, on logs.
+
+    Raises
+    ------
+    InputError
+        If the model does not fit a log, or the objective is none for models or needs truth that a log does not have.
+    """
+
+    def __init__(self, logs: Sequence[Log], model: Model, config: ModelTuneConfig) -> None:
+        if not logs:
+            raise InputError("no logs were given; give at least one")
+        if config.objective not in MODEL_OBJECTIVES:
+            raise InputError(
+                f"the objective {config.objective!r} is none for a model of your own; "
+                f"choose one of {', '.join(MODEL_OBJECTIVES)}"
+            )
+        truth = config.objective == "truth-rmse"
+        self._model, self._config = model, config
+        self._targets = [state_targets(log, model) if truth else None for log in logs]
+        self.space = model_box(model, config.scale)
+        self.data = [_described(log) for log in logs]
+        self.runner = Runner(model, logs)
+
+    def parameters(self, point: Array) -> dict[str, float]:
+        """Parameters by name at a point, shape (d,), in search coordinates."""
+        return self._named(self.space.values(point))
+
+    def costs(self, points: Array, executor: Executor) -> Array:
+        """Costs, shape (n,), of points in search coordinates, shape (n, d): the mean over the logs that count."""
+        if isinstance(executor, ProcessPoolExecutor):
+            raise InputError(
+                "functions of your own can't be sent to other processes; use a ThreadPoolExecutor"
+            )
+        sets = [self._named(row) for row in self.space.values(points)]
+        jobs = [(parameters, i) for parameters in sets for i in range(len(self.data))]
+        each = np.array(list(executor.map(self._cost, *zip(*jobs, strict=True))))
+        cost = worst_mean(each.reshape(len(points), len(self.data)), self._config.worst)
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """How much worse costs are than another: 0.01 is 1%."""
+        return objective_named(self._config.objective).rise(costs, best)
+
+    def on(self, data: Sequence[Log]) -> "ModelProblem":
+        """The same filters and objective on other logs."""
+        return ModelProblem(data, self._model, self._config)
+
+    def _cost(self, parameters: dict[str, float], i: int) -> float:
+        run, targets = self.runner.run(i, parameters), self._targets[i]
+        if run.failed >= 0:
+            return float("inf")
+        return targets.rmse(run.mean) if targets else float(run.nll.mean())
+
+    def _named(self, values: Array) -> dict[str, float]:
+        return dict(zip(self.space.names, values.tolist(), strict=True))
+
+
+def model_box(model: Model, scale: Scale) -> Box:
+    """The model's parameters, and the sigma points' scaling where it has them; ``scale`` linear: nothing in log10."""
+    scaling = SCALING if model.kind == "ukf" else ()
+    own = model.parameters
+    return Box(
+        names=(*(d.name for d in scaling), *(t.name for t in own)),
+        lowest=np.array([*(d.lowest for d in scaling), *(t.lowest for t in own)], dtype=np.float64),
+        highest=np.array([*(d.highest for d in scaling), *(t.highest for t in own)], dtype=np.float64),
+        logarithmic=np.array([*(False for _ in scaling), *(t.logarithmic for t in own)]) & (scale == "log10"),
+    )
+
+
+def _described(log: Log) -> dict[str, Any]:
+    """What identifies a log, as `described` says it of a drive."""
+    columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
+    return {
+        "name": log.name,
+        "duration_s": round(float(log.time[-1] - log.time[0]), 3),
+        "inputs": len(log.time),
+        "measurements": len(log.measurements),
+        "has_truth": bool(log.truth),
+        "sha256": fingerprint(*columns, log.truth_time, dict(log.truth)),
+    }

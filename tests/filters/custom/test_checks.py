@@ -1,0 +1,191 @@
+"""Mistakes in a model or a log: one line that names the place, what is wrong and the remedy."""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from custom_models import PARAMETERS, PENDULUM, pendulum_log
+from sigmaswarm import InputError, Log, Tunable, run_model
+from sigmaswarm.filters.custom.identity import fingerprint
+
+LOG = pendulum_log(duration=2.0)
+N, F = len(LOG.time), len(LOG.measurement_time)
+
+
+def said(call) -> str:
+    with pytest.raises(InputError) as caught:
+        call()
+    message = str(caught.value)
+    print(message)
+    assert "\n" not in message
+    return message
+
+
+def with_value(column, at, value):
+    changed = np.array(column)
+    changed[at] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"time": LOG.time[:-1]}, "truth['angle'] has shape (201,), time has 200 values"),
+        ({"time": LOG.time[:, None]}, "time has shape (201, 1); give one time"),
+        ({"time": []}, "time has shape (0,)"),
+        ({"time": with_value(LOG.time, 5, 0.0)}, "time[5] = 0 s does not come after 0.04 s; sort the rows"),
+        ({"time": LOG.time + 100, "truth": {}}, "no measurement lies within time = 100 to 102 s"),
+        ({"measurement_time": LOG.measurement_time[1:]}, "measurements has shape (20, 1), measurement_time has 19"),
+        ({"measurement_time": with_value(LOG.measurement_time, 3, np.inf)}, "measurement_time[3] is inf"),
+        ({"measurements": with_value(LOG.measurements, (7, 0), np.nan)}, "measurements[7, 0] is nan; repair it"),
+        ({"measurements": np.zeros((F, 1, 1))}, "measurements has shape (20, 1, 1)"),
+        ({"measurements": ["a"] * F}, "measurements is no array of numbers"),
+        ({"inputs": np.zeros(N - 1)}, "inputs has shape (200,), time has 201 values"),
+        ({"inputs": np.full(N, np.nan)}, "inputs[0] is nan"),
+        ({"mean": [0.0, np.nan]}, "mean[1] is nan"),
+        ({"mean": 3.0}, "mean has shape ()"),
+        ({"covariance": np.eye(3)}, "covariance has shape (3, 3); for 2 states it is (2, 2)"),
+        ({"covariance": -np.eye(2)}, "covariance is not symmetric and positive definite"),
+        ({"covariance": [[1.0, 0.5], [0.0, 1.0]]}, "covariance is not symmetric"),
+        ({"truth": {"angle": [1.0]}}, "truth['angle'] has shape (1,), time has 201 values"),
+        ({"truth": {"angle": [1.0]}, "truth_time": [1.0, 2.0]}, "has shape (1,), truth_time has 2 values"),
+        ({"truth": {"angle": np.full(N, np.nan)}}, "truth['angle'][0] is nan"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_log_says_what_is_wrong_with_it(change: dict, expected: str):
+    parts = vars(LOG) | {"inputs": None, "truth_time": None} | change
+    message = said(lambda: Log(**parts))
+    assert message.startswith("log swing: ")
+    assert expected in message
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"states": ("angle", "angle")}, "states: 'angle' is there twice"),
+        ({"states": ()}, "states is empty"),
+        ({"states": "angle"}, "states = 'angle' should be a tuple"),
+        ({"states": ("an angle", "rate")}, "states: 'an angle' is no name"),
+        ({"angles": ("heading",)}, "angles names 'heading', which is no state; states are angle, rate"),
+        ({"scored": ("height",)}, "scored names 'height', which is no state"),
+        ({"parameters": ()}, "parameters is empty"),
+        ({"parameters": (Tunable("q", 1, 2), Tunable("q", 1, 2))}, "'q' is there twice"),
+        ({"parameters": (Tunable("lambda", 1, 2),)}, "'lambda' is no name"),
+        ({"parameters": (Tunable("_q", 1, 2),)}, "'_q' is no name"),
+        ({"parameters": (Tunable("alpha", 1, 2),)}, "'alpha' is the sigma points'"),
+        ({"parameters": (Tunable("q", 2, 1),)}, "parameter q: bounds 2, 1; give a lower and a higher one"),
+        ({"parameters": (Tunable("q", 1, math.nan),)}, "parameter q: bounds 1, nan"),
+        ({"parameters": (Tunable("q", 0, 1),)}, "can't be searched in log10 down to 0; give a positive bound"),
+        ({"f": 3}, "f = 3 is no function"),
+        ({"kind": "kf"}, "kind = 'kf'; choose ukf or ekf"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_model_says_what_is_wrong_with_it(change: dict, expected: str):
+    message = said(lambda: replace(PENDULUM, **change))
+    assert message.startswith("model pendulum: ")
+    assert expected in message
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"f": lambda s, dt, u, p: s[:1]}, "f gives shape (1,) on swing; it should be (2,)"),
+        ({"f": lambda s, dt, u, p: s * u[0]}, "f fails on swing: IndexError: index 0 is out of bounds"),
+        ({"f": lambda s, dt, u, p: s * p.mass}, "f fails on swing: AttributeError: 'p' object has no attribute 'mass'"),
+        ({"f": lambda s, dt: s}, "f fails on swing: TypeError"),
+        ({"h": lambda s, p: s}, "h gives shape (2,) on swing; it should be (1,)"),
+        ({"h": lambda s, p: s[0]}, "h gives shape () on swing; it should be (1,)"),
+        ({"process_noise": lambda dt, p: np.ones(3)}, "process_noise gives shape (3,) on swing; it should be (2,) or"),
+        ({"measurement_noise": lambda p: p.r_angle}, "measurement_noise gives shape () on swing"),
+        ({"measured_angles": (1,)}, "measured_angles has 1, but a measurement of swing has 1 elements, from 0"),
+        ({"kind": "ekf", "h": lambda s, p: np.arctan2(s[:1], 1.0)}, "h of a complex state fails on swing: TypeError"),
+    ],
+    ids=lambda v: v if isinstance(v, str) else "",
+)  # fmt: skip
+def test_a_function_that_does_not_fit_the_log_is_named(change: dict, expected: str):
+    model = replace(PENDULUM, **change)
+    needed = {t.name for t in model.parameters}
+    parameters = PARAMETERS if model.kind == "ukf" else {k: v for k, v in PARAMETERS.items() if k in needed}
+    assert expected in said(lambda: run_model(LOG, model, parameters))
+
+
+def test_a_log_of_another_model_is_named():
+    three = Log(**(vars(LOG) | {"mean": np.zeros(3), "covariance": np.eye(3)}))
+    assert "mean has 3 values, the model pendulum has 2 states" in said(
+        lambda: run_model(three, PENDULUM, PARAMETERS)
+    )
+    tall = Log(**(vars(LOG) | {"truth": {"height": LOG.time}}))
+    assert "truth names 'height', which is no state" in said(lambda: run_model(tall, PENDULUM, PARAMETERS))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({k: v for k, v in PARAMETERS.items() if k != "length"}, "parameter 'length' is missing"),
+        ({k: v for k, v in PARAMETERS.items() if k != "kappa"}, "parameter 'kappa' is missing"),
+        (PARAMETERS | {"mass": 1.0}, "there is no parameter 'mass'; it has alpha, beta, kappa, length"),
+        (PARAMETERS | {"length": math.nan}, "parameter length = nan is no finite number"),
+        (PARAMETERS | {"length": "1"}, "parameter length = '1' is no finite number"),
+    ],
+    ids=str,
+)
+def test_wrong_parameters_are_named(parameters: dict, expected: str):
+    assert expected in said(lambda: run_model(LOG, PENDULUM, parameters))
+
+
+# --- The identity of functions -----------------------------------------------------------------------------
+
+OUTSIDE = 2.0
+
+
+def takes_from_outside(x):
+    return OUTSIDE * x
+
+
+def nested(factor):
+    def inner(x):
+        return takes_from_outside(x) * factor
+
+    return inner
+
+
+def test_the_same_code_with_the_same_numbers_has_the_same_identity(monkeypatch: pytest.MonkeyPatch):
+    same = fingerprint(nested(3.0))
+    assert fingerprint(nested(3.0)) == same
+    assert fingerprint(nested(4.0)) != same
+    assert fingerprint(partial(nested, 3.0)) != fingerprint(partial(nested, 4.0))
+    monkeypatch.setitem(globals(), "OUTSIDE", 2.5)  # two functions away
+    assert fingerprint(nested(3.0)) != same
+    assert fingerprint(lambda x: x + 1) != fingerprint(lambda x: x + 2)
+    assert fingerprint(lambda x: np.sin(x)) != fingerprint(lambda x: np.cos(x))
+
+
+def test_a_model_s_identity_has_all_that_makes_it(monkeypatch: pytest.MonkeyPatch):
+    same = PENDULUM.identity()
+    assert replace(PENDULUM).identity() == same
+    assert same["parameters"][0] == {
+        "name": "length",
+        "lowest": 0.2,
+        "highest": 3.0,
+        "logarithmic": False,
+        "unit": "m",
+    }
+    changes = [
+        {"f": lambda s, dt, u, p: s},
+        {"h": lambda s, p: s[1:]},
+        {"process_noise": lambda dt, p: np.array([1e-11, p.q_rate]) * dt},
+        {"measurement_noise": lambda p: np.array([2 * p.r_angle])},
+        {"parameters": (replace(PENDULUM.parameters[0], highest=2.0), *PENDULUM.parameters[1:])},
+        {"angles": ()},
+        {"measured_angles": ()},
+        {"scored": ("angle",)},
+        {"kind": "ekf"},
+        {"name": "swing"},
+    ]
+    hashes = {replace(PENDULUM, **change).identity()["sha256"] for change in changes}
+    assert len(hashes | {same["sha256"]}) == len(changes) + 1
