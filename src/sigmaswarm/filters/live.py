@@ -224,7 +224,8 @@ class LiveFilter:
             half = self._filled // 2
             self._window[:half] = self._window[half:]
             self._filled = half
-        self._window[self._filled] = t, ax, ay, gz
+        row = self._window[self._filled]
+        row[0], row[1], row[2], row[3] = t, ax, ay, gz
         self._filled += 1
         return bool(is_calm(self._window, self._filled - 1, self._floor))
 
