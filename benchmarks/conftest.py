@@ -11,7 +11,7 @@ from sigmaswarm import datasheet, simulate
 from sigmaswarm.tuning.space import search_space
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # for rival_pyswarms
+sys.path.insert(0, str(HERE))  # for the rivals
 os.environ["LOG_CFG"] = str(HERE / "pyswarms-logging.yml")  # PySwarms looks there when it is imported
 
 TURNS = 7
@@ -47,3 +47,16 @@ def parameter_sets(drive):
     space = search_space("planar5", "log10", drive.nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (31, len(space.names)))
     return [datasheet(drive), *space.decode(points)]
+
+
+@pytest.fixture
+def measure(benchmark):
+    """Time a function: ``work`` parameter sets times samples (or calls); ``times`` scales it to the whole job."""
+
+    def run(function, *, work, rounds, times=1):
+        benchmark.pedantic(function, rounds=rounds, warmup_rounds=1)
+        if benchmark.stats:  # none with --benchmark-disable
+            ns = round(benchmark.stats.stats.median / work * 1e9, 3)
+            benchmark.extra_info.update(work=work, times=times, ns=ns)
+
+    return run

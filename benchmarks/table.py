@@ -1,4 +1,4 @@
-"""Run the benchmarks and write their table into docs/benchmarks.md: `make bench`."""
+"""Run the benchmarks and write their tables into docs/benchmarks.md: `make bench`."""
 
 import json
 import os
@@ -9,7 +9,9 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -17,14 +19,19 @@ import llvmlite.binding as llvm
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- written by benchmarks/table.py: begin -->", "<!-- end -->"
-PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms")
+PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "kalman-py", "jax")
 
 FILTERS = {
     "test_filterpy_predict": "FilterPy, one predict",
     "test_filterpy_update": "FilterPy, one update",
     "test_filterpy": "FilterPy, predicts and updates of the drive",
     "test_textbook": "sigmaswarm's textbook filter, the same",
+    "test_numba": "Numba, the textbook's form in loops, one filter at a time, the same",
     "test_batch": "**sigmaswarm's compiled batch of 32, the same, scored**",
+}
+CROWDED = {
+    "test_kalman_py": "kalman-py on JAX, a fix at every IMU sample",
+    "test_batch_crowded": "**sigmaswarm's compiled batch of 32, the same, scored**",
 }
 TUNINGS = {
     "test_tuning_pyswarms_filterpy": "PySwarms + FilterPy",
@@ -46,10 +53,10 @@ def main() -> None:
 
 
 def by_turn(benchmarks: list[dict]) -> dict[str, list[dict]]:
-    """The record of every turn, in order, by the benchmark's name."""
+    """The record of every turn, in order, by name: `test_kind[turn0-planar5 ekf]` is `test_kind planar5 ekf`."""
     turns = defaultdict(list)
     for benchmark in benchmarks:
-        turns[benchmark["name"].split("[")[0]].append(benchmark)
+        turns[re.sub(r"\[turn\d+-?(.*)\]", r" \1", benchmark["name"]).strip()].append(benchmark)
     return turns
 
 
@@ -70,40 +77,103 @@ def ratio(rival: list[dict], ours: list[dict], measure) -> str:
 
 
 def render(measured: dict[str, list[dict]]) -> str:
-    ours = measured["test_batch"]
-    lines = [
-        machine(),
-        "",
-        "| filter | ns per parameter set and IMU sample (or call), median | fastest turn | times the batch's |",
-        "|---|---:|---:|---:|",
-    ]
-    for name, label in FILTERS.items():
+    tables = (
+        filters(measured, FILTERS, "test_batch"),
+        filters(measured, CROWDED, "test_batch_crowded"),
+        kinds(measured),
+        tunings(measured),
+        cores(measured),
+        live(measured),
+    )
+    return "\n\n".join([machine(), *("\n".join(table) for table in tables)])
+
+
+def filters(measured: dict, labels: dict[str, str], ours: str) -> Iterator[str]:
+    yield "| filter | ns per parameter set and IMU sample (or call), median | fastest turn | times the batch's |"
+    yield "|---|---:|---:|---:|"
+    for name, label in labels.items():
+        if name not in measured:
+            yield f"| {label} | not installed | | |"
+            continue
         times = [per_unit(record) for record in measured[name]]
-        times_ours = "1" if name == "test_batch" else ratio(measured[name], ours, per_unit)
-        lines.append(
-            f"| {label} | {number(statistics.median(times))} | {number(min(times))} | {times_ours} |"
-        )
-    lines += [
-        "",
-        "| one tuning: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole tuning | times ours |",
-        "|---|---:|---:|---:|",
-    ]
+        compared = "1" if name == ours else ratio(measured[name], measured[ours], per_unit)
+        yield f"| {label} | {number(statistics.median(times))} | {number(min(times))} | {compared} |"
+
+
+def kinds(measured: dict) -> Iterator[str]:
+    yield "| compiled batch of 32 | ns per parameter set and IMU sample, median | times planar5's UKF |"
+    yield "|---|---:|---:|"
+    ours = measured["test_kind planar5 ukf"]
+    for name in (name for name in measured if name.startswith("test_kind ")):
+        median = statistics.median(per_unit(record) for record in measured[name])
+        yield f"| {name.removeprefix('test_kind ')} | {number(median)} | {spread(measured[name], ours)} |"
+
+
+def spread(records: list[dict], ours: list[dict]) -> str:
+    """Ratios within the turns: median, lowest and highest."""
+    ratios = [per_unit(a) / per_unit(b) for a, b in zip(records, ours, strict=True)]
+    return f"{statistics.median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
+
+
+def tunings(measured: dict) -> Iterator[str]:
+    yield "| one tuning: 30 particles, 50 generations, 10 minutes at 100 Hz | measured | whole tuning | times ours |"
+    yield "|---|---:|---:|---:|"
     ours = measured["test_tuning_sigmaswarm"]
     for name, label in TUNINGS.items():
         records = measured[name]
         whole = statistics.median([seconds(record) for record in records])
         share = records[0]["extra_info"]["times"]
         part = "in full" if share == 1 else f"1 part in {share:,.0f}, extrapolated"
-        times_ours = "1" if records is ours else ratio(records, ours, seconds)
-        lines.append(f"| {label} | {part} | {duration(whole)} | {times_ours} |")
-    return "\n".join(lines)
+        compared = "1" if records is ours else ratio(records, ours, seconds)
+        yield f"| {label} | {part} | {duration(whole)} | {compared} |"
+
+
+def cores(measured: dict) -> Iterator[str]:
+    """Turns in which other jobs kept a core busy say nothing about two cores: they are left out, and counted."""
+    yield "| parameter sets | one core, ms | two cores, ms | times faster, median [lowest, highest] | calm turns |"
+    yield "|---:|---:|---:|---:|---:|"
+    for name in (name for name in measured if name.startswith("test_cores ")):
+        every = [record["extra_info"] for record in measured[name]]
+        calm = [turn for turn in every if turn["calm"]] or every
+        one, two, ratios = ([turn[key] for turn in calm] for key in ("one", "two", "ratio"))
+        cells = f"{statistics.median(one) * 1e3:.1f} | {statistics.median(two) * 1e3:.1f}"
+        found = f"{statistics.median(ratios):.2f} [{min(ratios):.2f}, {max(ratios):.2f}]"
+        among = f"{sum(turn['calm'] for turn in every)} of {len(every)}"
+        yield f"| {name.removeprefix('test_cores ')} | {cells} | {found} | {among} |"
+
+
+def live(measured: dict) -> Iterator[str]:
+    yield "| one call at a time, us | predict | update | a sample with its fix | times faster: predict | with its fix |"
+    yield "|---|---:|---:|---:|---:|---:|"
+    rival = measured["test_filterpy_calls"]
+    rows = {"test_filterpy_calls": "FilterPy, planar5 ukf"}
+    rows |= {name: name.removeprefix("test_live ") for name in measured if name.startswith("test_live ")}
+    rows["test_live_late"] = "planar5 ukf, fixes 50 ms late"
+    for name, label in rows.items():
+        cells = [
+            "{:.2f} (99.9%: {:.1f})".format(
+                *(middle(measured[name], f"{c}_{k}") / 1e3 for k in ("median", "tail"))
+            )
+            for c in ("predict", "update", "both")
+        ]
+        for call in ("predict_median", "both_median"):
+            of = [
+                a["extra_info"][call] / b["extra_info"][call]
+                for a, b in zip(rival, measured[name], strict=True)
+            ]
+            cells.append("1" if measured[name] is rival else f"{statistics.median(of):.1f}")
+        yield f"| {label} | {' | '.join(cells)} |"
+
+
+def middle(records: list[dict], key: str) -> float:
+    return statistics.median(record["extra_info"][key] for record in records)
 
 
 def machine() -> str:
     """Processor, cores and versions; nothing that tells whose machine it is."""
-    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES if find_spec(name.replace("-", "_")))
     return (
-        f"{processor()}, {os.cpu_count()} cores of which one is used; "
+        f"{processor()}, {os.cpu_count()} cores, of which one is used where nothing else is said; "
         f"Python {platform.python_version()}, {packages}."
     )
 

@@ -4,12 +4,15 @@ Each benchmark says in ``extra_info`` how much work one round does: ``work`` cou
 (or calls), and ``ns`` is the median time of one of them. ``times`` scales a part up to the whole job.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import rival_numba
 from rival_pyswarms import Course, make_filter
 from rival_pyswarms import tune as tune_with_pyswarms
-from sigmaswarm import clip, initial_state, run_filter, run_reference, tune
+from sigmaswarm import Gps, clip, initial_state, run_filter, run_reference, tune
 from sigmaswarm.scoring.batch import Replayer
 
 PART = 5.0
@@ -32,21 +35,21 @@ def point(parameter_sets):
 
 
 @pytest.fixture(scope="session")
+def crowded(drive):
+    """The drive with a fix at every IMU sample, since kalman-py's filter absorbs one at every step."""
+    gps, time = drive.gps, drive.imu.time
+    return replace(drive, gps=Gps(time, np.interp(time, gps.time, gps.x), np.interp(time, gps.time, gps.y)))
+
+
+@pytest.fixture(scope="session")
 def replayer(drive, parameter_sets):
     replayer = Replayer([drive], outages=False)
     replayer.scores(parameter_sets)  # compiles, where the cache is empty
     return replayer
 
 
-def measure(benchmark, run, *, work, rounds, times=1):
-    benchmark.pedantic(run, rounds=rounds, warmup_rounds=1)
-    if benchmark.stats:  # none with --benchmark-disable
-        ns = round(benchmark.stats.stats.median / work * 1e9, 3)
-        benchmark.extra_info.update(work=work, times=times, ns=ns)
-
-
 @pytest.mark.benchmark(group="filter")
-def test_filterpy_predict(benchmark, part, point):
+def test_filterpy_predict(measure, part, point):
     ukf = make_filter(point, part.initial)
     ukf.Q = np.diag(10.0 ** point[3:8])
 
@@ -55,11 +58,11 @@ def test_filterpy_predict(benchmark, part, point):
         for dt, u in zip(part.dt, part.imu, strict=True):
             ukf.predict(dt=dt, u=u)
 
-    measure(benchmark, run, work=len(part.dt), rounds=3)
+    measure(run, work=len(part.dt), rounds=3)
 
 
 @pytest.mark.benchmark(group="filter")
-def test_filterpy_update(benchmark, part, point):
+def test_filterpy_update(measure, part, point):
     ukf = make_filter(point, part.initial)
     ukf.predict(dt=part.dt[0], u=part.imu[0])
     fix = part.fixes[0, :2]
@@ -68,26 +71,25 @@ def test_filterpy_update(benchmark, part, point):
         for _ in range(200):
             ukf.update(fix)
 
-    measure(benchmark, run, work=200, rounds=3)
+    measure(run, work=200, rounds=3)
 
 
 @pytest.mark.benchmark(group="filter")
-def test_filterpy(benchmark, drive, part, point, parameter_sets):
+def test_filterpy(measure, drive, part, point, parameter_sets):
     # Both do the same work just if they end with the same error; their sigma points differ a little.
     ours = run_filter(drive, parameter_sets[0]).mean[: part.n_samples, :2]
     assert part.rmse(point) == pytest.approx(
         np.sqrt(np.mean(np.sum((ours - part.truth) ** 2, axis=1))), rel=1e-3
     )
-    measure(benchmark, lambda: part.rmse(point), work=part.n_samples, rounds=3)
+    measure(lambda: part.rmse(point), work=part.n_samples, rounds=3)
 
 
 @pytest.mark.benchmark(group="filter")
-def test_textbook(benchmark, drive, part, parameter_sets):
+def test_textbook(measure, drive, part, parameter_sets):
     short = clip(drive, drive.imu.time[0], part.initial.time + PART)
     initial = initial_state(short)
     samples = int((short.imu.time > initial.time).sum())
     measure(
-        benchmark,
         lambda: run_reference(short, parameter_sets[0], initial=initial),
         work=samples,
         rounds=3,
@@ -95,17 +97,38 @@ def test_textbook(benchmark, drive, part, parameter_sets):
 
 
 @pytest.mark.benchmark(group="filter")
-def test_batch(benchmark, drive, replayer, parameter_sets):
+def test_numba(measure, drive, part, parameter_sets):
+    whole = Course(drive)
+    rival_numba.check(drive, part, parameter_sets[0], PART)
+    measure(lambda: rival_numba.means(whole, parameter_sets[0]), work=whole.n_samples, rounds=3)
+
+
+@pytest.mark.benchmark(group="fix at every sample")
+def test_kalman_py(measure, crowded, parameter_sets):
+    rival_kalman_py = pytest.importorskip("rival_kalman_py")
+    rival = rival_kalman_py.Rival(crowded, parameter_sets[0], initial_state(crowded))
+    rival_kalman_py.check(rival, crowded, parameter_sets[0], initial_state(crowded))
+    measure(rival.means, work=len(rival.steps), rounds=3)
+
+
+@pytest.mark.benchmark(group="fix at every sample")
+def test_batch_crowded(measure, crowded, parameter_sets):
+    replayer = Replayer([crowded], outages=False)
+    samples = int((crowded.imu.time > replayer.initial[0].time).sum())
+    measure(lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=5)
+
+
+@pytest.mark.benchmark(group="filter")
+def test_batch(measure, drive, replayer, parameter_sets):
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     assert not replayer.scores(parameter_sets).failed.any()
-    measure(benchmark, lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=10)
+    measure(lambda: replayer.scores(parameter_sets), work=len(parameter_sets) * samples, rounds=10)
 
 
 @pytest.mark.benchmark(group="tuning")
-def test_tuning_pyswarms_filterpy(benchmark, part):
+def test_tuning_pyswarms_filterpy(measure, part):
     """One generation over a part of the drive; the whole job is as many times longer."""
     measure(
-        benchmark,
         lambda: tune_with_pyswarms(part, particles=PARTICLES, generations=1),
         work=PARTICLES * part.n_samples,
         rounds=1,
@@ -114,11 +137,10 @@ def test_tuning_pyswarms_filterpy(benchmark, part):
 
 
 @pytest.mark.benchmark(group="tuning")
-def test_tuning_sigmaswarm(benchmark, drive, replayer):
+def test_tuning_sigmaswarm(measure, drive, replayer):
     """The whole job: alignment, time line, 30 x 50 filters over ten minutes, and the swarm itself."""
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     measure(
-        benchmark,
         lambda: tune(drive, particles=PARTICLES, generations=GENERATIONS),
         work=GENERATIONS * PARTICLES * samples,
         rounds=2,

@@ -4,6 +4,7 @@ import platform
 import re
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 
 import numba
@@ -16,6 +17,7 @@ from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.batch import Replay, Sums, run_replay
 from sigmaswarm.filters.compiled import lanes, run
+from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.targets import tracking_replay
@@ -155,3 +157,23 @@ def test_threads_change_no_bit(threads: int):
         assert column.tobytes() == getattr(together, name).tobytes(), name
         assert np.isfinite(column).all(), name
     assert batch.costs.tobytes() == run_batch(drives, many_sets(), objective="truth-pose").costs.tobytes()
+
+
+@compiled
+def test_other_kinds_in_the_company_change_no_bit():
+    # An update leaves out what no lane needs, such as the fading of a strong tracking filter.
+    sets = many_sets()[:12]
+    kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf")
+    mixed = [replace(p, kind=kinds[i % 4], forgetting=0.9) for i, p in enumerate(sets)]
+    together = as_bits(run_replay(short_replay(), mixed))
+    alone = np.vstack([as_bits(run_replay(short_replay(), [p])) for p in mixed])
+    assert together.tobytes() == alone.tobytes()
+    plain = as_bits(run_replay(short_replay(), sets))
+    for i in (1, 2, 3):  # each kind has something to do
+        assert np.any(plain[i::4] != together[i::4]), kinds[i]
+
+
+@compiled
+def test_the_rows_start_at_a_cache_line():
+    address = numba.njit(lambda: new_rows().ctypes.data)
+    assert address() % CACHE_LINE == 0

@@ -1,6 +1,7 @@
 """The live filter gives what `run_filter` gives, whatever the order in which fixes come."""
 
 import math
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -115,3 +116,29 @@ def test_samples_and_fixes_out_of_order_do_no_harm():
     for t in (t0 + 0.01, t0, math.nan):  # repeated, old, broken
         filter.predict(t, (1.0, 1.0, 1.0))
     assert filter.state.mean.tobytes() == before.mean.tobytes()
+
+
+def test_memory_stays_flat_over_a_long_stream():
+    # benchmarks/live_stream.py does it for a day; here 200 000 samples with all that a filter can keep.
+    filter = LiveFilter(parameters("planar8", **OPTIONS["all"]), start(), nominal_interval=0.01)
+    t0 = start().time
+
+    def feed(first: int, last: int) -> None:
+        for k in range(first, last):
+            t = t0 + 0.01 * (k + 1)
+            if k % 20 == 10:
+                filter.update(t - (0.2 if k % 100 == 10 else 0.004), (0.01 * (k % 7), 0.0), (0.0, 0.0))
+            filter.predict(t, (0.01 * math.sin(k), 0.0, 0.0))
+
+    feed(0, 50_000)
+    tracemalloc.start()
+    feed(50_000, 52_000)
+    before = tracemalloc.get_traced_memory()[0]
+    feed(52_000, 60_000)
+    growth = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    feed(60_000, 200_000)
+    assert growth < 50_000  # bytes; a sample that is kept takes a thousand
+    assert not filter.state.failed
+    assert filter.too_late == 0
+    assert np.isfinite(filter.state.mean).all() and np.isfinite(filter.state.covariance).all()

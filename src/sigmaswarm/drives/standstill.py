@@ -83,11 +83,22 @@ def _calm_throughout(samples: Array, floor: Array, calm: NDArray[np.bool_]) -> N
         calm[k] = is_calm(samples, k, floor)
 
 
+@njit(cache=True)
 def fixes_stand(fixes: Array, now: float) -> bool:
     """Whether a straight line through the last seconds' fixes hardly moves; rows are t, x, y, none after ``now``."""
-    recent = fixes[fixes[:, 0] >= now - FIX_WINDOW]
-    if len(recent) < 3 or recent[-1, 0] - recent[0, 0] < 0.5 * FIX_WINDOW:
+    first = 0
+    while first < len(fixes) and fixes[first, 0] < now - FIX_WINDOW:
+        first += 1
+    n = len(fixes) - first
+    if n < 3 or fixes[-1, 0] - fixes[first, 0] < 0.5 * FIX_WINDOW:
         return False
-    t = recent[:, 0] - recent[:, 0].mean()
-    vx, vy = t @ recent[:, 1] / (t @ t), t @ recent[:, 2] / (t @ t)
-    return math.hypot(vx, vy) < FIX_SPEED
+    mean = 0.0
+    for k in range(first, len(fixes)):
+        mean += fixes[k, 0] / n
+    tt, tx, ty = 0.0, 0.0, 0.0
+    for k in range(first, len(fixes)):
+        t = fixes[k, 0] - mean
+        tt += t * t
+        tx += t * fixes[k, 1]
+        ty += t * fixes[k, 2]
+    return math.hypot(tx / tt, ty / tt) < FIX_SPEED

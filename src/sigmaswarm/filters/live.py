@@ -1,6 +1,6 @@
 """LiveFilter: one sample at a time, for real-time use, with the results of `run_filter` on the same data."""
 
-from bisect import insort
+from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,7 +107,9 @@ class LiveFilter:
         self._since = 0.0
         self._slots = (-1, -1)
         self._waiting: list[tuple[float, ...]] = []
-        self._fixes: deque[tuple[float, float, float]] = deque()  # for the standstill
+        self._fixes: list[tuple[float, float, float]] = []  # for the standstill
+        self._looked_at: tuple[int, int] | None = None
+        self._stand = False
         length = max(1, int(np.ceil(history / nominal_interval)))
         self._history: deque[_Sample] = deque(maxlen=length)
         self._window = np.empty((4 * max(8, int(WINDOW / nominal_interval) + 2), 4))
@@ -222,20 +224,23 @@ class LiveFilter:
             half = self._filled // 2
             self._window[:half] = self._window[half:]
             self._filled = half
-        self._window[self._filled] = t, ax, ay, gz
+        row = self._window[self._filled]
+        row[0], row[1], row[2], row[3] = t, ax, ay, gz
         self._filled += 1
         return bool(is_calm(self._window, self._filled - 1, self._floor))
 
     def _remember(self, fix: tuple[float, ...]) -> None:
         if self.parameters.standstill_noise is None:
             return
-        self._fixes.append((fix[0], fix[1], fix[2]))
-        if len(self._fixes) > 1 and self._fixes[-2][0] > fix[0]:
-            self._fixes = deque(sorted(self._fixes))
+        insort(self._fixes, (fix[0], fix[1], fix[2]))
         oldest = self._time - FIX_WINDOW - len(self._history) * self._nominal
-        while self._fixes and self._fixes[0][0] < oldest:
-            self._fixes.popleft()
+        del self._fixes[: bisect_left(self._fixes, (oldest,))]
+        self._looked_at = None
 
     def _fixes_stand(self, now: float) -> bool:
-        fixes = np.array([fix for fix in self._fixes if fix[0] <= now]).reshape(-1, 3)
-        return fixes_stand(fixes, now)
+        """What the fixes of the last seconds say; asked again only when there are others than the last time."""
+        recent = bisect_left(self._fixes, (now - FIX_WINDOW,)), bisect_right(self._fixes, (now, np.inf))
+        if recent != self._looked_at:
+            fixes = np.array(self._fixes[slice(*recent)]).reshape(-1, 3)
+            self._looked_at, self._stand = recent, fixes_stand(fixes, now)
+        return self._stand

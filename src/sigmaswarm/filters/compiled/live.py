@@ -6,12 +6,11 @@ less than another set of kernels would.
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-import numpy as np
-
 from sigmaswarm.filters.compiled.lanes import LANES, N_ROWS, kernel
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY, cached_by_sources
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -43,7 +42,7 @@ def live_step(sources):
         """One step of one filter; v (N_ROWS,) is its state before and after."""
         if sources == "":  # never; so the name is closed over
             return
-        w = np.empty((N_ROWS, LANES))
+        w = new_rows()
         for r in range(N_ROWS):
             for l in range(LANES):
                 w[r, l] = v[r]

@@ -27,13 +27,21 @@ def at(i, j):
 
 
 def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
-    """A position fix of the antenna; ``since`` is Q's scale since the last fix."""
+    """A position fix of the antenna; ``since`` is Q's scale since the last fix.
+
+    What no lane needs is left out; what other lanes need does not change a bit.
+    """
+    fading, adapting = 0, 0
+    for l in range(LANES):
+        fading += w[FADING, l] >= 0.0
+        adapting += w[FORGETTING, l] < 1.0
     _measure_fix(w, zx, zy, lever_x, lever_y)
     for l in range(LANES):
         inside = (_look(w, l) <= w[GATE, l]) | (w[REJECTED, l] >= MOST_REJECTED)
         w[USE, l] = 1.0 if inside else 0.0
         w[REJECTED, l] = 0.0 if inside else w[REJECTED, l] + 1.0
-    _fade(w)
+    if fading > 0:
+        _fade(w)
     for l in range(LANES):
         rx, ry, use = w[RX, l], w[RY, l], w[USE, l]
         s11, s12, s22 = w[S11, l] + rx, w[S12, l], w[S22, l] + ry
@@ -48,7 +56,8 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
         w[SQ_FIX, l] += r1 * r1 + r2 * r2
         w[GEE, l] += rx
         w[GNN, l] += ry
-    _adapt(w, since)
+    if adapting > 0:
+        _adapt(w, since)
     _absorb_two(w)
     _keep_digits(w)
 
@@ -80,16 +89,14 @@ def _measure_fix(w, zx, zy, lever_x, lever_y, *, n):
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
     """
     for l in range(LANES):
-        second, tau = w[SECOND, l], w[LATENCY, l]
-        sin_t, cos_t = sincos(w[T, l])
-        east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        d = w[GAMMA, l] * math.sqrt(w[TT, l]) + 1e-300
-        sin_d, sin2_h = double_angle(0.5 * d)
-        e = -2.0 * second * w[INV_GAMMA2, l] * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
-        je, jn = -k * north, k * east  # k J R(theta) lever
+        for row in (EAST, NORTH, JEAST, JNORTH, E):
+            w[row, l] = 0.0
+    if lever_x != 0.0 or lever_y != 0.0:
+        _turn_lever(w, lever_x, lever_y)
+    for l in range(LANES):
+        tau, east, north, e = w[LATENCY, l], w[EAST, l], w[NORTH, l], w[E, l]
+        je, jn = w[JEAST, l], w[JNORTH, l]
         along = w[SPREAD, l] * e * e
-        w[JEAST, l], w[JNORTH, l] = je, jn
         w[GEE, l], w[GEN, l], w[GNN, l] = along * east * east, along * east * north, along * north * north
         w[N1, l] = zx - (w[X, l] - tau * w[U, l] + (1.0 + e) * east)
         w[N2, l] = zy - (w[Y, l] - tau * w[V, l] + (1.0 + e) * north)
@@ -99,6 +106,20 @@ def _measure_fix(w, zx, zy, lever_x, lever_y, *, n):
         w[S11, l] = w[C1 + X, l] - tau * w[C1 + U, l] + je * w[C1 + T, l] + w[GEE, l]
         w[S12, l] = w[C1 + Y, l] - tau * w[C1 + V, l] + jn * w[C1 + T, l] + w[GEN, l]
         w[S22, l] = w[C2 + Y, l] - tau * w[C2 + V, l] + jn * w[C2 + T, l] + w[GNN, l]
+
+
+@kernel
+def _turn_lever(w, lever_x, lever_y):
+    """R(theta) lever, k J R(theta) lever, and e: what the heading and its spread make of the lever arm."""
+    for l in range(LANES):
+        second = w[SECOND, l]
+        sin_t, cos_t = sincos(w[T, l])
+        east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
+        d = w[GAMMA, l] * math.sqrt(w[TT, l]) + 1e-300
+        sin_d, sin2_h = double_angle(0.5 * d)
+        k = 1.0 + second * (sin_d / d - 1.0)
+        w[EAST, l], w[NORTH, l], w[E, l] = east, north, -2.0 * second * w[INV_GAMMA2, l] * sin2_h
+        w[JEAST, l], w[JNORTH, l] = -k * north, k * east
 
 
 def _keep_digits(w, *, n):
@@ -138,7 +159,7 @@ def _fade(w, *, n):
         s11, s12, s22 = w[S11, l] - w[GEE, l], w[S12, l] - w[GEN, l], w[S22, l] - w[GNN, l]  # H P H^T
         wanted = (recent - w[RX, l] - w[RY, l]) / (s11 + s22)
         factor = wanted if used & (wanted > 1.0) else 1.0
-        more = (factor - 1.0) / (s11 * s22 - s12 * s12)
+        more = (factor - 1.0) / (s11 * s22 - s12 * s12) if factor > 1.0 else 0.0
         for j in range(n):
             c1, c2 = w[C1 + j, l], w[C2 + j, l]
             gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)

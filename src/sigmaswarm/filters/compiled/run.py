@@ -13,6 +13,7 @@ from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 Array = NDArray[np.float64]
@@ -160,7 +161,7 @@ def _run_planar5(sources):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        w = np.empty((N_ROWS, LANES))
+        w = new_rows()
         _load(w, initial, constants)
         _run5(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
         _store(w, sums, final)
@@ -175,7 +176,7 @@ def _run_planar8(sources):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        w = np.empty((N_ROWS, LANES))
+        w = new_rows()
         _load(w, initial, constants)
         _run8(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
         _store(w, sums, final)

@@ -1,0 +1,194 @@
+"""How far planar5's kernel is from what the processor can do: operations counted, peak measured, time measured.
+
+    python benchmarks/limit.py
+
+Operations are counted by running the kernel's own Python on numbers that count. The peak is that of vectors as wide as
+the kernel's lanes, from a few lines of LLVM's language: independent chains of multiply-add, of divisions, of roots.
+"""
+
+import ctypes
+import math
+import operator
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from types import SimpleNamespace
+from typing import ClassVar
+
+import llvmlite.binding as llvm
+import numpy as np
+
+from sigmaswarm import datasheet, initial_state, simulate
+from sigmaswarm.filters import batch
+from sigmaswarm.filters.compiled import lanes, measurements, planar5, run
+from sigmaswarm.scoring.targets import tracking_replay
+
+FLOPS = ("add", "mul", "div", "sqrt")
+CHAINS, ROUNDS, TURNS = 8, 200_000, 7
+
+
+# --- Counted -----------------------------------------------------------------------------------------------
+
+
+class Counting:
+    """A number that counts what is done with it."""
+
+    done: ClassVar[Counter] = Counter()
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def __float__(self) -> float:
+        return float(self.value)
+
+    def __neg__(self) -> "Counting":  # folded into its neighbor
+        return Counting(-self.value)
+
+    def __floor__(self) -> "Counting":
+        return self._do("floor", math.floor, self)
+
+    @classmethod
+    def _do(cls, name, function, *values):
+        cls.done[name] += 1
+        result = function(*map(float, values))
+        return result if isinstance(result, bool) else Counting(result)
+
+
+def _operator(name, function):
+    setattr(Counting, f"__{function.__name__}__", lambda a, b: Counting._do(name, function, a, b))
+    setattr(Counting, f"__r{function.__name__}__", lambda a, b: Counting._do(name, function, b, a))
+
+
+for counted, function in (("add", operator.add), ("add", operator.sub), ("mul", operator.mul)):
+    _operator(counted, function)
+_operator("div", operator.truediv)
+for function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq):
+    _operator("compare", function)
+
+
+def count() -> None:
+    """Print operations per lane of a predict and of a fix; needs NUMBA_DISABLE_JIT=1."""
+    planar5.math = measurements.math = SimpleNamespace(
+        sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), pi=math.pi
+    )
+    rows = np.array([[Counting(0.1) for _ in range(lanes.LANES)] for _ in range(lanes.N_ROWS)], dtype=object)
+    for row in (lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT, lanes.FORGETTING):
+        rows[row] = [Counting(1.0) for _ in range(lanes.LANES)]
+    rows[lanes.FADING] = [Counting(-1.0) for _ in range(lanes.LANES)]
+    absorb = measurements.absorbers(5)["absorb_fix"]
+    for name, step in (
+        ("predict", lambda: planar5.predict_planar5(rows, 0.01, 1.0, 0.1, 0.1, 1.0)),
+        ("fix", lambda: absorb(rows, 1.0, 2.0, 0.0, 0.0, 1.0)),
+    ):
+        Counting.done.clear()
+        step()
+        print(name, *(f"{key}={value / lanes.LANES:.0f}" for key, value in sorted(Counting.done.items())))
+
+
+# --- Measured ----------------------------------------------------------------------------------------------
+
+
+def kernel_arguments(fixes: bool = True):
+    """Arguments of `run_lanes` after the number of states, for ten minutes with one parameter set in all lanes."""
+    drive = simulate("urban", duration=600.0, seed=1)
+    replay = tracking_replay(drive, initial_state(drive))
+    line, sets = replay.timeline, [datasheet(drive)]
+    flags = batch.flags_of(line, False, False, False)
+    return (
+        np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
+        flags if fixes else flags & ~run.FIX,
+        line.fixes,
+        line.lever,
+        replay.targets.rows,
+        replay.targets.end if fixes else np.zeros_like(replay.targets.end),
+        batch.pack_states(*batch.start_of(replay.initial, sets)),
+        batch.pack_constants(sets, line.nominal_interval),
+        np.empty((0, lanes.N_STATE + 1, 0)),
+    )
+
+
+def fastest(function) -> float:
+    times = []
+    for _ in range(TURNS):
+        start = time.process_time()
+        function()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def nanoseconds_per_vector(operation: str) -> float:
+    """Time of one operation on LANES numbers, when many of them wait for none."""
+    v = f"<{lanes.LANES} x double>"
+    line = {
+        "fma": f"call {v} @llvm.fma.v{lanes.LANES}f64({v} %x#, {v} %b, {v} %b)",
+        "sqrt": f"call {v} @llvm.sqrt.v{lanes.LANES}f64({v} %x#)",
+        "div": f"fdiv {v} %b, %x#",
+    }[operation]
+    each = [
+        (f"%x{i} = phi {v} [%b, %entry], [%y{i}, %loop]", f"%y{i} = " + line.replace("#", str(i)))
+        for i in range(CHAINS)
+    ]
+    stores = "\n".join(f"store volatile {v} %y{i}, ptr %p" for i in range(CHAINS))
+    module = llvm.parse_assembly(f"""
+        declare {v} @llvm.fma.v{lanes.LANES}f64({v}, {v}, {v})
+        declare {v} @llvm.sqrt.v{lanes.LANES}f64({v})
+        define void @chains(i64 %n, ptr %p) {{
+        entry:
+            %b = load {v}, ptr %p, align 8
+            br label %loop
+        loop:
+            %k = phi i64 [%n, %entry], [%less, %loop]
+            {chr(10).join(phi for phi, _ in each)}
+            {chr(10).join(step for _, step in each)}
+            %less = sub i64 %k, 1
+            %done = icmp eq i64 %less, 0
+            br i1 %done, label %end, label %loop
+        end:
+            {stores}
+            ret void
+        }}""")
+    target = llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=3
+    )
+    engine = llvm.create_mcjit_compiler(module, target)
+    engine.finalize_object()
+    call = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_void_p)(engine.get_function_address("chains"))
+    numbers = np.full(lanes.LANES + 8, 0.999)
+    return fastest(lambda: call(ROUNDS, numbers.ctypes.data)) / ROUNDS / CHAINS * 1e9
+
+
+def main() -> None:
+    if "--count" in sys.argv:
+        count()
+        return
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    counted = subprocess.run(
+        [sys.executable, __file__, "--count"], env=environment, check=True, capture_output=True, text=True
+    ).stdout
+    print(counted, end="")
+    peak = {name: nanoseconds_per_vector(name) for name in ("fma", "div", "sqrt")}
+    print("ns per operation on all lanes: " + ", ".join(f"{name} {ns:.3f}" for name, ns in peak.items()))
+    print(f"peak {2 * lanes.LANES / peak['fma']:.1f} GFLOP/s")
+    operations = dict(pair.split("=") for pair in counted.splitlines()[0].split()[1:])
+    flops = sum(int(operations[name]) for name in FLOPS)
+    for label, fixes in (("predict alone", False), ("with fixes and scores", True)):
+        arguments = kernel_arguments(fixes)
+        run.run_lanes(5, *arguments)
+        ns = fastest(lambda a=arguments: run.run_lanes(5, *a)) / len(arguments[0]) * 1e9
+        rate = flops * lanes.LANES / ns
+        print(
+            f"{label}: {ns:.1f} ns a step of all lanes, {ns / lanes.LANES:.2f} ns a lane"
+            + (
+                ""
+                if fixes
+                else f"; {rate:.1f} GFLOP/s, {rate * peak['fma'] / lanes.LANES / 2:.0%} of the peak"
+            )
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Two cores against one: the same batch on a pool of one thread and of two, by the clock on the wall.
+
+The other jobs of a machine spoil a clock on the wall, so each measurement waits until both cores are idle (where the
+system tells), and gives up after a while.
+"""
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.tuning.space import search_space
+
+PATIENCE = 6.0  # s
+
+pytestmark = [
+    pytest.mark.usefixtures("turn"),
+    pytest.mark.benchmark(group="cores"),
+    pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="one core only"),
+]
+
+
+@pytest.fixture
+def all_cores():
+    """Undo `one_core` for a while."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    one = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    yield
+    os.sched_setaffinity(0, one)
+
+
+def idle_share():
+    """The least share of idle time of a core during the next moment."""
+
+    def ticks():
+        lines = Path("/proc/stat").read_text().splitlines()
+        return np.array([line.split()[1:9] for line in lines if line[:3] == "cpu" and line[3] != " "], int)
+
+    before = ticks()
+    time.sleep(0.3)
+    spent = ticks() - before
+    return float((spent[:, 3] / spent.sum(axis=1)).min())
+
+
+def wait_for_calm():
+    """Whether the machine came to rest."""
+    end = time.monotonic() + PATIENCE
+    while Path("/proc/stat").exists() and time.monotonic() < end:
+        if idle_share() > 0.97:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("n_sets", [64, 512])
+def test_cores(benchmark, all_cores, drive, n_sets):
+    space = search_space("planar5", "log10", drive.nominal_interval)
+    points = np.random.default_rng(0).uniform(space.low, space.high, (n_sets, len(space.names)))
+    sets, replayer = space.decode(points), Replayer([drive], outages=False)
+    times = []
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(2) as two:
+
+        def both():
+            for pool in (one, two):
+                start = time.perf_counter()
+                replayer.scores(sets, pool)
+                times.append(time.perf_counter() - start)
+
+        both()  # starts the threads
+        calm = wait_for_calm()
+        times.clear()
+        benchmark.pedantic(both, rounds=5)
+    ones, twos = times[::2], times[1::2]
+    benchmark.extra_info.update(
+        calm=calm, one=float(np.median(ones)), two=float(np.median(twos)),
+        ratio=float(np.median(np.array(ones) / np.array(twos))),
+    )  # fmt: skip

@@ -1,0 +1,129 @@
+"""One call at a time, in Python: the live filter beside FilterPy's, median and 99.9th percentile of each call.
+
+The clock is the thread's processor time, so that other jobs do not make the percentiles; reading it costs more than a
+clock on the wall, and what an empty call shows is taken off.
+"""
+
+from time import thread_time_ns as now
+
+import numpy as np
+import pytest
+
+from rival_pyswarms import Course, make_filter
+from sigmaswarm import FilterParameters, LiveFilter
+
+SECONDS = 40.0
+NOISE5 = (1e-4, 1e-4, 1e-3, 1e-3, 1e-7)
+BIASES = (1e-9, 1e-9, 1e-11)
+CAR = {"lateral_noise": 0.1, "standstill_noise": 1e-3}
+FILTERS = {
+    "planar5 ukf": FilterParameters(0.5, 2.0, 0.0, NOISE5, (1.0, 1.0)),
+    "planar5 ekf": FilterParameters(0.5, 2.0, 0.0, NOISE5, (1.0, 1.0), kind="ekf"),
+    "planar5 adaptive-ukf": FilterParameters(0.5, 2.0, 0.0, NOISE5, (1.0, 1.0), kind="adaptive-ukf"),
+    "planar5 strong-tracking-ukf": FilterParameters(
+        0.5, 2.0, 0.0, NOISE5, (1.0, 1.0), kind="strong-tracking-ukf"
+    ),
+    "planar8 ukf": FilterParameters(0.5, 2.0, 0.0, NOISE5 + BIASES, (1.0, 1.0), "planar8"),
+    "planar8 ukf, lateral and standstill": FilterParameters(
+        0.5, 2.0, 0.0, NOISE5 + BIASES, (1.0, 1.0), "planar8", **CAR
+    ),
+}
+
+pytestmark = [pytest.mark.usefixtures("turn"), pytest.mark.benchmark(group="live")]
+
+
+@pytest.fixture(scope="session")
+def course(drive):
+    return Course(drive, SECONDS)
+
+
+class Clock:
+    """Times of single calls, ns: of predict, of update, and of a sample together with its fix."""
+
+    def __init__(self):
+        self.predict, self.update, self.both = [], [], []
+
+    def summary(self):
+        empty = float(np.median([-now() + now() for _ in range(1000)]))
+        calls = {"predict": self.predict, "update": self.update, "both": self.both}
+        calls = {name: np.array(times) - empty for name, times in calls.items()}
+        return {f"{k}_median": float(np.median(v)) for k, v in calls.items()} | {
+            f"{k}_tail": float(np.quantile(v, 0.999)) for k, v in calls.items()
+        }
+
+
+def events(course):
+    """Time, dt, IMU sample, and its fix or None, of each step; fixes fall on IMU samples."""
+    assert course.sampled.all()
+    fixes = iter(course.fixes.tolist())
+    end = course.initial.time + np.cumsum(course.dt)
+    for t, dt, u, absorbs in zip(
+        end.tolist(), course.dt.tolist(), course.imu.tolist(), course.absorbs, strict=True
+    ):
+        yield t, dt, u, next(fixes) if absorbs else None
+
+
+def run_filterpy(course):
+    clock = Clock()
+    p = FILTERS["planar5 ukf"]
+    point = np.array([p.alpha, p.beta, p.kappa, *np.log10([*p.process_noise, *p.measurement_noise])])
+    ukf = make_filter(point, course.initial)
+    ukf.Q = np.diag(p.process_noise)
+    for _, dt, u, z in list(events(course)):
+        before = now()
+        ukf.predict(dt=dt, u=u)
+        between = now()
+        clock.predict.append(between - before)
+        if z:
+            ukf.update(z)
+            after = now()
+            clock.update.append(after - between)
+            clock.both.append(after - before)
+    return clock, ukf.x
+
+
+def run_live(course, parameters, late):
+    """The fix comes before the sample that absorbs it; or ``late`` samples after it, and the filter goes back."""
+    clock, due = Clock(), []
+    live = LiveFilter(parameters, course.initial, nominal_interval=0.01)
+    for k, (t, _, u, z) in enumerate(list(events(course))):
+        if z:
+            due.append((k + late, t, z))
+        before = between = now()
+        absorbs = due and due[0][0] == k
+        if absorbs and not late:
+            live.update(*due.pop()[1:])
+            between = now()
+            clock.update.append(between - before)
+        live.predict(t, u)
+        after = now()
+        clock.both.append(after - before) if absorbs and not late else clock.predict.append(after - between)
+        if absorbs and late:
+            before = now()
+            live.update(*due.pop()[1:])
+            clock.update.append(now() - before)
+            clock.both.append(clock.update[-1] + clock.predict[-1])
+    return clock, live.state.mean
+
+
+def record(benchmark, run):
+    """One round whose times are those of its calls; a round before it warms up."""
+    run()
+    clock, mean = benchmark.pedantic(run, rounds=1)
+    benchmark.extra_info.update(clock.summary())
+    return mean
+
+
+def test_filterpy_calls(benchmark, course):
+    mean = record(benchmark, lambda: run_filterpy(course))
+    ours = run_live(course, FILTERS["planar5 ukf"], late=0)[1]
+    np.testing.assert_allclose(mean[:2], ours[:2], atol=1e-3)  # both do the same work
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_live(benchmark, course, name):
+    record(benchmark, lambda: run_live(course, FILTERS[name], late=0))
+
+
+def test_live_late(benchmark, course):
+    record(benchmark, lambda: run_live(course, FILTERS["planar5 ukf"], late=5))

@@ -1,0 +1,48 @@
+"""The array that a run works on, on the stack and at the start of a cache line.
+
+Numba's `np.empty` starts at any multiple of 32 bytes, so that with AVX-512 every load and store may lie across two
+cache lines: the whole run then takes a seventh longer, or not, as chance has it.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, config
+from numba.extending import intrinsic
+
+from sigmaswarm.filters.compiled.lanes import LANES, N_ROWS
+
+CACHE_LINE = 64
+"""Bytes; also the width of the widest vectors."""
+
+
+@intrinsic
+def _on_the_stack(typing_context):
+    kind = types.Array(types.float64, 2, "C")
+
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
+        data.align = CACHE_LINE
+        array = context.make_array(kind)(context, builder)
+        context.populate_array(
+            array,
+            data=builder.bitcast(data, ir.DoubleType().as_pointer()),
+            shape=[size(N_ROWS), size(LANES)],
+            strides=[size(8 * LANES), size(8)],
+            itemsize=size(8),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    return kind(), generate
+
+
+def _in_python():
+    return np.empty((N_ROWS, LANES))
+
+
+new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
+"""An array of shape (N_ROWS, LANES), not yet written; it lives as long as the kernel that asked for it."""
