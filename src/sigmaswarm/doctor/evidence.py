@@ -98,7 +98,8 @@ def _noise(pushing: Pushing) -> tuple[float, float]:
     def spread(v: Complex) -> float:
         return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
-    return spread(second) / np.sqrt(6.0), spread(pushing.residual)
+    n = pushing.rows.shape[1]  # each window's own three unknowns take their share
+    return spread(second) / np.sqrt(6.0), spread(pushing.residual) * np.sqrt(n / (n - 3))
 
 
 def _far_off(pushing: Pushing) -> np.ndarray:

@@ -23,6 +23,8 @@ WINDOW = 10.0
 """s: long enough to see accelerations, short enough for tilt and slope to stay."""
 BIAS_SPREAD = (0.1, 0.5)
 """m/s2: how much tilt, slope and bias differ between windows, at least and at most."""
+FEW = 8.0
+"""Windows: with so few, twice the variance is allowed for what they say."""
 LEAST_NOISE = 0.03
 """m: no IMU follows a path over some seconds more closely."""
 Heading = Callable[[float], Array]
@@ -112,7 +114,7 @@ def pushing_of(drive: Drive, course: Course, heading: Heading, coarse: float) ->
     fit.learn(found, late)
     return Pushing(
         found.solution[:4].reshape(2, 2),
-        found.covariance,
+        found.covariance * (1 + FEW / len(rows)),
         late,
         fit.bias,
         course.time[rows].mean(axis=1),

@@ -22,6 +22,8 @@ ALIKE = 0.05
 """How far M's entries off the axes may stray for other reasons: tilt that goes with the maneuvers, slip."""
 SCALE = 0.12
 """The same along the axes; besides, a body that rolls and pitches makes accelerometers feel 5 to 10% more."""
+SHOWN = 0.25
+"""Deviation of an entry of M, in its unit, below which the drive shows it."""
 MOUNTED = math.radians(40)
 """Beyond that, a rotation counts as axes exchanged."""
 
@@ -82,7 +84,7 @@ class Mount:
 def mount_of(pushing: Pushing) -> Mount:
     """The simplest reading of the columns that the fit agrees with."""
     found = pushing.matrix.ravel()
-    covariance = pushing.covariance[:4, :4] * (1 + 4 / len(pushing.rows))
+    covariance = pushing.covariance[:4, :4]
     angles = np.radians(np.arange(-40.0, 40.5, 0.5))
 
     def misfit(axes: Array, unit: float, angle: float) -> float:
@@ -105,12 +107,15 @@ def mount_of(pushing: Pushing) -> Mount:
     if as_it_is - best < CLEARLY and not (np.array_equal(reading[0], np.eye(2)) and reading[1] == 1):
         reading = (np.eye(2), 1.0)
     axes, unit = reading
+    known = _known(pushing, axes, unit)
+    changed = [not np.array_equal(row, usual) for row, usual in zip(axes, np.eye(2), strict=True)]
+    if unit == 1 and not any(k and c for k, c in zip(known, changed, strict=True)):
+        axes = np.eye(2)  # an axis that the drive does not show stays as it is
     misfits = np.array([misfit(axes, unit, angle) for angle in angles])
     k = int(np.clip(np.argmin(misfits), 1, len(angles) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (angles[1] - angles[0]) ** 2
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2) / unit
     turned_back = pushing.matrix @ axes.T / unit
-    known = tuple(bool((spread @ np.abs(axes.T))[i, i] < 0.25) for i in range(2))
     scale = tuple((float(turned_back[i, i]), float((spread @ np.abs(axes.T))[i, i])) for i in range(2))
     return Mount(
         axes,
@@ -118,9 +123,16 @@ def mount_of(pushing: Pushing) -> Mount:
         float(angles[np.argmin(misfits)]),
         float(math.sqrt(2 / bend)) if bend > 0 else math.inf,
         as_it_is - best,
-        known,  # pyright: ignore[reportArgumentType]
+        _known(pushing, axes, unit),
         scale,  # pyright: ignore[reportArgumentType]
     )
+
+
+def _known(pushing: Pushing, axes: Array, unit: float) -> tuple[bool, bool]:
+    """Whether the drive shows forward and left well enough, were the columns read so."""
+    spread = np.sqrt(np.diag(pushing.covariance)[:4]).reshape(2, 2) / unit
+    forward, left = np.diag(spread @ np.abs(axes.T)) < SHOWN
+    return bool(forward), bool(left)
 
 
 def _signed_permutations() -> list[Array]:

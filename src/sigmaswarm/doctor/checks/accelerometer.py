@@ -126,10 +126,11 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
     assert evidence.pushing is not None
     leak = -np.median(evidence.pushing.bias, axis=0)
     size = float(np.hypot(*leak))
-    if size < TILT[0]:
+    doubt = 2 * _bias_std(evidence)
+    if size < TILT[0] + doubt:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    serious = size > TILT[1]
+    serious = size > TILT[1] + doubt
     carried = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that no motion explains"
     what = f"bias, or tilt of {tilt:.0f} deg, {carried}"
     if serious:
@@ -139,6 +140,16 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
         0.99 if serious else 0.95, "level the IMU, or take the constant off; --model planar8 estimates the rest",
         Repair("level", (float(leak[0]), float(leak[1]))),
     )  # fmt: skip
+
+
+def _bias_std(evidence: Evidence) -> float:
+    """m/s2: how well fixes show a constant acceleration (a parabola's, over each window), twice, for M's doubts."""
+    assert evidence.course is not None
+    assert evidence.pushing is not None
+    rows, time = evidence.pushing.rows, evidence.course.time
+    length = float(np.median(time[rows[:, -1]] - time[rows[:, 0]]))
+    parabola = evidence.scatter * math.sqrt(720 / rows.shape[1]) / length**2
+    return 2 * parabola * math.sqrt(2 / len(rows))
 
 
 def _upward(evidence: Evidence) -> Iterator[Finding]:

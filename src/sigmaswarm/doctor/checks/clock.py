@@ -10,8 +10,8 @@ LEAST = 0.1
 """s: less does not show behind a receiver's noise."""
 GRAVE = 0.3
 """s: more is worth meters."""
-CLEAR = (2.5, 3.3)
-"""Deviations: from the first on a note, from the second on a warning or worse, and a repair."""
+CLEAR = (2.5, 3.3, 4.5)
+"""Deviations: from the first on a note, from the second on a warning and a repair, from the third on serious."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -20,6 +20,9 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if abs(late) < max(LEAST, CLEAR[0] * std):
         return
     clear = abs(late) > CLEAR[1] * std
+    severity = "warning" if clear else "note"
+    if abs(late) > max(GRAVE, CLEAR[2] * std):
+        severity = "serious"
     size, way, move = (
         f"{abs(late):.2f} s",
         "late" if late > 0 else "early",
@@ -27,7 +30,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     )
     yield Finding(
         "clock-offset",
-        ("serious" if abs(late) >= GRAVE else "warning") if clear else "note",
+        severity,
         f"the fixes {'are' if clear else 'may be'} {size} {way} against the IMU (deviation {std:.2f} s)",
         "gps.csv, t",
         evidence.span,
