@@ -20,7 +20,6 @@ MEMS = {
 """Simulated drives through a town."""
 REAL = ["kitti-09-30-0033", "kitti-09-26-0101", "kitti-09-26-0022", "colorado-1", "kingston-1", "comma2k19"]
 UNSEEN = {
-    ("kitti-09-26-0022", "0.2 s late"),  # 80 s with 1 m of noise: known to 0.1 s
     ("colorado-1", "0.2 s late"),  # its own fixes are about 0.1 s early by its truth, which hides half of it
 }
 """Planted, but not to be seen."""
@@ -55,7 +54,7 @@ def test_a_planted_fault_is_named(name: str, fault: str):
 
 @needs_shared
 @pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("name", ["kitti-09-30-0033", "kitti-09-26-0022", "colorado-1", "comma2k19"])
+@pytest.mark.parametrize("name", ["kitti-09-30-0033", "colorado-1", "comma2k19"])
 def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
     plant, codes = FAULTS[fault]
     found = sigmaswarm.diagnose(plant(recorded(name)))
