@@ -26,6 +26,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from sigmaswarm.doctor.diagnose import diagnose
+    from sigmaswarm.doctor.findings import Diagnosis, Finding
+    from sigmaswarm.doctor.repairs import repair
     from sigmaswarm.drives.alignment import InitialState, initial_state
     from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
     from sigmaswarm.drives.reader import read_drive
@@ -57,6 +60,9 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
+    "doctor.diagnose": ("diagnose",),
+    "doctor.findings": ("Diagnosis", "Finding"),
+    "doctor.repairs": ("repair",),
     "drives.alignment": ("InitialState", "initial_state"),
     "drives.drive": ("Drive", "Gps", "Imu", "Truth"),
     "drives.reader": ("read_drive",),
@@ -87,12 +93,14 @@ __all__ = [
     "AlignmentError",
     "BatchResult",
     "Consistency",
+    "Diagnosis",
     "Drive",
     "DriveError",
     "Estimate",
     "Evaluation",
     "ExtendedKalmanFilter",
     "FilterParameters",
+    "Finding",
     "Gps",
     "Imu",
     "InitialState",
@@ -114,10 +122,12 @@ __all__ = [
     "clip",
     "consistency",
     "datasheet",
+    "diagnose",
     "evaluate",
     "initial_state",
     "preset",
     "read_drive",
+    "repair",
     "run_batch",
     "run_filter",
     "run_innovations",

@@ -8,6 +8,7 @@ from cyclopts import App, CycloptsError
 
 import sigmaswarm
 from sigmaswarm.cli.demo import demo
+from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
@@ -23,6 +24,7 @@ app = App(
 
 A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.csv. The usual way:
 
+    sigmaswarm doctor drives/monday drives/tuesday
     sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose
     sigmaswarm evaluate tuned drives/friday
     sigmaswarm run tuned drives/friday --out estimate.csv
@@ -31,12 +33,12 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (tune, evaluate, run, split, simulate, plot, demo):
+for command in (tune, evaluate, run, doctor, split, simulate, plot, demo):
     app.command(command)
 
 
 def main() -> NoReturn:
-    """Run the command line and exit: 0 done, 2 the user's mistake in one line, 130 interrupted."""
+    """Run the command line and exit: 0 done, 1 the doctor is alarmed, 2 the user's mistake, 130 interrupted."""
     warnings.showwarning = _show_warning
     try:
         app(exit_on_error=False, print_error=False)

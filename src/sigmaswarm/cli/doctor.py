@@ -1,0 +1,98 @@
+"""`sigmaswarm doctor`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from sigmaswarm import Drive
+
+
+def doctor(
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    /,
+    *,
+    fix: Path | None = None,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Check logs before anybody tunes on them: signs, units, axes, clocks, noise, gaps.
+
+    It compares what the IMU felt with how the fixes moved; truth is not looked at. Exit code 0: nothing
+    serious; 1: something serious (with --fix: something serious is left in a copy); 2: a drive can't be read.
+
+    Examples:
+
+        sigmaswarm doctor drives/friday
+        sigmaswarm doctor drives
+        sigmaswarm doctor drives/friday --fix mended
+        sigmaswarm doctor drives/friday --json
+
+    Parameters
+    ----------
+    drives
+        Drive folders, or folders that hold drive folders.
+    fix
+        Folder in which a mended copy of each drive is made; the drives themselves stay as they are.
+    json
+        Print the findings for machines.
+    """
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.findings import print_diagnosis
+
+    read = _read(drives)
+    if fix is not None:
+        _check_names(read, fix)
+    result: list[dict[str, object]] = []
+    serious = False
+    for drive in read:
+        diagnosis = sigmaswarm.diagnose(drive)
+        told = diagnosis.to_dict()
+        if not json:
+            print_diagnosis(diagnosis)
+        if fix is not None:
+            folder = fix / drive.name
+            copy = sigmaswarm.repair(drive, diagnosis)
+            sigmaswarm.write_drive(copy, folder)
+            mended = [finding.code for finding in diagnosis.findings if finding.repair]
+            diagnosis = sigmaswarm.diagnose(copy)
+            told["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
+            if not json:
+                stdout().print(f"wrote {folder}, mended: {', '.join(mended) or 'nothing'}. What is left:\n")
+                print_diagnosis(diagnosis)
+        result.append(told)
+        serious |= diagnosis.serious
+    if json:
+        print_json({"drives": result, "serious": serious})
+    if serious:
+        raise SystemExit(1)
+
+
+def _read(paths: list[Path]) -> "list[Drive]":
+    """Read the drives; of what reading warns of, only that is passed on which no finding will say."""
+    import warnings
+
+    from sigmaswarm.cli.common import read_drives
+    from sigmaswarm.drives.checks import warnings_of
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        drives = read_drives(paths)
+    findings = tuple(message for drive in drives for message in warnings_of(drive))
+    for warning in said:
+        if not str(warning.message).endswith(findings):
+            warnings.warn(warning.message, stacklevel=2)
+    return drives
+
+
+def _check_names(drives: "list[Drive]", out: Path) -> None:
+    """Refuse, before anything is written, copies that would take each other's or another folder's place."""
+    from sigmaswarm.errors import InputError
+
+    names = [drive.name for drive in drives]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{names.count(name)} drives are named {name!r}; mend them one at a time")
+        if (out / name).exists():
+            raise InputError(f"{out / name} exists already; delete it, or name another folder")

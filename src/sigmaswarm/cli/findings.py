@@ -1,0 +1,51 @@
+"""A diagnosis on the terminal, for every command that has one to show."""
+
+from typing import TYPE_CHECKING
+
+from sigmaswarm.cli.common import stdout
+
+if TYPE_CHECKING:
+    from sigmaswarm.doctor.findings import Diagnosis, Finding
+
+_STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
+
+
+def print_diagnosis(diagnosis: "Diagnosis") -> None:
+    """Print what the doctor found about one drive, the serious ones first."""
+    from rich.table import Table
+    from rich.text import Text
+
+    console = stdout()
+    console.print(Text.assemble((diagnosis.drive, "bold"), f": {_summary(diagnosis)}"))
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(width=9)
+    table.add_column(overflow="fold")
+    for finding in diagnosis.findings:
+        style = _STYLES[finding.severity]
+        table.add_row(Text(f"  {finding.severity}", style), Text(_said(finding)))
+    console.print(table)
+    console.print()
+
+
+def _summary(diagnosis: "Diagnosis") -> str:
+    counts = {s: sum(f.severity == s for f in diagnosis.findings) for s in _STYLES}
+    serious = f"{counts['serious']} SERIOUS" if counts["serious"] else "nothing serious"
+    return f"{serious}, {_many(counts['warning'], 'warning')}, {_many(counts['note'], 'note')}"
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _said(finding: "Finding") -> str:
+    """What, and under it where, how sure, and what to do; a note is one line."""
+    what = f"{finding.what[0].upper()}{finding.what[1:]}."
+    if finding.severity == "note":
+        return f"{what} [{finding.where}]"
+    start, end = finding.span
+    fixes = " (--fix does it)" if finding.repair else ""
+    return (
+        f"{what}\n"
+        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; {100 * finding.sure:.3g}% sure\n"
+        f"-> {finding.remedy}{fixes}"
+    )

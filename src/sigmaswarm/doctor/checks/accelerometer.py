@@ -1,0 +1,175 @@
+"""Whether ax and ay are what they claim: forward and left, in m/s2, along the car, free of gravity."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.sureness import sure_by, sure_of
+from sigmaswarm.doctor.turning import smoothed
+from sigmaswarm.doctor.verdicts import Mount
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Array
+
+MOUNTING = (math.radians(5), math.radians(10))
+"""rad: a rotation about z from the first on is a warning, from the second on serious."""
+TILT = (0.5, 1.2)
+"""m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
+CLEAR = 3.5
+"""Deviations."""
+WRONG_SCALE = 0.4
+LEAST_PUSH = 0.4
+"""m/s2: a car that only sways does not tell a scale."""
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the accelerometers."""
+    imu = evidence.drive.imu
+    size = {name: abs(float(np.median(getattr(imu, name)))) for name in ("ax", "ay")}
+    up = max(size, key=size.__getitem__)
+    if size[up] > 0.7 * GRAVITY:
+        yield Finding(
+            "gravity-axis", "serious",
+            f"gravity stands on {up}, median {np.median(getattr(imu, up)):.2f} m/s2: {up} points up or down",
+            f"imu.csv, {up}", evidence.span, 0.999,
+            "exchange the axes of accelerometer and gyro until x is forward, y left, z up",
+        )  # fmt: skip
+        return
+    mount = evidence.mount
+    if mount is not None:
+        yield from _axes(evidence, mount)
+        yield from _unit(evidence, mount)
+        yield from _mounting(evidence, mount)
+        yield from _scale(evidence, mount)
+        yield from _gravity(evidence)
+    yield from _upward(evidence)
+
+
+def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+    axes = mount.axes
+    if np.array_equal(axes, np.eye(2)):
+        return
+    swapped = axes[0, 0] == 0
+    forward, left = (_reading(row) for row in axes)
+    az = evidence.drive.imu.az
+    opposite = np.array_equal(axes, -np.eye(2)) and az is not None and float(np.median(az)) < 0
+    what = f"forward acceleration stands in {forward}, that to the left in {left}"
+    if opposite:
+        what = "the accelerometers report the opposite of specific force: ax, ay and az have the wrong sign"
+    elif not all(mount.known):
+        what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
+    yield Finding(
+        "accelerometer-axes" if swapped else "accelerometer-sign",
+        "serious", what, "imu.csv, ax, ay", evidence.span, sure_by(mount.margin),
+        f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else ""),
+        Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
+    )  # fmt: skip
+
+
+def _reading(row: np.ndarray) -> str:
+    """Of a row with one entry, +1 or -1, as a column's name with its sign."""
+    k = int(np.argmax(np.abs(row)))
+    return f"{'-' if row[k] < 0 else ''}{('ax', 'ay')[k]}"
+
+
+def _unit(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+    if mount.unit != 1:
+        yield Finding(
+            "accelerometer-unit", "serious",
+            f"the accelerations are in g: the car's motion is {mount.unit * mount.scale[0][0]:.1f} times what ax says",
+            "imu.csv, ax, ay, az", evidence.span, sure_by(mount.margin), f"multiply ax, ay, az by {GRAVITY}",
+            Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY)),
+        )  # fmt: skip
+
+
+def _mounting(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+    angle, std = mount.angle, mount.angle_std
+    if abs(angle) < max(MOUNTING[0], CLEAR * std):
+        return
+    c, s = math.cos(angle), math.sin(angle)
+    degrees = math.degrees(angle)
+    side = "left" if angle > 0 else "right"  # a = R(angle) u: the sensor's x points to that side
+    yield Finding(
+        "mounting", "serious" if abs(angle) > MOUNTING[1] else "warning",
+        f"the IMU is turned by {abs(degrees):.0f} deg (deviation {math.degrees(std):.0f}) to the {side} "
+        "about the vertical",
+        "imu.csv, ax, ay", evidence.span, sure_of(angle / std), f"turn (ax, ay) by {degrees:+.0f} deg",
+        Repair("accelerometer", (c, -s, s, c, 1.0)),
+    )  # fmt: skip
+
+
+def _scale(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
+    for name, (scale, std), pushed in zip(
+        ("forward", "left"), mount.scale, _pushed(evidence, mount), strict=True
+    ):
+        if pushed > LEAST_PUSH and abs(scale - 1) > max(WRONG_SCALE, 5 * std):
+            yield Finding(
+                "accelerometer-scale", "warning",
+                f"the acceleration {name} is {scale:.2f} times what the IMU says (deviation {std:.2f})",
+                "imu.csv, ax, ay", evidence.span, sure_of((scale - 1) / std),
+                "check the range setting, and whether the log was filtered",
+            )  # fmt: skip
+
+
+def _pushed(evidence: Evidence, mount: Mount) -> Array:
+    """m/s2, (forward, left): how the acceleration, over a second, varies."""
+    imu = evidence.drive.imu
+    force = mount.matrix @ np.array([imu.ax, imu.ay])
+    second = np.arange(imu.time[0] + 0.5, imu.time[-1], 1.0)
+    return np.array([np.std(smoothed(imu.time, row, second, 1.0)) for row in force], np.float64)
+
+
+def _gravity(evidence: Evidence) -> Iterator[Finding]:
+    """What is left over in ax, ay, on average, where the car's own motion is taken off."""
+    assert evidence.pushing is not None
+    leak = -np.median(evidence.pushing.bias, axis=0)
+    size = float(np.hypot(*leak))
+    doubt = 2 * _bias_std(evidence)
+    if size < TILT[0] + doubt:
+        return
+    tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
+    serious = size > TILT[1] + doubt
+    carried = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that no motion explains"
+    what = f"bias, or tilt of {tilt:.0f} deg, {carried}"
+    if serious:
+        what = f"gravity {carried}; the IMU is tilted by about {tilt:.0f} deg"
+    yield Finding(
+        "gravity", "serious" if serious else "warning", what, "imu.csv, ax, ay", evidence.span,
+        0.99 if serious else 0.95, "level the IMU, or take the constant off; --model planar8 estimates the rest",
+        Repair("level", (float(leak[0]), float(leak[1]))),
+    )  # fmt: skip
+
+
+def _bias_std(evidence: Evidence) -> float:
+    """m/s2: how well fixes show a constant acceleration (a parabola's, over each window), twice, for M's doubts."""
+    assert evidence.course is not None
+    assert evidence.pushing is not None
+    rows, time = evidence.pushing.rows, evidence.course.time
+    length = float(np.median(time[rows[:, -1]] - time[rows[:, 0]]))
+    parabola = evidence.scatter * math.sqrt(720 / rows.shape[1]) / length**2
+    return 2 * parabola * math.sqrt(2 / len(rows))
+
+
+def _upward(evidence: Evidence) -> Iterator[Finding]:
+    """az, which planar filters do not use, tells of other faults."""
+    az, mount = evidence.drive.imu.az, evidence.mount
+    if az is None:
+        return
+    up = float(np.median(az)) * (mount.unit if mount else 1.0)
+    if mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
+        return  # told there
+    code, sure, where = "accelerometer-up", 0.99, "imu.csv, az"
+    if up < -0.7 * GRAVITY:
+        what, remedy = f"the median of az is {up:.2f} m/s2, but +9.8 with z up", "change the sign of az"
+        fix = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0))
+        yield Finding(code, "warning", what, where, evidence.span, sure, remedy, fix)
+    elif abs(up) < 0.2 * GRAVITY and not 0.8 < abs(up) < 1.2:
+        what = f"the median of az is {up:.2f} m/s2: gravity was taken off"
+        yield Finding(
+            code, "note", what, where, evidence.span, sure, "nothing to do: filters here do not use az"
+        )
+    elif abs(up - GRAVITY) > 0.2 * GRAVITY:
+        what = f"the median of az is {up:.2f} m/s2, but +9.8 at rest"
+        yield Finding(code, "warning", what, where, evidence.span, sure, "check its unit and axis")

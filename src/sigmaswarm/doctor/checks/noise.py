@@ -1,0 +1,81 @@
+"""What the receiver says of itself against what it does: stated deviation, outliers."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.pushing import LEAST_NOISE
+from sigmaswarm.doctor.sureness import sure_of
+
+TOO_SMALL = 2.0
+"""Observed noise over the stated one."""
+TOO_LARGE = 6.5
+"""Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
+TOO_LARGE_IF_SLOW = 20.0
+"""The same where it is not: slow errors are then likely."""
+WHITE = 0.7
+"""Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the fixes' noise."""
+    yield from _stated(evidence)
+    yield from _outliers(evidence)
+
+
+def _stated(evidence: Evidence) -> Iterator[Finding]:
+    gps, about = evidence.drive.gps, evidence.drive.metadata
+    if gps.std_x is not None and gps.std_y is not None:
+        stated, where = float(np.median(np.concatenate([gps.std_x, gps.std_y]))), "gps.csv, std_x, std_y"
+    elif "gps_std_m" in about:
+        stated, where = float(about["gps_std_m"]), "drive.toml, gps_std_m"
+    else:
+        return
+    noise, scatter = evidence.noise, max(evidence.scatter, evidence.noise)
+    if not scatter:
+        return
+    interval = float(np.median(np.diff(gps.time)))
+    # what the IMU itself can't follow between fixes
+    unseen = 0.02 + 0.15 * interval**2
+    white = noise > WHITE * scatter or scatter - noise < LEAST_NOISE  # that little may be the IMU's own
+    limit = TOO_LARGE if white else TOO_LARGE_IF_SLOW
+    if noise - unseen > TOO_SMALL * stated:
+        how = "smaller than"
+        sure = sure_of(3 + noise / stated / TOO_SMALL)
+    elif stated > limit * scatter:
+        how = "larger than"
+        sure = sure_of(2 * stated / limit / scatter)
+    else:
+        return
+    factor = max(stated / scatter, scatter / stated)
+    yield Finding(
+        "gps-noise",
+        "warning",
+        f"the stated deviation, {stated:.2g} m, is {factor:.0f} times {how} the fixes' scatter, "
+        f"{scatter:.2g} m per axis",
+        where,
+        evidence.span,
+        sure,
+        f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show",
+        Repair("state-noise", (scatter,)),
+    )
+
+
+def _outliers(evidence: Evidence) -> Iterator[Finding]:
+    time = evidence.drive.gps.time[evidence.outlying]
+    if not len(time):
+        return
+    first = ", ".join(f"{t:.1f}" for t in time[:4]) + (" ..." if len(time) > 4 else "")
+    share = 100 * len(time) / len(evidence.drive.gps)
+    yield Finding(
+        "gps-outliers",
+        "warning",
+        f"{len(time)} fix{'es' if len(time) > 1 else ''} ({share:.1f}%) far off the path, at t = {first} s",
+        "gps.csv, positions",
+        (float(time[0]), float(time[-1])),
+        0.99,
+        "leave them out, or let the filter do it: --use gate",
+        Repair("drop-fixes", tuple(time.tolist())),
+    )

@@ -1,0 +1,101 @@
+"""Rates, gaps, values that only repeat."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import Evidence
+from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP
+from sigmaswarm.drives.drive import Array, Imu
+
+SLOW_IMU = 8.0
+"""Hz: slower, turns are lost between samples."""
+UNEVEN = 0.5
+"""Share of the usual interval that the middle 90% of the intervals spread over."""
+HELD = 0.2
+"""Share of IMU samples that repeat the one before: a slower sensor, logged too often."""
+LONG_GAP = 0.5
+"""s without IMU samples, after which a step is no longer harmless."""
+FEWEST_STALE = 3
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about when samples came."""
+    imu, gps = evidence.drive.imu, evidence.drive.gps
+    yield _rate("imu", imu.time)
+    yield _rate("gps", gps.time)
+    yield from _gaps(
+        "imu", imu.time, IMU_GAP,
+        "a filter crosses it in one step driven by the sample at its end; split the drive there if the car maneuvered",
+    )  # fmt: skip
+    yield from _gaps(
+        "gps", gps.time, GPS_GAP, "a filter runs on the IMU alone there; nothing to do if it was so meant"
+    )
+    yield from _held(imu)
+    yield from _stale(evidence)
+
+
+def _rate(sensor: str, time: Array) -> Finding:
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    low, high = np.quantile(interval, [0.05, 0.95])
+    counted = "samples" if sensor == "imu" else "fixes"
+    what = f"{len(time)} {counted} at {1 / usual:.3g} Hz over {time[-1] - time[0]:.0f} s"
+    uneven = high - low > UNEVEN * usual
+    slow = sensor == "imu" and usual > 1 / SLOW_IMU
+    if uneven:
+        what += f", uneven: 9 of 10 intervals last {1e3 * low:.0f} to {1e3 * high:.0f} ms"
+    remedy = "filters step by the true intervals; nothing to do" if not slow else "record at 25 Hz or more"
+    return Finding(
+        f"{sensor}-rate", "warning" if slow else "note", what, f"{sensor}.csv, t", _ends(time), 1.0, remedy
+    )
+
+
+def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> Iterator[Finding]:
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
+    if count:
+        i = int(np.argmax(interval))
+        many = f"{count} gaps, the longest" if count > 1 else "a gap of"
+        what = f"{many} {interval[i]:.2g} s (usual interval {usual:.3g} s)"
+        span = float(time[i]), float(time[i + 1])
+        severity = "warning" if sensor == "imu" and interval[i] > LONG_GAP else "note"
+        yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
+
+
+def _held(imu: Imu) -> Iterator[Finding]:
+    """Samples whose every value repeats; a filter then counts one measurement several times."""
+    same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
+    if same.mean() > HELD:
+        share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))
+        yield Finding(
+            "imu-repeats",
+            "warning",
+            f"{share:.0f}% of the samples repeat the one before: the sensor gives about {fresh:.0f} a second",
+            "imu.csv, ax, ay, gz",
+            _ends(imu.time),
+            0.99,
+            "log only fresh samples",
+            Repair("drop-samples", tuple(imu.time[same].tolist())),
+        )
+
+
+def _stale(evidence: Evidence) -> Iterator[Finding]:
+    time = evidence.drive.gps.time[evidence.stale]
+    if len(time) >= FEWEST_STALE:
+        yield Finding(
+            "gps-repeats",
+            "warning",
+            f"{len(time)} fixes repeat the one before to the last digit while the car drives",
+            "gps.csv, positions",
+            _ends(time),
+            0.99,
+            "leave them out: they are old positions under a new time",
+            Repair("drop-fixes", tuple(time.tolist())),
+        )
+
+
+def _ends(time: Array) -> tuple[float, float]:
+    return float(time[0]), float(time[-1])

@@ -1,0 +1,36 @@
+"""All checks over one drive."""
+
+from sigmaswarm.doctor.checks import accelerometer, clock, gyro, noise, observability, sampling, velocity
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis
+from sigmaswarm.drives.checks import shortage_of
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import DriveError
+
+CHECKS = (gyro, accelerometer, clock, velocity, noise, sampling, observability)
+"""In the order in which findings of one severity are told."""
+
+
+def diagnose(drive: Drive) -> Diagnosis:
+    """Say what is wrong with a drive. Its truth, if any, is not looked at.
+
+    Parameters
+    ----------
+    drive : Drive
+        Stays as it is.
+
+    Returns
+    -------
+    Diagnosis
+        The findings, the serious ones first.
+
+    Raises
+    ------
+    DriveError
+        The drive is too short, or IMU and GPS do not overlap.
+    """
+    if shortage := shortage_of(drive):
+        raise DriveError(f"{drive.name}/{shortage}")
+    evidence = gather(drive)
+    found = [finding for subject in CHECKS for finding in subject.check(evidence)]
+    return Diagnosis(drive.name, tuple(sorted(found, key=lambda f: SEVERITIES.index(f.severity))))

@@ -1,0 +1,111 @@
+"""What the checks look at, worked out once for a drive."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps, stale, white_noise
+from sigmaswarm.doctor.pushing import Pushing, heading_of, pushing_of
+from sigmaswarm.doctor.turning import Turning, turning_of
+from sigmaswarm.doctor.verdicts import Clock, Mount, Yaw, clock_of, mount_of, yaw_of
+from sigmaswarm.doctor.windows import Complex
+from sigmaswarm.drives.drive import Array, Drive
+
+FEWEST = 20
+"""Fixes; with fewer, only what needs no motion is checked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A drive and what was found out about it.
+
+    Attributes
+    ----------
+    drive : Drive
+    stale, outlying : (n,) bool: fixes that only repeat the last one; fixes that lie far off the path
+    used : (m,) int: the numbers of the fixes that ``course`` is made of
+    course : Course or None
+    turning, yaw : the gyro beside the course
+    pushing, mount : the accelerometers beside the path
+    clock : how late the fixes are
+    noise, scatter : m per axis: of the fixes from one to the next, and about the path over ten seconds
+    """
+
+    drive: Drive
+    stale: Mask
+    outlying: Mask
+    used: np.ndarray[tuple[int], np.dtype[np.intp]]
+    course: Course | None
+    turning: Turning | None
+    yaw: Yaw
+    pushing: Pushing | None
+    mount: Mount | None
+    clock: Clock
+    noise: float
+    scatter: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """From the first to the last IMU sample, s."""
+        return float(self.drive.imu.time[0]), float(self.drive.imu.time[-1])
+
+
+def gather(drive: Drive) -> Evidence:
+    """Fit the gyro to the course and the accelerometers to the path, and judge the fits."""
+    gps, imu = drive.gps, drive.imu
+    old = stale(gps)
+    inside = ~old & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
+    off = np.zeros(len(gps), dtype=np.bool_)
+    off[inside] = jumps(gps.time[inside], (gps.x + 1j * gps.y)[inside])
+    used = np.flatnonzero(inside & ~off)
+    if len(used) < FEWEST:
+        yaw = yaw_of(None)
+        blind = clock_of(None, yaw, None, None)
+        return Evidence(drive, old, off, used, None, None, yaw, None, None, blind, 0.0, 0.0)
+    course = course_of(gps.time[used], (gps.x + 1j * gps.y)[used])
+    turning = turning_of(drive, course)
+    yaw = yaw_of(turning)
+    pushing = None
+    if course.moving.any():
+        rate: Array = yaw.factor * getattr(imu, yaw.column)
+        coarse = turning.late if turning and yaw.known and turning.share > 0.5 else 0.0
+        pushing = pushing_of(drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse)
+    mount = mount_of(pushing) if pushing else None
+    noise, scatter = white_noise(course.time, course.position), 0.0
+    if pushing:
+        noise, scatter = _noise(pushing)
+        off[used[_far_off(pushing)]] = True
+    return Evidence(
+        drive,
+        old,
+        off,
+        used,
+        course,
+        turning,
+        yaw,
+        pushing,
+        mount,
+        clock_of(turning, yaw, pushing, mount),
+        noise,
+        scatter,
+    )
+
+
+def _noise(pushing: Pushing) -> tuple[float, float]:
+    """m per axis: noise from one fix to the next, and scatter about the IMU's path; both robust."""
+    second = np.diff(pushing.residual, n=2, axis=1)
+
+    def spread(v: Complex) -> float:
+        return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
+
+    n = pushing.rows.shape[1]  # each window's own three unknowns take their share
+    return spread(second) / np.sqrt(6.0), spread(pushing.residual) * np.sqrt(n / (n - 3))
+
+
+def _far_off(pushing: Pushing) -> np.ndarray:
+    """Numbers, among the used fixes, of those that lie far off the IMU's path in every window."""
+    size = np.abs(pushing.residual)
+    off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
+    rows, counts = np.unique(pushing.rows, return_counts=True)
+    far, times = np.unique(pushing.rows[off], return_counts=True)
+    return far[times == counts[np.searchsorted(rows, far)]]

@@ -1,0 +1,98 @@
+"""What the doctor says: findings, each with its place, its certainty, a remedy and perhaps a repair."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Severity = Literal["note", "warning", "serious"]
+SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
+"""serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
+
+Action = Literal[
+    "gyro", "accelerometer", "level", "shift-fixes", "drop-fixes", "drop-samples", "state-noise", "velocity"
+]
+
+
+@dataclass(frozen=True)
+class Repair:
+    """How to mend a finding; `sigmaswarm.doctor.repairs` does it.
+
+    Attributes
+    ----------
+    action : str
+    values : tuple of float
+        What the action needs; see `repairs.py`.
+    """
+
+    action: Action
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the doctor found.
+
+    Attributes
+    ----------
+    code : str
+        Short and lasting, for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
+    severity : {"note", "warning", "serious"}
+    what : str
+        A sentence: what is wrong, with figures.
+    where : str
+        File and columns.
+    span : (float, float)
+        s, from when to when on the drive's clock.
+    sure : float
+        0 to 1: how sure the doctor is.
+    remedy : str
+        What to do.
+    repair : Repair or None
+        What ``repair`` does about it; None where nothing can be done.
+    """
+
+    code: str
+    severity: Severity
+    what: str
+    where: str
+    span: tuple[float, float]
+    sure: float
+    remedy: str
+    repair: Repair | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        about: dict[str, Any] = {k: v for k, v in vars(self).items() if k != "repair"}
+        return about | {"span": list(self.span), "repairable": self.repair is not None}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings about one drive, the serious ones first.
+
+    Attributes
+    ----------
+    drive : str
+        The drive's name.
+    findings : tuple of Finding
+    """
+
+    drive: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def serious(self) -> bool:
+        """Whether anything serious was found."""
+        return any(finding.severity == "serious" for finding in self.findings)
+
+    @property
+    def codes(self) -> frozenset[str]:
+        """The codes of all findings."""
+        return frozenset(finding.code for finding in self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "drive": self.drive,
+            "serious": self.serious,
+            "findings": [finding.to_dict() for finding in self.findings],
+        }

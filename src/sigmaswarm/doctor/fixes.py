@@ -1,0 +1,119 @@
+"""What the fixes alone say: which ones jump, how fast the car went and where to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.doctor.windows import Complex
+from sigmaswarm.drives.drive import Array, Gps
+
+Mask = NDArray[np.bool_]
+
+NEIGHBORS = 3
+"""Fixes on each side that say where the one between them should be."""
+HARDEST = 8.0
+"""m/s2: no car accelerates harder; what that does between fixes is no jump."""
+SPAN = (3.0, 6.0)
+"""s: the shortest and longest stretch of fixes that one velocity is taken from."""
+SPEED_STD = 0.5
+"""m/s: the stretch is chosen so that white noise of the fixes leaves the velocity about that well known."""
+CREEPING = 1.5
+"""m/s: slower, a receiver may well repeat a fix."""
+SLOWEST = 3.0
+"""m/s: slower, noise makes the course."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Velocity of the car from its fixes, at the fixes' times.
+
+    Attributes
+    ----------
+    time : (n,) s
+    position : (n,) m, east + i north
+    velocity : (n,) m/s, east + i north; the mean over about ``span``, weighted by a parabola
+    std : m/s per axis, what the fixes' white noise leaves unknown of it
+    angle : (n,) rad, the course, unwrapped
+    moving : (n,) bool: fast enough that noise does not make the course
+    span : s
+    """
+
+    time: Array
+    position: Complex
+    velocity: Complex
+    std: float
+    angle: Array
+    moving: Mask
+    span: float
+
+
+def stale(gps: Gps) -> Mask:
+    """Fixes, (n,), that repeat the one before to the last digit although the car moves."""
+    same = np.append(False, (np.diff(gps.x) == 0) & (np.diff(gps.y) == 0))
+    fresh = np.flatnonzero(~same)
+    position = gps.x[fresh] + 1j * gps.y[fresh]
+    speed = np.abs(np.diff(position)) / np.maximum(np.diff(gps.time[fresh]), 1e-9)
+    moves = np.append(speed > CREEPING, False)  # from this fresh fix to the next
+    return same & moves[np.cumsum(~same) - 1]
+
+
+def jumps(time: Array, position: Complex) -> Mask:
+    """Fixes that lie farther off the line through their neighbors than any car drives, (n,)."""
+    kept = np.arange(len(time))
+    for _ in range(20):  # the worst of each neighborhood at a time: it spoils its neighbors' lines too
+        off = np.abs(_off_line(time[kept], position[kept]))
+        step = np.gradient(time[kept])
+        scale = 1.5 * float(np.median(off))
+        limit = 8 * scale + 0.5 * HARDEST * (NEIGHBORS * step) ** 2
+        worst = np.array([off[max(i - NEIGHBORS, 0) : i + NEIGHBORS + 1].max() for i in range(len(kept))])
+        bad = (off > limit) & (off == worst)
+        if not bad.any() or len(kept) - bad.sum() < 10:
+            break
+        kept = kept[~bad]
+    mask = np.ones(len(time), dtype=np.bool_)
+    mask[kept] = False
+    return mask
+
+
+def _off_line(time: Array, position: Complex) -> Complex:
+    """How far each fix lies off the straight line through its neighbors, without itself, (n,) m."""
+    n = len(time)
+    offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
+    index = np.arange(n)[:, None] + offsets
+    weight = ((index >= 0) & (index < n)).astype(np.float64)
+    index = index.clip(0, n - 1)
+    t, p = time[index] - time[:, None], position[index]
+    s0, s1, s2 = weight.sum(1), (weight * t).sum(1), (weight * t**2).sum(1)
+    q0, q1 = (weight * p).sum(1), (weight * t * p).sum(1)
+    return position - (q0 * s2 - q1 * s1) / np.maximum(s0 * s2 - s1**2, 1e-12)
+
+
+def white_noise(time: Array, position: Complex) -> float:
+    """m per axis: the fixes' noise from one to the next, robustly, by third differences (they remove motion)."""
+    third = np.diff(position, n=3)
+    spread = np.concatenate([third.real, third.imag])
+    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+
+
+def course_of(time: Array, position: Complex) -> Course:
+    """Speed and course from straight lines through short stretches of fixes."""
+    interval = float(np.median(np.diff(time)))
+    noise = white_noise(time, position)
+    # a line through n fixes over T: std = noise sqrt(12 / n) / T
+    span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))
+    span = max(span, 4.5 * interval)
+    first = np.searchsorted(time, time - span / 2, side="left")
+    last = np.searchsorted(time, time + span / 2, side="right")
+    velocity = np.zeros(len(time), dtype=np.complex128)
+    for i, (a, b) in enumerate(zip(first, last, strict=True)):
+        t = time[a:b] - time[a:b].mean()
+        if b - a >= 3:
+            velocity[i] = t @ position[a:b] / (t @ t)
+    whole = (last - first) >= 0.7 * span / interval  # no velocity across a gap or at the ends
+    whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
+    std = noise * np.sqrt(12 * interval / span) / span
+    moving = whole & (np.abs(velocity) > max(SLOWEST, 6 * std))
+    angle = np.zeros(len(time))
+    angle[moving] = np.unwrap(np.angle(velocity[moving]))
+    return Course(time, position, velocity, float(std), angle, moving, span)

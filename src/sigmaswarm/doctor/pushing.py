@@ -1,0 +1,192 @@
+"""The accelerometers beside the path: how they are mounted, scaled and tilted, and how late the fixes are.
+
+Within a window of some seconds the path is that of the IMU, integrated from an unknown start:
+
+    p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
+
+seen ``late`` s after it happened. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all
+windows, p0, v0 and b (tilt, slope, bias) belong to each. For a good log M is the identity.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.doctor.fixes import Complex, Course, white_noise
+from sigmaswarm.doctor.turning import integral, smoothed
+from sigmaswarm.doctor.windows import Regression, regress, windows_of
+from sigmaswarm.drives.drive import Array, Drive
+
+WINDOW = 10.0
+"""s: long enough to see accelerations, short enough for tilt and slope to stay."""
+BIAS_SPREAD = (0.1, 0.5)
+"""m/s2: how much tilt, slope and bias differ between windows, at least and at most."""
+FEW = 8.0
+"""Windows: with so few, twice the variance is allowed for what they say."""
+LEAST_NOISE = 0.03
+"""m: no IMU follows a path over some seconds more closely."""
+Heading = Callable[[float], Array]
+
+DRIFT_SPAN = 6.0
+BIN = 3.0
+"""s: gyro and course are brought together over a bell of that deviation, in bins of that length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pushing:
+    """The fit.
+
+    Attributes
+    ----------
+    matrix : (2, 2), M: what turns (ax, ay) as recorded into forward and left, m/s2
+    covariance : (5, 5), of M's rows, one after the other, and of ``late``
+    late : s, by which the fixes are late
+    bias : (k, 2) m/s2, forward and left, of each window: what is left of the recorded accelerations
+    time : (k,) s, the middles of the windows
+    rows : (k, n), the fixes of each window
+    residual : (k, n) m, east + i north
+    """
+
+    matrix: Array
+    covariance: Array
+    late: float
+    bias: Array
+    time: Array
+    rows: NDArray[np.intp]
+    residual: Complex
+
+
+def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
+    """Heading (n,), rad, at the IMU's times: the gyro's turns, held to the course over some seconds.
+
+    Parameters
+    ----------
+    time : (n,) s, the IMU's
+    rate : (n,) rad/s, the yaw rate with its sign and unit right
+    late : s, of the fixes
+    """
+    rate = rate + drift_of(time, course, rate, late)
+    seen = course.moving
+    at, turned = course.time[seen] - late, integral(time, rate)
+    off = course.angle[seen] - smoothed(time, turned, at, course.span)
+    jump = np.append(0.0, np.cumsum(np.round(np.diff(off) / (2 * np.pi)))) * 2 * np.pi
+    off = off - jump  # while it stands the course's turns are lost by whole circles
+    bin_of = ((at - at[0]) // BIN).astype(np.intp)
+    weight = np.bincount(bin_of, np.abs(course.velocity[seen]))  # the faster, the better known
+    total = np.bincount(bin_of, np.abs(course.velocity[seen]) * off)
+    bell = np.exp(-0.5 * (np.arange(-6, 7) * BIN / DRIFT_SPAN) ** 2)
+    weight, total = np.convolve(weight, bell)[6:-6], np.convolve(total, bell)[6:-6]
+    middles = at[0] + BIN * (np.arange(len(weight)) + 0.5)
+    return turned + np.interp(time, middles[weight > 0], (total / np.maximum(weight, 1e-12))[weight > 0])
+
+
+def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
+    """rad/s that the gyro's rate lacks, by the course: less its bias. Parameters as of `heading_of`."""
+    seen = course.moving
+    off = course.angle[seen] - smoothed(time, integral(time, rate), course.time[seen] - late, course.span)
+    step = max(round(DRIFT_SPAN / float(np.median(np.diff(course.time)))), 1)
+    if len(off) <= step:
+        return 0.0
+    slope = (off[step:] - off[:-step]) / (course.time[seen][step:] - course.time[seen][:-step])
+    return float(np.median(slope))
+
+
+def pushing_of(drive: Drive, course: Course, heading: Heading, coarse: float) -> Pushing | None:
+    """Fit; ``heading(late)`` gives theta at the IMU's times, ``coarse`` is where to look for ``late``, s."""
+    rows = _windows(drive, course)
+    if not len(rows):
+        return None
+    fit = _Fit(drive, course, heading, rows, max(white_noise(course.time, course.position), LEAST_NOISE))
+    tried = coarse + np.arange(-0.8, 0.81, 0.1)
+    late = float(tried[int(np.argmin([fit.at(float(late), rounds=1).cost for late in tried]))])
+    step = 0.0
+    for k in range(10):
+        found = fit.at(late)
+        if k > 1:  # the first rounds find M and the biases, which the fifth column rests on
+            step = float(np.clip(found.solution[4], -0.2, 0.2))
+            late += step
+            if abs(step) < 1e-3:
+                break
+        fit.learn(found, late)
+    found = fit.at(late)
+    fit.learn(found, late)
+    return Pushing(
+        found.solution[:4].reshape(2, 2),
+        found.covariance * (1 + FEW / len(rows)),
+        late,
+        fit.bias,
+        course.time[rows].mean(axis=1),
+        rows,
+        found.residual[:, :-1],
+    )
+
+
+def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
+    """Windows in which the car moves and the IMU has no gap."""
+    interval = float(np.median(np.diff(course.time)))
+    imu = drive.imu.time
+    length = float(np.clip(np.count_nonzero(course.moving) * interval / 2, 5.0, WINDOW))
+    inside = (course.time > imu[0] + 1) & (course.time < imu[-1] - 1)
+    rows = windows_of(course.time, inside, length)
+    gaps = imu[:-1][np.diff(imu) > 0.3]
+    start, end = course.time[rows[:, 0]] - 1, course.time[rows[:, -1]] + 1
+    whole = np.searchsorted(gaps, start) == np.searchsorted(gaps, end)
+    return rows[whole & (course.moving[rows].mean(axis=1) > 0.3)]
+
+
+class _Fit:
+    """The regression at a given lateness, with what the last one taught: M, and how the windows' biases spread."""
+
+    def __init__(self, drive: Drive, course: Course, heading: Heading, rows: NDArray[np.intp], noise: float):
+        self._drive, self._course, self._heading = drive, course, heading
+        self._rows, self._noise = rows, noise
+        self._matrix = np.zeros((2, 2))
+        self._usual = np.zeros(2)  # bias of most windows, m/s2
+        self._spread = BIAS_SPREAD[1]
+        self.bias = np.zeros((len(rows), 2))
+
+    def at(self, late: float, rounds: int = 4) -> Regression:
+        """The shared unknowns are M, row by row, and what is missing of ``late``."""
+        position, columns, own = self._terms(late)
+        one = np.ones((len(self._rows), 1), dtype=np.complex128)
+        # One more row a window: its bias lies about where the others' lie.
+        own = [np.hstack([c, f * one]) for c, f in zip(own, (0, 0, self._noise / self._spread), strict=True)]
+        columns = [np.hstack([c, 0 * one]) for c in columns]
+        return regress(np.hstack([position, 0 * one]), columns, own, np.ones(own[0].shape), rounds)
+
+    def learn(self, found: Regression, late: float) -> None:
+        """Take over M, and the bias of each window, given M and ``late``."""
+        self._matrix = found.solution[:4].reshape(2, 2)
+        position, columns, own = self._terms(late)
+        rest = position - sum((s * c for s, c in zip(found.solution, columns, strict=True)), 0 * position)
+        root = np.sqrt(found.weight[:, :-1])
+        a = np.stack([root * c for c in own], axis=-1)
+        extra = np.einsum("wkn,wn->wk", np.linalg.pinv(a), root * rest)[:, 2]
+        self.bias = np.column_stack([extra.real, extra.imag]) + self._usual
+        self._usual = np.median(self.bias, axis=0)
+        spread = 1.5 * np.median(np.abs(self.bias - self._usual))
+        self._spread = float(np.clip(spread, *BIAS_SPREAD))
+
+    def _terms(self, late: float) -> tuple[Complex, list[Complex], list[Complex]]:
+        """The positions, the columns of the shared unknowns and those of each window's own, all (w, n)."""
+        imu, rows = self._drive.imu, self._rows
+        direction = np.exp(1j * self._heading(late))
+        at = self._course.time - late
+
+        def path(force: Array | Complex) -> tuple[Complex, Complex]:
+            once = integral(imu.time, direction * force)
+            twice = integral(imu.time, once)
+            return tuple(np.interp(at, imu.time, v)[rows] for v in (once, twice))  # pyright: ignore
+
+        usual = complex(*self._usual)
+        (vx, x), (vy, y), (vb, b) = path(imu.ax), path(imu.ay), path(np.ones(len(imu)))
+        (xx, xy), (yx, yy) = self._matrix
+        speed = (xx + 1j * yx) * vx + (xy + 1j * yy) * vy + usual * vb
+        t = self._course.time[rows]
+        t = (t - t.mean(axis=1, keepdims=True)) / (t[:, -1:] - t[:, :1])
+        lever = complex(*self._drive.lever_arm) * np.interp(at, imu.time, direction)[rows]
+        position = self._course.position[rows] - lever - usual * b
+        own = [np.ones_like(b), t + 0j, b - b.mean(axis=1, keepdims=True)]
+        return position, [x, y, 1j * x, 1j * y, -speed], own

@@ -1,0 +1,112 @@
+"""Mending a drive as its findings say. The drive handed in stays as it is; truth stays as it is."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.doctor.checks.velocity import CONVENTIONS
+from sigmaswarm.doctor.findings import Action, Diagnosis
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.geodesy import wrap_angle
+
+Values = tuple[float, ...]
+
+
+def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
+    """A copy of the drive with everything mended that can be.
+
+    Parameters
+    ----------
+    drive : Drive
+        The one that was diagnosed.
+    diagnosis : Diagnosis
+        Of it.
+
+    Returns
+    -------
+    Drive
+        Under the same name; ``repaired`` in its metadata lists the findings that were mended.
+    """
+    mended = {f.code: f.repair for f in diagnosis.findings if f.repair is not None}
+    for order in ACTIONS:
+        for fix in mended.values():
+            if fix.action == order:
+                drive = ACTIONS[order](drive, fix.values)
+    if not mended:
+        return drive
+    before = list(drive.metadata.get("repaired", []))
+    return replace(drive, metadata={**drive.metadata, "repaired": [*before, *mended]})
+
+
+def _gyro(drive: Drive, values: Values) -> Drive:
+    """Column (0, 1, 2 for gx, gy, gz) that is the yaw rate, and its factor; a unit's goes for all columns."""
+    imu, (column, factor) = drive.imu, values
+    name = ("gx", "gy", "gz")[int(column)]
+    rates = {n: getattr(imu, n) for n in ("gx", "gy", "gz")}
+    rates["gz"], rates[name] = rates[name], rates["gz"]
+    changed = {n: v * (factor if n == "gz" else abs(factor)) for n, v in rates.items() if v is not None}
+    return replace(drive, imu=replace(imu, **changed))
+
+
+def _accelerometer(drive: Drive, values: Values) -> Drive:
+    """The matrix (2, 2), row by row, for ax and ay, and a factor for az."""
+    imu, (a, b, c, d, up) = drive.imu, values
+    az = None if imu.az is None else up * imu.az
+    return replace(drive, imu=replace(imu, ax=a * imu.ax + b * imu.ay, ay=c * imu.ax + d * imu.ay, az=az))
+
+
+def _level(drive: Drive, values: Values) -> Drive:
+    """What is to be taken off ax and ay, m/s2."""
+    imu = drive.imu
+    return replace(drive, imu=replace(imu, ax=imu.ax - values[0], ay=imu.ay - values[1]))
+
+
+def _shift_fixes(drive: Drive, values: Values) -> Drive:
+    """s, to be added to the fixes' times."""
+    return replace(drive, gps=replace(drive.gps, time=drive.gps.time + values[0]))
+
+
+def _drop_fixes(drive: Drive, values: Values) -> Drive:
+    """The times, s, of fixes to leave out."""
+    return replace(drive, gps=drive.gps.select(~np.isin(drive.gps.time, values)))
+
+
+def _drop_samples(drive: Drive, values: Values) -> Drive:
+    """The times, s, of IMU samples to leave out."""
+    return replace(drive, imu=drive.imu.select(~np.isin(drive.imu.time, values)))
+
+
+def _state_noise(drive: Drive, values: Values) -> Drive:
+    """m per axis, what the median of the stated deviations should be."""
+    gps = drive.gps
+    if gps.std_x is not None and gps.std_y is not None:
+        factor = values[0] / float(np.median(np.concatenate([gps.std_x, gps.std_y])))
+        drive = replace(drive, gps=replace(gps, std_x=factor * gps.std_x, std_y=factor * gps.std_y))
+    if "gps_std_m" in drive.metadata:
+        drive = replace(drive, metadata={**drive.metadata, "gps_std_m": values[0]})
+    return drive
+
+
+def _velocity(drive: Drive, values: Values) -> Drive:
+    """A factor for speed, and which of `CONVENTIONS` (from 1) the course is in; 0 for the right one."""
+    gps, (factor, convention) = drive.gps, values
+    if gps.speed is None or gps.course is None:
+        return drive
+    course = gps.course
+    if convention:
+        course = wrap_angle(list(CONVENTIONS.values())[int(convention) - 1](course))
+    return replace(drive, gps=replace(gps, speed=factor * gps.speed, course=course))
+
+
+ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
+    "drop-samples": _drop_samples,
+    "drop-fixes": _drop_fixes,
+    "gyro": _gyro,
+    "accelerometer": _accelerometer,
+    "level": _level,
+    "shift-fixes": _shift_fixes,
+    "state-noise": _state_noise,
+    "velocity": _velocity,
+}
+"""In the order in which they are done: rows are named by the times they came with."""

@@ -1,0 +1,136 @@
+"""The gyro beside the course: which of its columns turns as the car does, how far, and when."""
+
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.doctor.fixes import Complex, Course
+from sigmaswarm.doctor.windows import Regression, regress, windows_of
+from sigmaswarm.drives.drive import Array, Drive
+
+WINDOW = 20.0
+"""s: turns stand out within it, and a gyro's bias is a straight line."""
+EXPLAINED = 0.7
+"""Of the course's changes: a column that explains more is the right one, and others need not be tried."""
+CLEARLY_BETTER = 0.3
+"""Of them: so much more must another column explain."""
+AHEAD = (0.8, 0.8)
+"""m, mean and deviation: how far the antenna is before the rear axle, which does not slide sideways. The course there
+turns earlier than the car, by the way between the two."""
+LATENESS = np.arange(-2.5, 2.51, 0.1)
+"""s by which fixes may be late, tried one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``.
+
+    Attributes
+    ----------
+    column : str
+    gain, std : 1 for a column that turns as the car does
+    share : of the course's changes that the column explains, 0 to 1
+    late, late_std : s, by which the fixes are late
+    course_change : rad, how much the course changes within windows, RMS
+    count : windows that were looked at
+    """
+
+    column: str
+    gain: float
+    std: float
+    share: float
+    late: float
+    late_std: float
+    course_change: float
+    count: int
+
+
+_NODES, _GAUSS = np.polynomial.legendre.leggauss(8)
+_PARABOLA = _GAUSS * (1 - _NODES**2) / np.sum(_GAUSS * (1 - _NODES**2))
+
+
+@overload
+def integral(time: Array, values: Array) -> Array: ...
+@overload
+def integral(time: Array, values: Complex) -> Complex: ...
+def integral(time: Array, values: Array | Complex) -> Array | Complex:
+    """The integral from the first sample on, by trapezoids, (n,)."""
+    return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+
+
+@overload
+def smoothed(time: Array, values: Array, at: Array, span: float) -> Array: ...
+@overload
+def smoothed(time: Array, values: Complex, at: Array, span: float) -> Complex: ...
+def smoothed(time: Array, values: Array | Complex, at: Array, span: float) -> Array | Complex:
+    """Means around times ``at`` over ``span`` s, weighted by the parabola that a fitted line's slope has."""
+    points = at[:, None] + _NODES * span / 2
+    return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
+
+
+def turning_of(drive: Drive, course: Course) -> Turning | None:
+    """The fit of the column that explains the course best; None where the car hardly drives."""
+    interval = float(np.median(np.diff(course.time)))
+    rows = windows_of(
+        course.time, course.moving, min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
+    )
+    if not len(rows):
+        return None
+    own = _fit(drive, course, "gz", rows)
+    if own.share > EXPLAINED:
+        return own
+    others = [
+        _fit(drive, course, name, rows) for name in ("gx", "gy") if getattr(drive.imu, name) is not None
+    ]
+    better = max([own, *others], key=lambda fit: fit.share)
+    return better if better.share > own.share + CLEARLY_BETTER else own
+
+
+def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> Turning:
+    """Course = gain x (turned until ``late`` s ago) + each window's own straight line."""
+    time = drive.imu.time
+    rate: Array = getattr(drive.imu, column)
+    rate = rate - np.median(rate)
+    turned = integral(time, rate)
+    angle = course.angle[rows] + 0j
+    t = course.time[rows] - course.time[rows].mean(axis=1, keepdims=True)
+    own = [np.ones_like(angle), t + 0j]
+    weight = np.abs(course.velocity[rows]) / 10
+
+    def at(late: float, rounds: int = 4, gain: float = 0.0) -> Regression:
+        turn = smoothed(time, turned, course.time - late, course.span)
+        columns = [turn]
+        if gain:
+            columns += [-gain * smoothed(time, rate, course.time - late, course.span)]
+        return regress(angle, [c[rows] + 0j for c in columns], own, weight, rounds)
+
+    late = float(LATENESS[int(np.argmin([at(float(late), 1).cost for late in LATENESS]))])
+    late_std = 0.0
+    for _ in range(4):
+        fit = at(late)
+        gain = float(fit.solution[0])
+        joint = at(late, gain=gain)
+        late_std = float(np.sqrt(joint.covariance[1, 1]))
+        late += float(np.clip(joint.solution[1], -0.1, 0.1))
+    fit = at(late)
+    turning = smoothed(time, rate, course.time - late, course.span)[rows] ** 2
+    slowness = float(
+        np.sum(turning / np.abs(course.velocity[rows])) / max(np.sum(turning), 1e-12)
+    )  # s/m, in turns
+    flat = regress(angle, [np.zeros_like(angle)], own, weight, 1)
+
+    def power(r: Regression) -> float:
+        return float(np.sum(np.abs(weight * r.residual) ** 2))
+
+    return Turning(
+        column,
+        float(fit.solution[0]),
+        float(np.sqrt(fit.covariance[0, 0])),
+        1 - power(fit) / max(power(flat), 1e-12),
+        late + AHEAD[0] * slowness,
+        float(np.hypot(late_std, AHEAD[1] * slowness)),
+        float(np.sqrt(np.mean(np.abs(flat.residual) ** 2))),
+        len(rows),
+    )

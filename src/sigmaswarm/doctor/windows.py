@@ -1,0 +1,104 @@
+"""Overlapping windows over the fixes, and least squares with unknowns that belong to one window alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+
+FAR = 4.0
+"""Usual sizes of a residual, beyond which a value is doubted (Cauchy weights)."""
+
+
+def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
+    """Numbers (w, n) of the fixes of windows of about ``length`` s that overlap by half; none holds a gap."""
+    index = np.flatnonzero(usable)
+    interval = float(np.median(np.diff(time)))
+    count = max(round(length / interval), 8)
+    starts = np.arange(0, len(index) - count + 1, count // 2)
+    rows = index[starts[:, None] + np.arange(count)]
+    return rows[time[rows[:, -1]] - time[rows[:, 0]] <= 1.3 * count * interval]
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """A robust fit of y = sum over k of solution[k] columns[k], less what each window's own unknowns explain.
+
+    Attributes
+    ----------
+    solution : (k,)
+    covariance : (k, k), which allows for windows that overlap and for residuals that hang together
+    residual : (w, n) complex
+    weight : (w, n), how far each value was believed, 0 to 1
+    cost : the mean size of the residual
+    """
+
+    solution: Array
+    covariance: Array
+    residual: Complex
+    weight: Array
+    cost: float
+
+
+def regress(
+    y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, rounds: int
+) -> Regression:
+    """Least squares over windows, robust.
+
+    Parameters
+    ----------
+    y : (w, n) complex
+    columns : each (w, n); they share real factors over all windows
+    own : each (w, n); they have complex factors in each window
+    weight : (w, n), one over the standard deviation, as far as known beforehand, up to a factor
+    rounds : 1 for plain least squares; more to doubt what lies far off
+    """
+    fit = _solve(y, columns, own, weight, np.ones(y.shape))
+    for _ in range(rounds - 1):
+        size = np.abs(fit.residual) * weight
+        usual = max(float(np.median(size)), 1e-9)
+        believed = 1 / (1 + (size / (FAR * usual)) ** 2)
+        fit = _solve(y, columns, own, weight, believed)
+    return fit
+
+
+def _solve(
+    y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, believed: Array
+) -> Regression:
+    """Project each window's own columns out of everything (QR), then solve for what the windows share."""
+    root = weight * np.sqrt(believed)
+    q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
+
+    def rest(v: Complex) -> Array:
+        """What of v (w, n) the window's own unknowns can't explain, real parts beside imaginary ones, (w, 2n)."""
+        v = root * v
+        v = v - np.einsum("wnk,wk->wn", q, np.einsum("wnk,wn->wk", q.conj(), v))
+        return np.concatenate([v.real, v.imag], axis=1, dtype=np.float64)
+
+    a, b = np.stack([rest(c) for c in columns], axis=-1), rest(y)
+    solution = np.asarray(np.linalg.lstsq(a.reshape(-1, a.shape[-1]), b.ravel(), rcond=1e-10)[0], np.float64)
+    left = b - a @ solution
+    real, imaginary = np.split(left / np.tile(np.maximum(root, 1e-12), 2), 2, axis=1)
+    residual = real + 1j * imaginary
+    cost = float(np.mean(np.abs(residual) * weight))
+    return Regression(solution, _covariance(a, left, q.shape[-1]), residual, believed, cost)
+
+
+def _covariance(a: Array, left: Array, own: int) -> Array:
+    """Of the solution, from the columns (w, n, k) and what they left (w, n).
+
+    As if residuals were white, but at least as the windows disagree (the sandwich of White, 1980, with windows as
+    clusters); twice that, as each fix stands in two windows.
+    """
+    inverse = np.linalg.pinv(np.einsum("wnk,wnl->kl", a, a), rcond=1e-12, hermitian=True)
+    freedom = max(left.size - 2 * own * len(left), 1)
+    white = inverse * float(np.sum(left**2)) / freedom
+    pull = np.einsum("wnk,wn->wk", a, left)
+    sandwich = inverse @ (pull.T @ pull) @ inverse
+    ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(white), 1e-300), 1.0))
+    return 2 * white * np.outer(ratio, ratio)

@@ -1,0 +1,102 @@
+"""`sigmaswarm doctor`: what it prints, how it ends, and that the copy is mended and the original untouched."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import sigmaswarm as library
+from doctor.faults import FAULTS, flipped_yaw
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.writer import write_drive
+
+
+@pytest.fixture(scope="module")
+def good():
+    return library.simulate("urban", duration=90.0, gps="white-1m")
+
+
+@pytest.fixture
+def sick(good, here: Path) -> Path:
+    return write_drive(flipped_yaw(good), here / "sick")
+
+
+def test_a_good_drive_ends_with_0(sigmaswarm, good, here: Path):
+    write_drive(good, here / "fine")
+    ended = sigmaswarm("doctor", "fine")
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out.startswith("urban-clear-00: nothing serious")
+    assert "9000 samples at 100 Hz" in ended.out
+
+
+def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
+    ended = sigmaswarm("doctor", sick)
+    assert (ended.code, ended.err) == (1, "")
+    assert "1 SERIOUS" in ended.out
+    assert "[gyro-sign] imu.csv, gz" in ended.out
+    assert "-> change the sign of gz (--fix does it)" in ended.out
+
+
+def test_for_machines(sigmaswarm, sick: Path):
+    ended = sigmaswarm("doctor", sick, "--json")
+    assert ended.code == 1
+    told = json.loads(ended.out)
+    assert told["serious"] is True
+    first = told["drives"][0]["findings"][0]
+    assert (first["code"], first["severity"], first["repairable"]) == ("gyro-sign", "serious", True)
+    assert 0.99 < first["sure"] < 1
+    assert first["span"] == [0.0, 89.99]
+
+
+def test_the_copy_is_mended_and_the_original_is_not(sigmaswarm, good, sick: Path, here: Path):
+    before = {file.name: file.read_bytes() for file in sick.iterdir()}
+    ended = sigmaswarm("doctor", sick, "--fix", "mended")
+    assert ended.code == 0  # nothing serious is left
+    assert "mended: gyro-sign. What is left:" in ended.out
+    assert {file.name: file.read_bytes() for file in sick.iterdir()} == before
+    copy = read_drive(here / "mended" / good.name)
+    assert copy.imu.gz.tobytes() == good.imu.gz.tobytes()
+    assert copy.gps.x.tobytes() == good.gps.x.tobytes()
+    assert copy.metadata["repaired"] == ["gyro-sign"]
+
+
+def test_the_copy_for_machines(sigmaswarm, sick: Path):
+    told = json.loads(sigmaswarm("doctor", sick, "--fix", "mended", "--json").out)
+    assert told["serious"] is False
+    assert told["drives"][0]["serious"] is True
+    copy = told["drives"][0]["copy"]
+    assert copy["mended"] == ["gyro-sign"]
+    assert copy["serious"] is False
+
+
+def test_what_reading_warns_of_is_told_once(sigmaswarm, good, here: Path):
+    write_drive(FAULTS["deg/s"][0](good), here / "degrees")
+    header, rest = (here / "degrees" / "imu.csv").read_text().split("\n", 1)
+    (here / "degrees" / "imu.csv").write_text(header.replace("gx", "temperature") + "\n" + rest)
+    ended = sigmaswarm("doctor", "degrees")
+    assert ended.code == 1
+    assert ended.err.count("warning:") == 1  # the column that nobody knows: no finding says that
+    assert "temperature" in ended.err
+    assert "gyro-unit" in ended.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["nowhere"], "nowhere does not exist"),
+        ([], "DRIVE"),
+        (["sick", "--fix"], "--fix"),
+        (["sick", "sick", "--fix", "mended"], "2 drives are named 'urban-clear-00'"),
+        (["sick", "--fix", "taken"], "urban-clear-00 exists already; delete it"),
+        (["sick", "--fix", "file"], "file"),
+        (["sick", "--mend", "x"], "--mend"),
+    ],
+)
+def test_mistakes(sigmaswarm, sick: Path, here: Path, arguments: list[str], expected: str):
+    (here / "taken" / "urban-clear-00").mkdir(parents=True)
+    (here / "file").write_text("")
+    ended = sigmaswarm("doctor", *arguments)
+    assert ended.code == 2
+    assert expected in ended.err
+    assert (ended.err.count("\n"), "Traceback" in ended.err) == (1, False)
+    assert not (here / "mended").exists()

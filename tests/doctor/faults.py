@@ -1,0 +1,128 @@
+"""Faults to plant in good drives, one at a time, and the code that the doctor should name each by."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Drive
+
+G = 9.80665
+
+
+def _imu(drive: Drive, **columns: np.ndarray | None) -> Drive:
+    return replace(drive, imu=replace(drive.imu, **columns))
+
+
+def flipped_yaw(drive: Drive) -> Drive:
+    return _imu(drive, gz=-drive.imu.gz)
+
+
+def degrees_per_second(drive: Drive) -> Drive:
+    rates = {n: getattr(drive.imu, n) for n in ("gx", "gy", "gz")}
+    return _imu(drive, **{n: None if v is None else np.degrees(v) for n, v in rates.items()})
+
+
+def in_g(drive: Drive) -> Drive:
+    forces = {n: getattr(drive.imu, n) for n in ("ax", "ay", "az")}
+    return _imu(drive, **{n: None if v is None else v / G for n, v in forces.items()})
+
+
+def swapped(drive: Drive) -> Drive:
+    return _imu(drive, ax=drive.imu.ay, ay=drive.imu.ax)
+
+
+def reversed_force(drive: Drive) -> Drive:
+    imu = drive.imu
+    return _imu(drive, ax=-imu.ax, ay=-imu.ay, az=None if imu.az is None else -imu.az)
+
+
+def right_and_down(drive: Drive) -> Drive:
+    """Body axes forward, right, down, as in aviation."""
+    imu = drive.imu
+    drive = _imu(drive, ay=-imu.ay, gz=-imu.gz, az=None if imu.az is None else -imu.az)
+    return _imu(drive, gy=None if imu.gy is None else -imu.gy)
+
+
+def fixes_late(seconds: float) -> Callable[[Drive], Drive]:
+    def plant(drive: Drive) -> Drive:
+        return replace(drive, gps=replace(drive.gps, time=drive.gps.time + seconds))
+
+    return plant
+
+
+def pitched(drive: Drive) -> Drive:
+    """Nose of the sensor up by 10 deg; without az and gx, with gravity's nominal size and no roll rate."""
+    imu, (c, s) = drive.imu, (np.cos(np.radians(10)), np.sin(np.radians(10)))
+    az = imu.az if imu.az is not None else G
+    gx = imu.gx if imu.gx is not None else 0.0
+    changed = {"ax": c * imu.ax + s * az, "gz": c * imu.gz - s * gx}
+    if imu.az is not None:
+        changed["az"] = c * imu.az - s * imu.ax
+    if imu.gx is not None:
+        changed["gx"] = c * imu.gx + s * imu.gz
+    return _imu(drive, **changed)
+
+
+def turned(drive: Drive) -> Drive:
+    """The sensor mounted 15 deg to the left."""
+    imu, (c, s) = drive.imu, (np.cos(np.radians(15)), np.sin(np.radians(15)))
+    return _imu(drive, ax=c * imu.ax + s * imu.ay, ay=c * imu.ay - s * imu.ax)
+
+
+def stated(factor: float) -> Callable[[Drive], Drive]:
+    """The receiver states that many times its deviation; 1 m where it stated none."""
+
+    def plant(drive: Drive) -> Drive:
+        gps = drive.gps
+        x, y = (np.ones(len(gps)) if v is None else v for v in (gps.std_x, gps.std_y))
+        return replace(drive, gps=replace(gps, std_x=factor * x, std_y=factor * y))
+
+    return plant
+
+
+def outlying(drive: Drive) -> Drive:
+    """One fix in fifty off by 20 to 60 m."""
+    rng, gps = np.random.default_rng(1), drive.gps
+    rows = rng.choice(np.arange(5, len(gps) - 5), max(len(gps) // 50, 2), replace=False)
+    off = np.zeros(len(gps), dtype=np.complex128)
+    off[rows] = rng.uniform(20, 60, len(rows)) * np.exp(2j * np.pi * rng.random(len(rows)))
+    return replace(drive, gps=replace(gps, x=gps.x + off.real, y=gps.y + off.imag))
+
+
+def with_gaps(drive: Drive) -> Drive:
+    """Two seconds of IMU and eight of fixes are missing."""
+    imu, gps, middle = drive.imu, drive.gps, float(np.mean(drive.imu.time[[0, -1]]))
+    imu = imu.select((imu.time < middle) | (imu.time > middle + 2))
+    return replace(drive, imu=imu, gps=gps.select((gps.time < middle - 10) | (gps.time > middle - 2)))
+
+
+def held(drive: Drive) -> Drive:
+    """Every second fix only repeats the one before."""
+    gps, rows = drive.gps, np.arange(len(drive.gps)) // 2 * 2
+    return replace(drive, gps=replace(gps, x=gps.x[rows], y=gps.y[rows]))
+
+
+FAULTS: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
+    "yaw-flipped": (flipped_yaw, {"gyro-sign"}),
+    "deg/s": (degrees_per_second, {"gyro-unit"}),
+    "g": (in_g, {"accelerometer-unit"}),
+    "axes-swapped": (swapped, {"accelerometer-axes"}),
+    "0.2 s late": (fixes_late(0.2), {"clock-offset"}),
+    "gravity": (pitched, {"gravity"}),
+    "15 deg": (turned, {"mounting"}),
+    "stated x 10": (stated(10.0), {"gps-noise"}),
+    "outliers": (outlying, {"gps-outliers"}),
+    "gaps": (with_gaps, {"imu-gap", "gps-gap"}),
+}
+"""The ten kinds, and what must be named."""
+
+MORE: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
+    "stated / 10": (stated(0.1), {"gps-noise"}),
+    "0.2 s early": (fixes_late(-0.2), {"clock-offset"}),
+    "0.5 s late": (fixes_late(0.5), {"clock-offset"}),
+    "force reversed": (reversed_force, {"accelerometer-sign"}),
+    "right and down": (right_and_down, {"accelerometer-sign", "gyro-sign"}),
+    "fixes held": (held, {"gps-repeats"}),
+}
+"""Others of the same sort."""
