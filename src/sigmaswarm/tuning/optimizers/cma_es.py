@@ -3,9 +3,10 @@
 N. Hansen, The CMA evolution strategy: a tutorial, arXiv:1604.00772v2, 2023; numbers on the lines are its equations.
 Written out rather than taken from a library, since the libraries' states can be saved only by pickling objects.
 
-Samples outside the box get the cost of their projection on it, and a penalty that grows with their squared distance
-from it: after N. Hansen, A. Niederberger, L. Guzzella and P. Koumoutsakos, A method for handling uncertainty in
-evolutionary optimization, IEEE Trans. Evolutionary Computation 13, 180-197, 2009, with one weight that does not adapt.
+A sample outside the box is drawn once more. If it is outside again, it gets the cost of its projection on the box, and
+a penalty that grows with the squared distance: after N. Hansen, A. Niederberger, L. Guzzella and P. Koumoutsakos, A
+method for handling uncertainty in evolutionary optimization, IEEE Trans. Evolutionary Computation 13, 180-197, 2009,
+with a weight that is not adapted. Drawing until all are inside would keep the search away from an optimum on a bound.
 """
 
 from typing import ClassVar
@@ -26,7 +27,7 @@ class CmaEs(AskTell):
     Parameters
     ----------
     low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates. Samples outside are projected on it.
+        Bounds of the box, in search coordinates. Samples are projected on it.
     population : int
         lambda, samples a generation.
     rng : numpy.random.Generator
@@ -81,18 +82,22 @@ class CmaEs(AskTell):
 
     def _next(self) -> Array:
         variances, axes = np.linalg.eigh(self.covariance)
-        width = self.step * np.sqrt(variances[-1])
+        width = self.step * np.sqrt(max(variances[-1], 0.0))
         if not NARROWEST < width < WIDEST or variances[0] * LARGEST_CONDITION < variances[-1]:
             self._begin(self.rng.random(len(self.mean)))
             variances, axes = np.linalg.eigh(self.covariance)
-        z = self.rng.standard_normal((self.population, len(self.mean)))
-        y = (z * np.sqrt(variances)) @ axes.T  # (38, 39)
-        self.samples = self.mean + self.step * y  # (40)
+        self.samples = self._drawn(self.population, variances, axes)
+        outside = np.any((self.samples < 0) | (self.samples > 1), axis=1)
+        self.samples[outside] = self._drawn(int(outside.sum()), variances, axes)
         return self.low + self.samples * self.width
 
+    def _drawn(self, n: int, variances: Array, axes: Array) -> Array:
+        z = self.rng.standard_normal((n, len(self.mean)))  # (38)
+        return self.mean + self.step * (z * np.sqrt(variances)) @ axes.T  # (39, 40)
+
     def _penalized(self, costs: Array) -> Array:
-        """Costs, and for samples outside the box their squared distance from it in steps, times the costs' spread."""
-        outside = np.sum((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
+        """Costs, and outside the box the mean squared distance from it, in steps, times the spread of the costs."""
+        outside = np.mean((self.samples - np.clip(self.samples, 0.0, 1.0)) ** 2, axis=1)
         lower, upper = np.percentile(costs[np.isfinite(costs)], [25, 75])
         return costs + (upper - lower) * outside / (self.step**2 * np.mean(np.diag(self.covariance)))
 

@@ -128,7 +128,7 @@ def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]
     """Who won ``n`` tournaments of two, in which everybody takes part equally often, shape (n,)."""
     m = len(costs)
     rounds = np.tile(np.arange(m), (-(-2 * n // m), 1))
-    one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(2, n)
+    one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(n, 2).T
     return np.where(costs[one] <= costs[other], one, other)
 
 

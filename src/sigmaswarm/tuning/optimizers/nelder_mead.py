@@ -34,7 +34,7 @@ class NelderMead(AskTell):
     size : float
         Edge of the first simplex, in widths of the box.
     parallel : int
-        How many vertices, of the worst, are moved at a time: 1 is the algorithm of 1965, d the most.
+        How many vertices, of the worst, are moved at a time: 1 is the algorithm of 1965, half of them the most.
     """
 
     saved: ClassVar = ("phase", "simplex", "values", "reflected", "reflected_values", "reach")
@@ -61,7 +61,7 @@ class NelderMead(AskTell):
         super().__init__(low, high, self.simplex[known:], rng)
         if known:
             self.global_best, self.global_cost, self.values[0] = first.copy(), start_cost, start_cost
-        self.moved = min(max(parallel, 1), d)
+        self.moved = min(max(parallel, 1), (d + 1) // 2)
         n = max(d, 2)  # (Gao and Han 4.1); in two dimensions these are the values of 1965
         self.expansion, self.contraction, self.shrinkage = 1 + 2 / n, 0.75 - 1 / (2 * n), 1 - 1 / n
         self.phase = "begin"
@@ -83,14 +83,14 @@ class NelderMead(AskTell):
         return (1 + t) * middle - t * self.simplex[-self.moved :]
 
     def _learn(self, costs: Array) -> None:
+        if not len(costs):
+            return
         if self.phase == "reflect":
             self._judge_reflections(costs)
         elif self.phase == "follow":
             self._judge_followers(costs)
         else:  # what was asked for are the simplex's own last vertices
-            n = len(costs)
-            if n:
-                self._settle(n, self.positions, costs)
+            self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:
         """Expand past the best, keep what is no longer among the worst, contract the others."""

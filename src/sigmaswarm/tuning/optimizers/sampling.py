@@ -5,7 +5,6 @@ Sobol' points, scrambled, which fill the box more evenly (A. B. Owen, Randomly p
 (t,s)-sequences, 1995).
 """
 
-import copy
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,21 +42,22 @@ class SobolSearch(AskTell):
     population : int
         Points a batch.
     rng : numpy.random.Generator
-        Scrambles the sequence. It is left as it is found, and saved, since the scrambling is drawn again on resuming.
+        Draws the seed of the scrambling.
     """
 
-    saved: ClassVar = ("drawn",)
+    saved: ClassVar = ("seed", "drawn")
 
     def __init__(self, low: Array, high: Array, population: int, rng: np.random.Generator) -> None:
-        self.low, self.high, self.rng, self.population = low, high, rng, population
-        self.drawn = 0
+        self.low, self.high, self.population = low, high, population
+        self.seed, self.drawn = int(rng.integers(2**63)), 0
         self._begin()
         super().__init__(low, high, self._next(), rng)
 
     def _begin(self) -> None:
         from scipy.stats import qmc  # takes a second to import
 
-        self._sequence = qmc.Sobol(len(self.low), scramble=True, rng=copy.deepcopy(self.rng))
+        # not the generator itself: scipy would spawn another from its seed, which is no part of its state
+        self._sequence = qmc.Sobol(len(self.low), scramble=True, rng=self.seed)
         if self.drawn:
             self._sequence.fast_forward(self.drawn)
 
