@@ -32,7 +32,7 @@ def bowl(points: np.ndarray) -> np.ndarray:
 
 def generations(optimizer: Optimizer, cost=bowl, most: int = 200) -> list[bytes]:
     seen = []
-    while len(points := optimizer.ask()) and len(seen) < most:
+    while len(seen) < most and len(points := optimizer.ask()):
         optimizer.tell(cost(points))
         best = np.append(optimizer.global_best, optimizer.global_cost)
         seen.append(points.tobytes() + best.tobytes())

@@ -21,14 +21,15 @@ def test_children_are_spread_like_pymoo_s(parents: tuple[float, float]):
     theirs = sbx.cross_sbx(X, *BOX, 15.0 * full, 0.5, 0.5 * full, random_state=chance)
     moved = [values[~np.isin(values, parents)] for values in (ours.ravel(), theirs.ravel())]
     assert ks_2samp(*moved).pvalue > 0.01
-    # parents of two tournaments may be one: those children stay where they are
-    assert len(moved[0]) / N == pytest.approx(0.5 * np.mean(_different(N)), abs=0.02)
 
 
-def _different(n: int) -> np.ndarray:
-    rng = np.random.default_rng(2)
-    first, second = (_winners(np.zeros(2), n, rng) for _ in range(2))
-    return first != second
+def test_hardly_anybody_mates_with_itself():
+    parents = np.arange(8.0)[:, np.newaxis]
+    children = offspring(
+        parents, np.arange(8.0), 8, (np.zeros(1), np.full(1, 8.0)), np.random.default_rng(0), crossover=0.0
+    )
+    couples = children.reshape(2, 4).T
+    assert np.all(couples[:, 0] != couples[:, 1])
 
 
 @pytest.mark.parametrize("place", [0.5, 0.01, 1.0])

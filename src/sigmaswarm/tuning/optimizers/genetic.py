@@ -112,7 +112,8 @@ def offspring(
     ndarray, shape (n, d)
     """
     pairs = (n + 1) // 2
-    first, second = (parents[_winners(costs, pairs, rng)] for _ in range(2))
+    # neighbors of one round, so that hardly ever someone mates with itself
+    first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
     low, high = np.minimum(first, second), np.maximum(first, second)
     u = rng.random(first.shape)
     left = 0.5 * (low + high - _spread(u, low - box[0], high - low, eta))
