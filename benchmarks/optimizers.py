@@ -27,7 +27,7 @@ from sigmaswarm.tuning.space import search_space
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 POPULATION = 30
-TUNING_BUDGET, TUNING_SEEDS = 1500, 5
+TUNING_BUDGET, TUNING_SEEDS = 1500, 10
 POLISH = 300
 PACKAGES = ("numpy", "scipy", "cma", "cmaes", "pymoo")
 Cost = Callable[[np.ndarray], np.ndarray]
