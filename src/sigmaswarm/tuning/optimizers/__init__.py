@@ -1,1 +1,99 @@
-"""sigmaswarm.tuning.optimizers."""
+"""The optimizers: one algorithm a file, all asked and told in the same way.
+
+One loop serves them all::
+
+    optimizer = create_optimizer("cma-es", low, high, population=30, budget=1500, rng=rng)
+    while len(points := optimizer.ask()):
+        optimizer.tell(costs_of(points))
+    print(optimizer.global_best, optimizer.global_cost)
+"""
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
+from sigmaswarm.tuning.optimizers.budget import POLISH_SIZE, Budgeted
+from sigmaswarm.tuning.optimizers.cma_es import CmaEs
+from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
+from sigmaswarm.tuning.optimizers.ga_pso import GeneticSwarm
+from sigmaswarm.tuning.optimizers.genetic import GeneticAlgorithm
+from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
+from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
+from sigmaswarm.tuning.optimizers.sampling import RandomSearch, SobolSearch
+
+__all__ = ["OPTIMIZERS", "Optimizer", "create_optimizer"]
+
+OPTIMIZERS: dict[str, Callable[..., AskTell]] = {
+    "pso": ParticleSwarm,
+    "ga": GeneticAlgorithm,
+    "ga-pso": GeneticSwarm,
+    "de": DifferentialEvolution,
+    "cma-es": CmaEs,
+    "nelder-mead": NelderMead,
+    "random": RandomSearch,
+    "sobol": SobolSearch,
+}
+"""Each is made from low, high, population and rng, and from options of its own."""
+
+
+def create_optimizer(
+    name: str,
+    low: Array,
+    high: Array,
+    *,
+    population: int,
+    budget: int,
+    rng: np.random.Generator,
+    polish: int = 0,
+    polish_size: float = POLISH_SIZE,
+    **options: Any,
+) -> Budgeted:
+    """An optimizer that asks for no more points than its budget allows.
+
+    Parameters
+    ----------
+    name : str
+        One of `OPTIMIZERS`.
+    low, high : ndarray, shape (d,)
+        Bounds of the box, in search coordinates.
+    population : int
+        Points a batch, at least 2.
+    budget : int
+        Evaluations, at least 1. The last batch is cut to what is left.
+    rng : numpy.random.Generator
+        The only source of chance.
+    polish : int
+        How many of the evaluations are kept for a Nelder-Mead search from the best point.
+    polish_size : float
+        Edge of its first simplex, in widths of the box.
+    **options
+        Of the optimizer itself.
+
+    Raises
+    ------
+    InputError
+        If the name or an option is not known, or a number can't be used.
+    """
+    if name not in OPTIMIZERS:
+        raise InputError(f"optimizer = {name!r}: not known; choose one of {', '.join(OPTIMIZERS)}")
+    known = [
+        key
+        for key, parameter in inspect.signature(OPTIMIZERS[name]).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    ]
+    for option in options:
+        if option not in known:
+            raise InputError(
+                f"{option}: not an option of the optimizer {name}; it has {', '.join(known) or 'none'}"
+            )
+    if population < 2 or budget < 1 or not 0 <= polish < budget:
+        raise InputError(
+            f"population = {population}, budget = {budget}, polish = {polish}: "
+            "population must be at least 2, budget at least 1, and polish from 0 to less than budget"
+        )
+    first = OPTIMIZERS[name](low, high, population, rng, **options)
+    return Budgeted(first, low, high, rng, budget=budget, polish=polish, polish_size=polish_size)

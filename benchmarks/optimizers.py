@@ -1,0 +1,142 @@
+"""How good the optimizers are, and how good by others, written into docs/optimizers.md.
+
+    python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals|filter]
+
+Needs the dependency group test. Takes some minutes.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import mannwhitneyu
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from oracles.landscapes import HIGH, LANDSCAPES, LOW, ellipsoid_at_bounds
+from oracles.rival_optimizers import RIVALS
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.optimizers import OPTIMIZERS, create_optimizer
+from sigmaswarm.tuning.space import search_space
+
+PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
+POPULATION = 30
+TUNING_BUDGET, TUNING_SEEDS = 1500, 10
+POLISH = 300
+PACKAGES = ("numpy", "scipy", "cma", "cmaes", "pymoo")
+Cost = Callable[[np.ndarray], np.ndarray]
+
+
+def found(name: str, cost: Cost, low, high, budget: int, seeds: int, polish: int = 0) -> np.ndarray:
+    """The lowest cost of each seed."""
+    costs = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(1000 + seed)  # other chance than the rivals'
+        optimizer = create_optimizer(
+            name, low, high, population=POPULATION, budget=budget, rng=rng, polish=polish
+        )
+        while len(points := optimizer.ask()):
+            optimizer.tell(cost(points))
+        costs.append(optimizer.global_cost)
+    return np.array(costs)
+
+
+def median(costs: np.ndarray) -> str:
+    return f"{np.median(np.log10(np.maximum(costs, 1e-99))):.2f}"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def against_rivals(budget: int, seeds: int) -> str:
+    rows = []
+    theirs = {}
+    for name, rivals in RIVALS.items():
+        for rival, search in rivals.items():
+            cells = []
+            for landscape, cost in LANDSCAPES.items():
+                key = (search, landscape)
+                if key not in theirs:
+                    theirs[key] = [search(cost, POPULATION, budget, seed) for seed in range(seeds)]
+                ours = found(name, cost, LOW, HIGH, budget, seeds)
+                worse = mannwhitneyu(ours, theirs[key], alternative="greater").pvalue
+                cells.append(f"{median(ours)} / {median(theirs[key])} ({worse:.2f})")
+            rows.append([f"`{name}`", rival, *cells])
+            print(rows[-1], flush=True)
+    return table(["optimizer", "rival", *LANDSCAPES], rows)
+
+
+def against_each_other(budget: int, seeds: int) -> str:
+    landscapes = {**LANDSCAPES, "ellipsoid at bounds": ellipsoid_at_bounds}
+    rows = []
+    for name in OPTIMIZERS:
+        cells = [
+            " / ".join(median(found(name, cost, LOW, HIGH, budget, seeds, polish)) for polish in (0, POLISH))
+            for cost in landscapes.values()
+        ]
+        rows.append([f"`{name}`", *cells])
+        print(rows[-1], flush=True)
+    return table(["optimizer", *landscapes], rows)
+
+
+def on_a_filter() -> str:
+    drives = [simulate("urban", run=run, duration=60, gps="white-1m") for run in range(2)]
+    objective = objective_named("truth-pose")
+    rows = []
+    with ThreadPoolExecutor() as pool:
+        replayer = Replayer(drives, outages=objective.needs_outages)
+        for name in OPTIMIZERS:
+            if name == "nelder-mead":
+                continue  # a local search: it shows in the polish
+            cells = []
+            for model in ("planar5", "planar8"):
+                space = search_space(model, "log10", float(np.median([d.nominal_interval for d in drives])))
+
+                def cost(points: np.ndarray, space=space) -> np.ndarray:
+                    return objective.costs(replayer.scores(space.decode(points), pool))
+
+                for polish in (0, POLISH):
+                    costs = found(name, cost, space.low, space.high, TUNING_BUDGET, TUNING_SEEDS, polish)
+                    quartiles = np.percentile(costs, [25, 50, 75])
+                    cells.append("{1:.3f} ({0:.3f} to {2:.3f})".format(*quartiles))
+            rows.append([f"`{name}`", *cells])
+            print(rows[-1], flush=True)
+    heads = [f"{model}{polished}" for model in ("planar5", "planar8") for polished in ("", ", polished")]
+    return table(["optimizer", *heads], rows)
+
+
+def write(section: str, text: str) -> None:
+    begin, end = f"<!-- written by benchmarks/optimizers.py: {section} -->", "<!-- end -->"
+    before, rest = PAGE.read_text().split(begin)
+    after = rest.split(end, 1)[1]
+    PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--budget", type=int, default=3000)
+    parser.add_argument("--only", choices=["each other", "rivals", "filter"])
+    options = parser.parse_args()
+    versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
+    note = f"{options.seeds} seeds, {options.budget} evaluations, {POPULATION} a batch; {versions}."
+    sections = {
+        "each other": lambda: against_each_other(options.budget, options.seeds),
+        "rivals": lambda: f"{against_rivals(options.budget, options.seeds)}\n\n{note}",
+        "filter": on_a_filter,
+    }
+    for section, text in sections.items():
+        if options.only in (None, section):
+            write(section, text())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""A hybrid of genetic algorithm and particle swarm: the better half flies, the worse half is bred anew.
+
+C.-F. Juang, A hybrid of genetic algorithm and particle swarm optimization for recurrent network design, IEEE Trans.
+Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). Two things differ: crossover and mutation are those of
+`genetic.py`, and children descend from the elites as they stand before they fly, so that a generation is one batch.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.tuning.optimizers.genetic import mutated, offspring
+from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
+
+
+class GeneticSwarm(AskTell):
+    """A population of which one half flies and the other is bred.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (d,)
+        Bounds of the box, in search coordinates.
+    population : int
+    rng : numpy.random.Generator
+        The only source of chance.
+    inertia, cognitive, social : float
+        w, c1, c2 of the half that flies.
+    """
+
+    saved: ClassVar = ("velocities", "costs", "personal_best", "personal_cost")
+
+    def __init__(
+        self,
+        low: Array,
+        high: Array,
+        population: int,
+        rng: np.random.Generator,
+        *,
+        inertia: float = INERTIA,
+        cognitive: float = ACCELERATION,
+        social: float = ACCELERATION,
+    ) -> None:
+        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
+        self.inertia, self.cognitive, self.social = inertia, cognitive, social
+        self.velocities = np.zeros_like(self.positions)
+        self.costs = np.full(population, np.inf)
+        self.personal_best = self.positions.copy()
+        self.personal_cost = self.costs.copy()
+
+    def _learn(self, costs: Array) -> None:
+        self.costs = costs
+        better = costs < self.personal_cost
+        self.personal_best[better] = self.positions[better]
+        self.personal_cost[better] = costs[better]
+
+    def _next(self) -> Array:
+        n, box = len(self.positions), (self.low, self.high)
+        elites = np.argsort(self.costs, kind="stable")[: (n + 1) // 2]
+        x, costs, v = self.positions[elites], self.costs[elites], self.velocities[elites]
+        best, best_cost = self.personal_best[elites], self.personal_cost[elites]
+        r1, r2 = self.rng.random((2, *x.shape))
+        v = (
+            self.inertia * v + self.cognitive * r1 * (best - x) + self.social * r2 * (self.global_best - x)
+        )  # (the paper's eq. 2)
+        children = mutated(offspring(x, costs, n - len(elites), box, self.rng), box, self.rng)
+        # a child begins at rest, and its own place is the best that it knows
+        self.velocities = np.concatenate([v, np.zeros_like(children)])
+        self.personal_best = np.concatenate([best, children])
+        self.personal_cost = np.concatenate([best_cost, np.full(len(children), np.inf)])
+        return np.concatenate([x + v, children])

@@ -1,0 +1,154 @@
+"""A genetic algorithm on real numbers: tournaments, simulated binary crossover, polynomial mutation, elitism.
+
+K. Deb and R. B. Agrawal, Simulated binary crossover for continuous search space, Complex Systems 9, 115-148, 1995,
+in the form for bounded variables of K. Deb, An efficient constraint handling method for genetic algorithms,
+Comput. Methods Appl. Mech. Engrg. 186, 311-338, 2000, which also gives the polynomial mutation. The best of
+parents and children together live on.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+
+CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
+"""The chance that two parents are crossed, and how near to its parents a child stays (eta; higher is nearer)."""
+ATTEMPTS = 10
+"""How often children that are copies are bred anew."""
+
+
+class GeneticAlgorithm(AskTell):
+    """A population that is asked for children and told their costs.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (d,)
+        Bounds of the box, in search coordinates.
+    population : int
+    rng : numpy.random.Generator
+        The only source of chance.
+    crossover : float
+        Chance that two parents are crossed; else their children are copies, before mutation.
+    crossover_index, mutation_index : float
+        eta_c and eta_m: how near to its parents a child stays; higher is nearer.
+    """
+
+    saved: ClassVar = ("members", "member_costs")
+
+    def __init__(
+        self,
+        low: Array,
+        high: Array,
+        population: int,
+        rng: np.random.Generator,
+        *,
+        crossover: float = CROSSOVER,
+        crossover_index: float = CROSSOVER_INDEX,
+        mutation_index: float = MUTATION_INDEX,
+    ) -> None:
+        super().__init__(low, high, rng.uniform(low, high, (population, len(low))), rng)
+        self.crossover, self.crossover_index = crossover, crossover_index
+        self.mutation_index = mutation_index
+        self.members = self.positions.copy()
+        self.member_costs = np.full(population, np.inf)
+
+    def _learn(self, costs: Array) -> None:
+        if np.isinf(self.member_costs).all():  # nobody to compete with yet
+            self.members, self.member_costs = self.positions.copy(), costs
+            return
+        everyone = np.concatenate([self.members, self.positions])
+        everyones = np.concatenate([self.member_costs, costs])
+        survivors = np.argsort(everyones, kind="stable")[: len(costs)]
+        self.members, self.member_costs = everyone[survivors], everyones[survivors]
+
+    def _next(self) -> Array:
+        children = self._bred(len(self.members))
+        for _ in range(ATTEMPTS):  # a copy of a member would waste an evaluation
+            copies = np.any(np.all(children[:, np.newaxis] == self.members, axis=2), axis=1)
+            if not copies.any():
+                break
+            children[copies] = self._bred(int(copies.sum()))
+        return children
+
+    def _bred(self, n: int) -> Array:
+        box = (self.low, self.high)
+        children = offspring(
+            self.members,
+            self.member_costs,
+            n,
+            box,
+            self.rng,
+            crossover=self.crossover,
+            eta=self.crossover_index,
+        )
+        return mutated(children, box, self.rng, eta=self.mutation_index)
+
+
+def offspring(
+    parents: Array,
+    costs: Array,
+    n: int,
+    box: tuple[Array, Array],
+    rng: np.random.Generator,
+    *,
+    crossover: float = CROSSOVER,
+    eta: float = CROSSOVER_INDEX,
+) -> Array:
+    """Children of parents that won tournaments of two.
+
+    Parameters
+    ----------
+    parents : ndarray, shape (m, d)
+    costs : ndarray, shape (m,)
+    n : int
+        How many children.
+    box : (ndarray, ndarray), each shape (d,)
+        Lower and upper bounds.
+
+    Returns
+    -------
+    ndarray, shape (n, d)
+    """
+    pairs = (n + 1) // 2
+    # neighbors of one round, so that hardly ever someone mates with itself
+    first, second = parents[_winners(costs, 2 * pairs, rng).reshape(pairs, 2).T]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    u = rng.random(first.shape)
+    left = 0.5 * (low + high - _spread(u, low - box[0], high - low, eta))
+    right = 0.5 * (low + high + _spread(u, box[1] - high, high - low, eta))
+    swap = rng.random(first.shape) < 0.5
+    crossed = (rng.random(first.shape) < 0.5) & (rng.random((pairs, 1)) < crossover)
+    one = np.where(crossed, np.where(swap, right, left), first)
+    other = np.where(crossed, np.where(swap, left, right), second)
+    return np.concatenate([one, other])[:n]
+
+
+def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Who won ``n`` tournaments of two, in which everybody takes part equally often, shape (n,)."""
+    m = len(costs)
+    rounds = np.tile(np.arange(m), (-(-2 * n // m), 1))
+    one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(n, 2).T
+    return np.where(costs[one] <= costs[other], one, other)
+
+
+def _spread(u: Array, room: Array, distance: Array, eta: float) -> Array:
+    """How far apart the children of two parents lie, beta times the parents' distance, so that they stay in the box."""
+    alpha = 2 - (1 + 2 * room / np.maximum(distance, 1e-200)) ** -(eta + 1)
+    ua = u * alpha
+    beta = np.where(ua <= 1, ua, 1 / (2 - np.minimum(ua, 2 - 1e-15))) ** (1 / (eta + 1))
+    return beta * distance
+
+
+def mutated(
+    points: Array, box: tuple[Array, Array], rng: np.random.Generator, eta: float = MUTATION_INDEX
+) -> Array:
+    """Points of which each coordinate has had a chance of one in d of a polynomial mutation, shape (n, d)."""
+    low, width = box[0], box[1] - box[0]
+    u = rng.random(points.shape)
+    below = (points - low) / width
+    down = (2 * u + (1 - 2 * u) * (1 - below) ** (eta + 1)) ** (1 / (eta + 1)) - 1
+    up = 1 - (2 * (1 - u) + (2 * u - 1) * below ** (eta + 1)) ** (1 / (eta + 1))
+    chosen = rng.random(points.shape) < 1 / points.shape[1]
+    return np.where(chosen, points + np.where(u < 0.5, down, up) * width, points)

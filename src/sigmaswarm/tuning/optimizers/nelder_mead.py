@@ -1,0 +1,130 @@
+"""Local search with a simplex, several of its vertices at a time.
+
+J. A. Nelder and R. Mead, A simplex method for function minimization, Computer Journal 7, 308-313, 1965; several
+vertices at a time by D. Lee and M. Wiswall, A parallel implementation of the simplex function minimization routine,
+Computational Economics 30, 171-187, 2007; coefficients that suit the dimension by F. Gao and L. Han, Implementing the
+Nelder-Mead simplex algorithm with adaptive parameters, Comput. Optim. Appl. 51, 259-277, 2012.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+
+SMALLEST = 1e-12
+"""A simplex that is smaller, in widths of the box, has nothing left to try."""
+
+
+class NelderMead(AskTell):
+    """A simplex that is asked for points and told their costs.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (d,)
+        Bounds of the box, in search coordinates. Vertices outside are projected on it.
+    population : int
+        Not used: a batch has as many points as the step needs, d at most (d + 1 at first).
+    rng : numpy.random.Generator
+        Draws the start, if none is given; the algorithm itself knows no chance.
+    start : ndarray, shape (d,), optional
+        Where to begin.
+    start_cost : float, optional
+        Its cost, if known.
+    size : float
+        Edge of the first simplex, in widths of the box.
+    parallel : int
+        How many vertices, of the worst, are moved at a time: 1 is the algorithm of 1965, half of them the most.
+    """
+
+    saved: ClassVar = ("phase", "simplex", "values", "reflected", "reflected_values", "reach")
+
+    def __init__(
+        self,
+        low: Array,
+        high: Array,
+        population: int,
+        rng: np.random.Generator,
+        *,
+        start: Array | None = None,
+        start_cost: float = np.inf,
+        size: float = 0.05,
+        parallel: int = 1,
+    ) -> None:
+        d = len(low)
+        first = rng.uniform(low, high) if start is None else start
+        edges = size * (high - low)
+        steps = np.where(first + edges > high, -edges, edges)
+        self.simplex = np.clip(np.vstack([first, first + np.diag(steps)]), low, high)
+        self.values = np.full(d + 1, np.inf)
+        known = int(np.isfinite(start_cost))
+        super().__init__(low, high, self.simplex[known:], rng)
+        if known:
+            self.global_best, self.global_cost, self.values[0] = first.copy(), start_cost, start_cost
+        self.moved = min(max(parallel, 1), (d + 1) // 2)
+        n = max(d, 2)  # (Gao and Han 4.1); in two dimensions these are the values of 1965
+        self.expansion, self.contraction, self.shrinkage = 1 + 2 / n, 0.75 - 1 / (2 * n), 1 - 1 / n
+        self.phase = "begin"
+        self.reflected, self.reflected_values = np.empty((0, d)), np.empty(0)
+        self.reach = np.empty(0)
+
+    def _next(self) -> Array:
+        if self.phase == "shrink":
+            return self.simplex[0] + self.shrinkage * (self.simplex[1:] - self.simplex[0])
+        if self.phase == "follow":
+            return self._through_the_middle(self.reach)[self.reach != 0]
+        if np.all(np.ptp(self.simplex, axis=0) <= SMALLEST * (self.high - self.low)):
+            return np.empty((0, len(self.low)))
+        return self._through_the_middle(np.ones(self.moved))
+
+    def _through_the_middle(self, reach: Array) -> Array:
+        """The worst vertices, each carried through the middle of the others to ``reach`` times its distance from it."""
+        t, middle = reach[:, np.newaxis], np.mean(self.simplex[: -self.moved], axis=0)
+        return (1 + t) * middle - t * self.simplex[-self.moved :]
+
+    def _learn(self, costs: Array) -> None:
+        if not len(costs):
+            return
+        if self.phase == "reflect":
+            self._judge_reflections(costs)
+        elif self.phase == "follow":
+            self._judge_followers(costs)
+        else:  # what was asked for are the simplex's own last vertices
+            self._settle(len(costs), self.positions, costs)
+
+    def _judge_reflections(self, costs: Array) -> None:
+        """Expand past the best, keep what is no longer among the worst, contract the others."""
+        self.reflected, self.reflected_values = self.positions, costs
+        best, kept, own = self.values[0], self.values[-self.moved - 1], self.values[-self.moved :]
+        self.reach = np.select(
+            [costs < best, costs < kept, costs < own],
+            [self.expansion, 0.0, self.contraction],
+            -self.contraction,
+        )
+        if self.reach.any():
+            self.phase = "follow"
+        else:
+            self._settle(self.moved, self.positions, costs)
+
+    def _judge_followers(self, costs: Array) -> None:
+        """Keep the expansions and contractions that are worth it; shrink if no vertex found a better place."""
+        reach = self.reach[self.reach != 0]
+        inside, outside = reach < 0, reach == self.contraction
+        asked = np.flatnonzero(self.reach)
+        rival = np.where(inside, self.values[-self.moved :][asked], self.reflected_values[asked])
+        worth = (costs < rival) | (outside & (costs == rival) & np.isfinite(costs))
+        if np.all(~worth & (reach != self.expansion)) and len(asked) == self.moved:
+            self.phase = "shrink"
+            return
+        points, values = self.reflected.copy(), self.reflected_values.copy()
+        stays = asked[inside & ~worth]
+        points[stays], values[stays] = self.simplex[-self.moved :][stays], self.values[-self.moved :][stays]
+        points[asked[worth]], values[asked[worth]] = self.positions[worth], costs[worth]
+        self._settle(self.moved, points, values)
+
+    def _settle(self, n: int, points: Array, values: Array) -> None:
+        """Replace the last ``n`` vertices, and rank all of them."""
+        self.simplex[-n:], self.values[-n:] = points, values
+        order = np.argsort(self.values, kind="stable")
+        self.simplex, self.values = self.simplex[order], self.values[order]
+        self.phase = "reflect"

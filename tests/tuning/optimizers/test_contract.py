@@ -1,0 +1,214 @@
+"""What every optimizer promises, with a polish and without: resumable, reproducible, inside the box and the budget."""
+
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.optimizers import OPTIMIZERS, Optimizer, create_optimizer
+from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
+
+LOW, HIGH = np.array([-5.0, 0.0, 1e-3]), np.array([5.0, 2.0, 1.5])
+everyone = pytest.mark.parametrize("name", OPTIMIZERS)
+with_and_without = pytest.mark.parametrize("polish", [0, 25])
+
+
+def made(name: str, seed: int = 3, **changes: Any) -> Optimizer:
+    asked = {"population": 6, "budget": 64, **changes}
+    return create_optimizer(name, LOW, HIGH, rng=np.random.default_rng(seed), **asked)
+
+
+def bowl(points: np.ndarray) -> np.ndarray:
+    costs = np.sum((points - [1.0, 3.0, 1.2]) ** 2, axis=1)  # the second coordinate pulls out of the box
+    costs[points[:, 0] < -3] = np.nan
+    costs[points[:, 0] > 3.5] = np.inf
+    return costs
+
+
+def generations(optimizer: Optimizer, cost=bowl, most: int = 200) -> list[bytes]:
+    seen = []
+    while len(seen) < most and len(points := optimizer.ask()):
+        optimizer.tell(cost(points))
+        best = np.append(optimizer.global_best, optimizer.global_cost)
+        seen.append(points.tobytes() + best.tobytes())
+    return seen
+
+
+def reborn(optimizer: Optimizer, path: Path, **made_with: Any) -> Optimizer:
+    """A fresh optimizer that goes on from a checkpoint, as `tune` writes it."""
+    state = optimizer.state()
+    save_checkpoint(path, state, {"rng": state.pop("rng")})
+    arrays, notes = load_checkpoint(path) or pytest.fail("no checkpoint")
+    fresh = made(seed=777, **made_with)
+    fresh.restore(arrays | notes)
+    return fresh
+
+
+@everyone
+@with_and_without
+@pytest.mark.parametrize("between", ["told", "asked"])
+def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, between: str, tmp_path: Path):
+    whole = generations(made(name, polish=polish))
+    optimizer, seen = made(name, polish=polish), []
+    while True:
+        if between == "asked":
+            optimizer.ask()
+        # restored again and again: in the end every generation has come from a checkpoint
+        optimizer = reborn(optimizer, tmp_path / "checkpoint.npz", name=name, polish=polish)
+        step = generations(optimizer, most=1)
+        if not step:
+            break
+        seen += step
+    assert seen == whole
+    assert len(whole) >= 10
+
+
+@everyone
+@with_and_without
+def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, polish: int, tmp_path: Path):
+    for stop in range(1, 12, 2):
+        optimizer, other = made(name, polish=polish), made(name, seed=9, polish=polish)
+        generations(optimizer, most=stop)
+        generations(other)  # to the end, so that its polish has begun
+        state = optimizer.state()
+        save_checkpoint(tmp_path / "checkpoint.npz", state, {"rng": state.pop("rng")})
+        arrays, notes = load_checkpoint(tmp_path / "checkpoint.npz") or pytest.fail("no checkpoint")
+        other.restore(arrays | notes)
+        assert generations(other) == generations(optimizer)
+
+
+@everyone
+@with_and_without
+def test_one_seed_one_result(name: str, polish: int):
+    first = generations(made(name, polish=polish))
+    assert first == generations(made(name, polish=polish))
+    assert first != generations(made(name, seed=4, polish=polish))
+
+
+@everyone
+def test_asking_twice_is_asking_once(name: str):
+    optimizer, patient = made(name, polish=20), made(name, polish=20)
+    seen = []
+    while len(points := optimizer.ask()):
+        points[:] = 99.0  # what was handed out is not the optimizer's own
+        again = optimizer.ask()
+        optimizer.tell(bowl(again))
+        seen.append(again.tobytes() + np.append(optimizer.global_best, optimizer.global_cost).tobytes())
+    assert seen == generations(patient)
+
+
+@everyone
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    population=st.integers(2, 12),
+    dimensions=st.integers(1, 6),
+    budget=st.integers(3, 120),
+    polished=st.sampled_from([0.0, 0.5]),
+    corner=st.floats(-1e3, 1e3),
+    width=st.floats(1e-6, 1e3),
+    failing=st.sampled_from([0.0, 0.3, 0.9]),
+)
+def test_box_and_budget_hold_and_failures_never_win(
+    name, seed, population, dimensions, budget, polished, corner, width, failing
+):
+    chance = np.random.default_rng(seed)
+    low = np.full(dimensions, corner)
+    high = low + width * chance.uniform(0.5, 1, dimensions)
+    pull = chance.uniform(-1, 1, dimensions)  # to a corner of the box
+    optimizer = create_optimizer(
+        name,
+        low,
+        high,
+        population=population,
+        budget=budget,
+        polish=int(polished * budget),
+        rng=np.random.default_rng(seed),
+    )
+    spent, best, best_points = 0, np.inf, []
+    while len(points := optimizer.ask()):
+        assert np.all((points >= low) & (points <= high))
+        costs = points @ pull
+        fails = chance.random(len(costs)) < failing
+        costs[fails] = chance.choice([np.nan, np.inf, -np.inf], fails.sum())
+        optimizer.tell(costs)
+        spent += len(points)
+        fine = np.isfinite(costs)
+        if fine.any() and costs[fine].min() < best:
+            best = costs[fine].min()
+            best_points = points[fine & (costs == best)].tolist()
+        assert optimizer.global_cost == best
+        assert not best_points or optimizer.global_best.tolist() in best_points
+    assert spent <= budget
+    if name != "nelder-mead" and not polished:
+        assert spent == budget  # only a simplex may have nothing left to try
+
+
+@everyone
+@pytest.mark.parametrize("failure", [np.inf, np.nan, -np.inf])
+@with_and_without
+def test_a_function_that_fails_everywhere(name: str, failure: float, polish: int):
+    optimizer = made(name, polish=polish, budget=300)
+    asked = 0
+    while len(points := optimizer.ask()):
+        optimizer.tell(np.full(len(points), failure))
+        asked += len(points)
+    assert optimizer.global_cost == np.inf
+    assert asked == 300 or name == "nelder-mead"
+
+
+@everyone
+def test_a_plateau(name: str):
+    optimizer = made(name, budget=600)
+    while len(points := optimizer.ask()):
+        assert np.all((points >= LOW) & (points <= HIGH))
+        optimizer.tell(np.ones(len(points)))
+    assert optimizer.global_cost == 1.0
+
+
+@everyone
+def test_it_goes_on_where_the_optimum_is_found_to_the_last_bit(name: str):
+    optimizer = made(name, budget=6000)
+    while len(points := optimizer.ask()):
+        assert np.isfinite(points).all()
+        optimizer.tell(np.sum((points - [1.0, 1.0, 1.2]) ** 2, axis=1))
+    assert optimizer.global_cost < (0.5 if name in ("random", "sobol") else 1e-3)
+
+
+@everyone
+def test_the_global_random_states_are_left_alone(name: str):
+    numpys, pythons = np.random.get_state()[1].copy(), random.getstate()  # noqa: NPY002
+    generations(made(name, polish=20))
+    np.testing.assert_array_equal(np.random.get_state()[1], numpys)  # noqa: NPY002
+    assert random.getstate() == pythons
+
+
+@everyone
+def test_costs_of_another_shape_are_refused(name: str):
+    optimizer = OPTIMIZERS[name](LOW, HIGH, 6, np.random.default_rng(0))
+    n = len(optimizer.ask())
+    for shape in ((n + 1,), (n, 1), ()):
+        with pytest.raises(ValueError, match="points were asked for"):
+            optimizer.tell(np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("pos", {}, "optimizer = 'pos': not known; choose one of pso, ga, "),
+        ("de", {"inertia": 0.5}, "inertia: not an option of the optimizer de; it has base, scale, crossover"),
+        ("random", {"inertia": 0.5}, "it has none"),
+        ("pso", {"population": 1}, "population = 1, .* at least 2"),
+        ("pso", {"budget": 0}, "budget = 0"),
+        ("pso", {"polish": 64}, "polish = 64"),
+        ("pso", {"polish": -1}, "polish = -1"),
+    ],
+)
+def test_mistakes_are_told(name: str, changes: dict, said: str):
+    with pytest.raises(InputError, match=said):
+        made(name, **changes)

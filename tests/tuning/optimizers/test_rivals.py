@@ -1,0 +1,48 @@
+"""No optimizer is worse than the same algorithm by others: a rank test over 20 seeds, at the same budget."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+pytest.importorskip("cma", reason="the rivals need the dependency group test")
+pytest.importorskip("cmaes", reason="the rivals need the dependency group test")
+pytest.importorskip("pymoo", reason="the rivals need the dependency group test")
+
+from oracles.landscapes import HIGH, LANDSCAPES, LOW
+from oracles.rival_optimizers import RIVALS
+from sigmaswarm.tuning.optimizers import create_optimizer
+
+POPULATION, BUDGET, SEEDS = 30, 1500, 20
+SIGNIFICANCE = 0.01  # of each of 20 comparisons; the seeds are fixed
+# The whole table, with pycma and the simplex (which test_nelder_mead.py holds to scipy's point by point), is
+# written by benchmarks/optimizers.py.
+PAIRS = [
+    (name, rival)
+    for name, rivals in RIVALS.items()
+    for rival in rivals
+    if rival != "pycma" and name != "nelder-mead"
+]
+
+
+def ours(name: str, landscape: str, seed: int, budget: int = BUDGET) -> float:
+    rng = np.random.default_rng(1000 + seed)  # other chance than the rivals': two independent samples
+    optimizer = create_optimizer(name, LOW, HIGH, population=POPULATION, budget=budget, rng=rng)
+    while len(points := optimizer.ask()):
+        optimizer.tell(LANDSCAPES[landscape](points))
+    return optimizer.global_cost
+
+
+@cache
+def theirs(rival, landscape: str, budget: int = BUDGET) -> tuple[float, ...]:
+    return tuple(rival(LANDSCAPES[landscape], POPULATION, budget, seed) for seed in range(SEEDS))
+
+
+@pytest.mark.parametrize("landscape", LANDSCAPES)
+@pytest.mark.parametrize(("name", "rival"), PAIRS)
+def test_no_optimizer_is_worse_than_its_rival(name: str, rival: str, landscape: str):
+    found = [ours(name, landscape, seed) for seed in range(SEEDS)]
+    rivals = theirs(RIVALS[name][rival], landscape)
+    worse = mannwhitneyu(found, rivals, alternative="greater").pvalue
+    assert worse > SIGNIFICANCE, f"{np.median(np.log10(found)):.2f} against {np.median(np.log10(rivals)):.2f}"
