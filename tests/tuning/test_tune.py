@@ -255,6 +255,36 @@ def test_validation_drives_are_scored_but_choose_nothing():
     assert checked.to_dict()["result"]["validation_drives"] == ["noisy"]
 
 
+@pytest.mark.parametrize("optimizer", ["ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"])
+def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: Path):
+    asked = {"optimizer": optimizer, "particles": 8, "generations": 6, "polish": 12, "seed": 3}
+    tuning = tune(DRIVES[:1], **asked)
+    (trial,) = tuning.trials
+    assert trial.evaluations <= 48
+    assert np.all(np.diff(trial.best) <= 0)
+    assert tuning.cost == run_batch(DRIVES[0], [tuning.parameters]).costs[0]
+    with ThreadPoolExecutor(3) as pool:
+        assert bits(tune(DRIVES[:1], executor=pool, **asked)) == bits(tuning)
+
+    class Stop(Exception):
+        pass
+
+    def stop(progress: Progress):
+        if progress.generation == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        tune(DRIVES[:1], out=tmp_path, progress=stop, **asked)
+    assert bits(tune(DRIVES[:1], out=tmp_path, resume=True, **asked)) == bits(tuning)
+
+
+def test_a_coefficient_of_the_swarm_is_refused_for_others():
+    with pytest.raises(InputError, match="inertia is a coefficient of pso, not of de"):
+        tune(DRIVES[:1], optimizer="de", inertia=0.5, **SMALL)
+    with pytest.raises(InputError, match="polish"):
+        tune(DRIVES[:1], polish=30, **SMALL)
+
+
 def test_the_worst_drives_can_count_alone():
     drives = [DRIVES[0], make_drive(duration=25.0, seed=9, gps_std=3.0)]
     tuning = tune(drives, worst=0.5, **SMALL)

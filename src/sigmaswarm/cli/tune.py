@@ -25,6 +25,8 @@ def tune(
         list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
         Parameter(consume_multiple=True, negative=()),
     ] = None,
+    optimizer: Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] = "pso",
+    polish: int = 0,
     inertia: float | None = None,
     zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
     patience: int | None = None,
@@ -79,6 +81,11 @@ def tune(
         What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the
         receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when
         it stands. gate: turn outlying fixes away. latency: fixes may be older than they say.
+    optimizer
+        pso: particle swarm. ga: genetic algorithm. ga-pso: both in turn. de: differential evolution. cma-es:
+        covariance matrix adaptation. nelder-mead, random, sobol: to compare with.
+    polish
+        How many of the particles x generations evaluations a Nelder-Mead search from the best point may have.
     inertia
         The swarm's w; 0.7298 by default.
     zero_velocity_at_bounds
@@ -109,6 +116,8 @@ def tune(
         "model": model,
         "kind": kind,
         "use": tuple(use or ()),
+        "optimizer": optimizer,
+        "polish": polish,
         "zero_velocity_at_bounds": zero_velocity_at_bounds,
         "patience": patience,
     }

@@ -1,6 +1,6 @@
 """What a tuning is asked for."""
 
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -9,6 +9,7 @@ from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
 from sigmaswarm.tuning.space import Option, Scale
 
+OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
 C = TypeVar("C", bound="SearchConfig")
 
 
@@ -26,12 +27,31 @@ class SearchConfig(BaseModel):
     seed: int = Field(default=0, ge=0)
     worst: float = Field(default=1.0, gt=0, le=1)
     """Share of the drives that counts, the worst ones; 1: the mean over all."""
+    optimizer: OptimizerName = "pso"
+    polish: int = Field(default=0, ge=0)
+    """Evaluations, of particles x generations, that are kept for a Nelder-Mead search from the best point."""
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION
     zero_velocity_at_bounds: bool = False
     patience: int | None = Field(default=None, ge=1)
     """Stop a trial after that many generations without a better cost; None: never."""
+
+    def optimizer_options(self) -> dict[str, Any]:
+        """What the optimizer is told beside its budget: the swarm's own coefficients.
+
+        Raises
+        ------
+        InputError
+            If a coefficient of the swarm was given for another optimizer.
+        """
+        own = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
+        if self.optimizer == "pso":
+            return {name: getattr(self, name) for name in own}
+        for name in own:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise InputError(f"{name} is a coefficient of pso, not of {self.optimizer}; leave it out")
+        return {}
 
 
 class TuneConfig(SearchConfig):

@@ -1,4 +1,4 @@
-"""The trials of a tuning: ask the swarm, tell it the costs, and save every generation."""
+"""The trials of a tuning: ask the optimizer, tell it the costs, and save every generation."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -9,7 +9,8 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.config import SearchConfig
-from sigmaswarm.tuning.optimizers.pso import ParticleSwarm
+from sigmaswarm.tuning.optimizers import create_optimizer
+from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Problem
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
@@ -36,9 +37,9 @@ class Trial:
     point : ndarray, shape (d,)
         The best point, in search coordinates.
     best : ndarray, shape (generations,)
-        Lowest cost so far after each generation.
+        Lowest cost so far after each generation: after as many evaluations as there are particles.
     median : ndarray, shape (generations,)
-        Median cost of each generation's particles.
+        Median cost of each generation.
     evaluations, failures : int
         Parameter sets tried, and how many of them failed or could not be scored.
     """
@@ -82,59 +83,67 @@ class Search:
             return Trial(
                 result["cost"], history["point"], history["best"], history["median"], *result["counts"]
             )
-        swarm = self._swarm(number)
-        best, median, failures = self._resumed(number, swarm)
-        while len(best) < self.config.generations and not self._stalled(best):
-            costs = self.problem.costs(swarm.ask(), self.executor)
-            swarm.tell(costs)
-            best.append(swarm.global_cost)
+        optimizer = self._optimizer(number)
+        best, median, failures = self._resumed(number, optimizer)
+        while len(costs := self._generation(optimizer, best)):
+            best.append(optimizer.global_cost)
             median.append(float(np.median(costs)))
             failures += int(np.isinf(costs).sum())
-            self._save(number, swarm, best, median, failures)
+            self._save(number, optimizer, best, median, failures)
             self._report(number, best)
-        counts = (len(best) * self.config.particles, failures)
-        trial = Trial(swarm.global_cost, swarm.global_best, np.array(best), np.array(median), *counts)
+        counts = (optimizer.spent, failures)
+        trial = Trial(optimizer.global_cost, optimizer.global_best, np.array(best), np.array(median), *counts)
         if self.folder:
             history = {"point": trial.point, "best": trial.best, "median": trial.median}
             self.folder.finish(number, {"cost": trial.cost, "counts": list(counts)}, history)
         return trial
 
-    def _swarm(self, number: int) -> ParticleSwarm:
+    def _optimizer(self, number: int) -> Budgeted:
         c = self.config
-        rng = np.random.default_rng(np.random.SeedSequence(c.seed, spawn_key=(number,)))
-        return ParticleSwarm(
+        return create_optimizer(
+            c.optimizer,
             self.problem.space.low,
             self.problem.space.high,
-            c.particles,
-            rng,
-            inertia=c.inertia,
-            cognitive=c.cognitive,
-            social=c.social,
-            zero_velocity_at_bounds=c.zero_velocity_at_bounds,
+            population=c.particles,
+            budget=c.particles * c.generations,
+            rng=np.random.default_rng(np.random.SeedSequence(c.seed, spawn_key=(number,))),
+            polish=c.polish,
+            **c.optimizer_options(),
         )
+
+    def _generation(self, optimizer: Budgeted, best: list[float]) -> Array:
+        """Ask for as many points as there are particles, in one batch or several; their costs. None once stalled."""
+        costs = np.empty(0)
+        if self._stalled(best):
+            return costs
+        while len(costs) < self.config.particles and len(points := optimizer.ask()):
+            told = self.problem.costs(points, self.executor)
+            optimizer.tell(told)
+            costs = np.concatenate([costs, told])
+        return costs
 
     def _stalled(self, best: list[float]) -> bool:
         patience = self.config.patience
         return patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
 
     def _save(
-        self, number: int, swarm: ParticleSwarm, best: list[float], median: list[float], failures: int
+        self, number: int, optimizer: Budgeted, best: list[float], median: list[float], failures: int
     ) -> None:
         if not self.folder:
             return
-        state = swarm.state()
+        state = optimizer.state()
         notes = {"rng": state.pop("rng"), "failures": failures}
         save_checkpoint(self.folder.checkpoint(number), state | {"best": best, "median": median}, notes)
 
-    def _resumed(self, number: int, swarm: ParticleSwarm) -> tuple[list[float], list[float], int]:
-        """Put the swarm where its checkpoint left it; the history so far."""
+    def _resumed(self, number: int, optimizer: Budgeted) -> tuple[list[float], list[float], int]:
+        """Put the optimizer where its checkpoint left it; the history so far."""
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if checkpoint is None or saved is None:
             return [], [], 0
         arrays, notes = saved
         try:
-            swarm.restore(arrays | {"rng": notes["rng"]})
+            optimizer.restore(arrays | {"rng": notes["rng"]})
             return arrays["best"].tolist(), arrays["median"].tolist(), int(notes["failures"])
         except (KeyError, TypeError, ValueError):
             raise unreadable(checkpoint) from None
