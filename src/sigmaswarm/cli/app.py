@@ -9,6 +9,7 @@ from cyclopts import App, CycloptsError
 import sigmaswarm
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.evaluate import evaluate
+from sigmaswarm.cli.export import export
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
@@ -31,7 +32,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (tune, evaluate, run, split, simulate, plot, demo):
+for command in (tune, evaluate, run, export, split, simulate, plot, demo):
     app.command(command)
 
 
