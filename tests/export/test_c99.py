@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc, replay, tuned, twin
+from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
 from filter_cases import KINDS, OPTIONS, equipped, parameters
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
@@ -59,6 +59,14 @@ def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):
     ours, of_twin = twin(real(name), p)
     assert of_twin < 1e-12
     assert distance(replay(build(tmp_path, p), real(name)).mean, ours) < 1e-9
+
+
+@needs_gcc
+def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+    p, drive = given("planar8", "ukf", "gate"), jumping(equipped())
+    ours = run_filter(drive, p)
+    assert distance(replay(build(tmp_path, p), drive).mean, ours.mean) < 1e-11
+    assert np.max(np.abs(ours.mean - run_filter(equipped(), p).mean)) > 30.0  # it has followed the jump
 
 
 @needs_gcc

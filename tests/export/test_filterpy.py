@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import distance, run_script, tuned, twin
+from exported import distance, jumping, run_script, tuned, twin
 from filter_cases import KINDS, OPTIONS, equipped, parameters
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
@@ -39,6 +39,14 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str):
     np.testing.assert_array_equal(theirs.time, ours.time)
     assert distance(theirs.mean, ours.mean) < 1e-10
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+    p, drive = (
+        parameters("planar5", kind="ekf", nominal_interval=0.01, gate=6.0),
+        jumping(clip(equipped(), 0.0, 14.0)),
+    )
+    assert distance(run_script(tmp_path, p, drive).mean, run_filter(drive, p).mean) < 1e-10
 
 
 @needs_shared
