@@ -19,7 +19,7 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps).
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder).
 
     Examples:
 
@@ -34,7 +34,7 @@ def run(
     drive
         A drive folder.
     out
-        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx or .kml.
+        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
         LAT,LON in degrees of x = y = 0, for maps of a drive that does not say it.
     truth

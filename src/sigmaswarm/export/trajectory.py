@@ -10,6 +10,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.maps import MAPS, Origin
+from sigmaswarm.export.ros import ros2
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import STATE_NAMES
 from sigmaswarm.filters.run import Estimate
@@ -23,6 +24,7 @@ def write_estimate(estimate: Estimate, path: str | Path, *, origin: Origin | Non
     ``.mat``: for MATLAB: t, the states by name, and covariance (n, states, states).
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the heading as a quaternion.
     ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
+    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry.
     ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
 
     Parameters
@@ -54,6 +56,8 @@ def check_target(path: Path, origin: Origin | None = None) -> None:
         raise InputError(
             f"{path}: can't tell the format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
+    if path.suffix == ".ros2" and path.exists():
+        raise InputError(f"{path}: exists already; delete it, or choose another name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
@@ -61,7 +65,7 @@ def check_target(path: Path, origin: Origin | None = None) -> None:
     if path.suffix in MAPS and origin is None:
         raise InputError(
             f"{path}: a map needs degrees, and the drive does not say where on the earth its x = y = 0 is; give "
-            "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum or .kitti"
+            "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
         )
 
 
@@ -130,4 +134,5 @@ _WRITERS: dict[str, Callable[[Estimate, Path], None]] = {
     ".mat": _mat,
     ".tum": _tum,
     ".kitti": _kitti,
+    ".ros2": ros2,
 }
