@@ -41,8 +41,7 @@ def write_estimate(estimate: Estimate, path: str | Path, *, origin: Origin | Non
     """
     path = Path(path)
     check_target(path, origin)
-    if path.suffix in MAPS:
-        assert origin is not None  # as checked
+    if path.suffix in MAPS and origin is not None:  # which has been checked
         east_north_up = np.column_stack([estimate.mean[:, :2], np.zeros(len(estimate.time))])
         MAPS[path.suffix](estimate.time, enu_to_geodetic(east_north_up, origin)[:, :2], path)
     else:
