@@ -1,15 +1,20 @@
 """Estimates as files: what is written can be read back, and is what the filter believed."""
 
+import json
 import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pymap3d
 import pytest
+from scipy.io import loadmat
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.trajectory import check_target, write_estimate
+from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import Estimate, run_filter
@@ -74,7 +79,9 @@ def test_dead_reckoning_has_no_deviations_to_write(tmp_path: Path):
 
 @pytest.mark.parametrize("name", ["e.xls", "e", "e.CSV", "csv"])
 def test_an_unknown_ending_is_refused(tmp_path: Path, estimate: Estimate, name: str):
-    with pytest.raises(InputError, match=rf"{name}: can't tell the format; end the name in .csv or .tum"):
+    with pytest.raises(
+        InputError, match=rf"{name}: can't tell the format; end the name in .csv, .mat, .* or .kml"
+    ):
         write_estimate(estimate, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -85,3 +92,68 @@ def test_a_place_that_can_not_be_written_is_refused(tmp_path: Path, estimate: Es
     (tmp_path / "e.csv").mkdir()
     with pytest.raises(InputError, match=r"e.csv.* folder"):
         write_estimate(estimate, tmp_path / "e.csv")
+
+
+ORIGIN = (49.011, 8.416, 110.0)
+
+
+def test_kitti_is_a_pose_matrix(tmp_path: Path, estimate: Estimate):
+    write_estimate(estimate, tmp_path / "e.kitti")
+    pose = np.loadtxt(tmp_path / "e.kitti").reshape(-1, 3, 4)
+    assert len(pose) == len(estimate.time)
+    np.testing.assert_allclose(pose[:, :2, 3], estimate.mean[:, :2], atol=1e-8)
+    np.testing.assert_allclose(
+        pose[:, :, :3] @ pose[:, :, :3].transpose(0, 2, 1), np.eye(3)[None] + 0 * pose[:, :, :3], atol=1e-8
+    )
+    np.testing.assert_allclose(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]), estimate.mean[:, 4], atol=1e-8)
+
+
+def test_matlab_gets_names_and_covariances(tmp_path: Path, estimate: Estimate):
+    write_estimate(estimate, tmp_path / "e.mat")
+    read = loadmat(tmp_path / "e.mat")
+    for i, name in enumerate(STATES):
+        np.testing.assert_array_equal(read[name], estimate.mean[:, i : i + 1])
+    np.testing.assert_array_equal(read["t"][:, 0], estimate.time)
+    np.testing.assert_array_equal(read["covariance"], estimate.covariance)
+
+
+def places(path: Path) -> np.ndarray:
+    """Latitude and longitude, (n, 2), of a file of any of the formats for maps."""
+    if path.suffix == ".geojson":
+        return np.array(json.loads(path.read_text())["geometry"]["coordinates"])[:, ::-1]
+    root = ET.parse(path).getroot()
+    if path.suffix == ".gpx":
+        points = root.iter("{http://www.topografix.com/GPX/1/1}trkpt")
+        return np.array([(float(p.attrib["lat"]), float(p.attrib["lon"])) for p in points])
+    (line,) = root.iter("{http://www.opengis.net/kml/2.2}coordinates")
+    return np.array([[float(c) for c in p.split(",")] for p in str(line.text).split()])[:, ::-1]
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".kml"])
+def test_maps_have_the_track_in_degrees(tmp_path: Path, estimate: Estimate, suffix: str):
+    path = tmp_path / f"a & b{suffix}"
+    write_estimate(estimate, path, origin=ORIGIN)
+    lat, lon, _ = pymap3d.enu2geodetic(estimate.mean[:, 0], estimate.mean[:, 1], 0.0, *ORIGIN)
+    np.testing.assert_allclose(places(path), np.column_stack([lat, lon]), rtol=0, atol=1.5e-9)  # 0.1 mm
+    with pytest.raises(InputError, match=r"a map needs degrees.*--origin LAT,LON"):
+        write_estimate(estimate, path)
+
+
+def test_times_are_told_only_where_the_clock_has_a_date(tmp_path: Path, estimate: Estimate):
+    write_estimate(estimate, tmp_path / "e.gpx", origin=ORIGIN)
+    assert "<time>" not in (tmp_path / "e.gpx").read_text()
+    dated = replace(estimate, time=estimate.time - estimate.time[0] + 1395842400.25)
+    write_estimate(dated, tmp_path / "e.gpx", origin=ORIGIN)
+    assert "<time>2014-03-26T14:00:00.250Z</time>" in (tmp_path / "e.gpx").read_text()
+    write_estimate(dated, tmp_path / "e.geojson", origin=ORIGIN)
+    stamps = json.loads((tmp_path / "e.geojson").read_text())["properties"]["coordTimes"]
+    assert (len(stamps), stamps[0]) == (len(estimate.time), "2014-03-26T14:00:00.250Z")
+
+
+def test_truth_is_written_like_an_estimate(tmp_path: Path):
+    write_estimate(true_trajectory(DRIVE), tmp_path / "truth.csv")
+    frame = pl.read_csv(tmp_path / "truth.csv")
+    assert frame.columns == ["t", *STATES]
+    np.testing.assert_array_equal(frame["theta"], DRIVE.truth.theta)
+    with pytest.raises(InputError, match=r"has no truth\.csv"):
+        true_trajectory(replace(DRIVE, truth=None))

@@ -10,6 +10,7 @@ import sigmaswarm
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
+from sigmaswarm.cli.export import export
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
@@ -33,7 +34,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (tune, evaluate, run, doctor, split, simulate, plot, demo):
+for command in (doctor, tune, evaluate, run, export, split, simulate, plot, demo):
     app.command(command)
 
 

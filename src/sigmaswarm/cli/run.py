@@ -12,14 +12,20 @@ def run(
     /,
     *,
     out: Path,
+    origin: str | None = None,
+    truth: Path | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
 
+    The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder).
+
     Examples:
 
         sigmaswarm run tuned drives/friday --out estimate.csv
-        sigmaswarm run tuned drives/friday --out estimate.tum
+        sigmaswarm run tuned drives/friday --out estimate.tum --truth truth.tum
+        sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
 
     Parameters
     ----------
@@ -28,23 +34,49 @@ def run(
     drive
         A drive folder.
     out
-        NAME.csv (t, x, y, vx, vy, theta and their standard deviations) or NAME.tum (t x y z qx qy qz qw).
+        NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
+    origin
+        LAT,LON in degrees of x = y = 0, for maps of a drive that does not say it.
+    truth
+        Also write the drive's truth, in the format that this file's ending names.
     json
         Print a summary for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.errors import SigmaswarmError
-    from sigmaswarm.export.trajectory import check_target, write_estimate
+    from sigmaswarm.errors import InputError, SigmaswarmError
+    from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
 
-    check_target(out)
+    place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    estimate = sigmaswarm.run_filter(sigmaswarm.read_drive(drive), parameters)
+    read = sigmaswarm.read_drive(drive)
+    if place and read.origin:
+        raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
+    place = place or read.origin
+    true = true_trajectory(read) if truth else None
+    for path in (out, *([truth] if truth else [])):
+        check_target(path, place)
+    estimate = sigmaswarm.run_filter(read, parameters)
     if estimate.failure:
         raise SigmaswarmError(estimate.failure)
-    write_estimate(estimate, out)
+    write_estimate(estimate, out, origin=place)
+    if truth and true:
+        write_estimate(true, truth, origin=place)
     first, last = float(estimate.time[0]), float(estimate.time[-1])
     if json:
         print_json({"out": str(out), "estimates": len(estimate.time), "start_s": first, "end_s": last})
     else:
         stdout().print(f"wrote {len(estimate.time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    """Latitude and longitude (deg), and altitude (m, 0 where it is left out)."""
+    from sigmaswarm.errors import InputError
+
+    try:
+        latitude, longitude, *altitude = (float(part) for part in text.split(","))
+        if abs(latitude) <= 90 and abs(longitude) <= 180 and len(altitude) < 2:
+            return latitude, longitude, altitude[0] if altitude else 0.0
+    except ValueError:
+        pass
+    raise InputError(f"--origin {text!r} is not a place; write LAT,LON in degrees, for example 49.011,8.416")

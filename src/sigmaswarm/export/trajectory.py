@@ -1,55 +1,107 @@
-"""Estimates as files: CSV with standard deviations, or TUM for trajectory tools such as evo."""
+"""Estimates as files, one writer a format; the file's ending names it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.export.maps import MAPS, Origin
+from sigmaswarm.export.ros import ros2
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import STATE_NAMES
 from sigmaswarm.filters.run import Estimate
+from sigmaswarm.geodesy import enu_to_geodetic
 
 
-def _states(estimate: Estimate) -> tuple[str, ...]:
-    """The names of an estimate's states."""
-    return next(names for names in STATE_NAMES.values() if len(names) == estimate.mean.shape[1])
-
-
-def write_estimate(estimate: Estimate, path: str | Path) -> None:
+def write_estimate(estimate: Estimate, path: str | Path, *, origin: Origin | None = None) -> None:
     """Write an estimate in the form that the file's ending names.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise.
+    ``.mat``: for MATLAB: t, the states by name, and covariance (n, states, states).
     ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the heading as a quaternion.
+    ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
+    ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry.
+    ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    path : str or Path
+    origin : (latitude deg, longitude deg, altitude m), optional
+        Where x = y = 0 is on the earth; the last three formats need it.
 
     Raises
     ------
     InputError
-        If the ending is another, or the folder does not exist.
+        If the ending is another, the folder does not exist, or a needed origin is not given.
     """
     path = Path(path)
-    check_target(path)
-    _WRITERS[path.suffix](estimate, path)
+    check_target(path, origin)
+    if path.suffix in MAPS and origin is not None:  # which has been checked
+        east_north_up = np.column_stack([estimate.mean[:, :2], np.zeros(len(estimate.time))])
+        MAPS[path.suffix](estimate.time, enu_to_geodetic(east_north_up, origin)[:, :2], path)
+    else:
+        _WRITERS[path.suffix](estimate, path)
 
 
-def check_target(path: Path) -> None:
+def check_target(path: Path, origin: Origin | None = None) -> None:
     """Raise `InputError` where `write_estimate` could not write, before any work is done."""
-    if path.suffix not in _WRITERS:
-        raise InputError(f"{path}: can't tell the format; end the name in {' or '.join(_WRITERS)}")
+    endings = [*_WRITERS, *MAPS]
+    if path.suffix not in endings:
+        raise InputError(
+            f"{path}: can't tell the format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
+        )
+    if path.suffix == ".ros2" and path.exists():
+        raise InputError(f"{path}: exists already; delete it, or choose another name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
         raise InputError(f"{path.parent}: no such folder; make it first")
+    if path.suffix in MAPS and origin is None:
+        raise InputError(
+            f"{path}: a map needs degrees, and the drive does not say where on the earth its x = y = 0 is; give "
+            "--origin LAT,LON, or origin in its drive.toml, or write .csv, .mat, .tum, .kitti or .ros2"
+        )
+
+
+def true_trajectory(drive: Drive) -> Estimate:
+    """A drive's truth in the form of an estimate, to be written beside one.
+
+    Raises
+    ------
+    InputError
+        If the drive knows no truth.
+    """
+    truth = drive.truth
+    if truth is None:
+        raise InputError(f"{drive.name}: has no truth.csv; leave --truth out")
+    mean = np.column_stack([truth.x, truth.y, truth.vx, truth.vy, truth.theta])
+    return Estimate(truth.time, mean, np.empty(0), InitialState(mean[0], np.eye(5), float(truth.time[0])))
+
+
+def _columns(estimate: Estimate) -> dict[str, Array]:
+    """Time and states by name."""
+    states = next(names for names in STATE_NAMES.values() if len(names) == estimate.mean.shape[1])
+    return {"t": estimate.time} | {name: estimate.mean[:, i] for i, name in enumerate(states)}
 
 
 def _csv(estimate: Estimate, path: Path) -> None:
-    columns: dict[str, Array] = {"t": estimate.time}
-    columns |= {name: estimate.mean[:, i] for i, name in enumerate(_states(estimate))}
+    columns = _columns(estimate)
     if estimate.covariance.size:  # dead reckoning has none
         std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
-        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(_states(estimate))}
+        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
     pl.DataFrame(columns).write_csv(path)
+
+
+def _mat(estimate: Estimate, path: Path) -> None:
+    from scipy.io import savemat
+
+    columns = _columns(estimate) | {"covariance": estimate.covariance}
+    savemat(path, columns, oned_as="column")
 
 
 def _tum(estimate: Estimate, path: Path) -> None:
@@ -68,4 +120,18 @@ def _tum(estimate: Estimate, path: Path) -> None:
     np.savetxt(path, np.column_stack(rows), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
 
 
-_WRITERS = {".csv": _csv, ".tum": _tum}
+def _kitti(estimate: Estimate, path: Path) -> None:
+    x, y = estimate.mean[:, 0], estimate.mean[:, 1]
+    c, s = np.cos(estimate.mean[:, THETA]), np.sin(estimate.mean[:, THETA])
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    pose = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]
+    np.savetxt(path, np.column_stack(pose), fmt="%.9f")
+
+
+_WRITERS: dict[str, Callable[[Estimate, Path], None]] = {
+    ".csv": _csv,
+    ".mat": _mat,
+    ".tum": _tum,
+    ".kitti": _kitti,
+    ".ros2": ros2,
+}

@@ -1,0 +1,72 @@
+"""What the templates of the exported filters ask for: which parts a filter uses, and its numbers."""
+
+from collections.abc import Iterable
+
+import sigmaswarm
+from sigmaswarm.drives import timeline
+from sigmaswarm.filters import batch
+from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
+from sigmaswarm.filters.parameters import FilterParameters
+
+
+def features_of(p: FilterParameters) -> dict[str, bool]:
+    """Which parts of the templates a filter needs."""
+    velocity, lateral, stands = batch.switches(p)
+    biases, gate = p.model == "planar8", p.gate is not None
+    adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
+    used = {
+        "UNSCENTED": p.kind != "ekf",
+        "BIASES": biases,
+        "BIASES_OR_LATERAL": biases or lateral,
+        "ADAPTIVE": adaptive,
+        "STRONG_TRACKING": tracking,
+        "FORGETTING": adaptive or tracking,
+        "GATE": gate,
+        "GATE_OR_STRONG_TRACKING": gate or tracking,
+        "VELOCITY": velocity,
+        "LATERAL": lateral,
+        "STANDSTILL": stands,
+        "VELOCITY_OR_STANDSTILL": velocity or stands,
+        "LATERAL_OR_STANDSTILL": lateral or stands,
+        "SCALAR": lateral or (stands and biases),
+    }
+    return {f"USE_{name}": value for name, value in used.items()}
+
+
+def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
+    """A filter's parameters as text; ``interval`` (s) is what Q refers to."""
+    numbers: dict[str, float | None] = {
+        "NOMINAL_INTERVAL": interval,
+        "LATENCY": p.latency,
+        "ALPHA": p.alpha,
+        "BETA": p.beta,
+        "KAPPA": p.kappa,
+        "ACCEL_BIAS_STD": p.bias_std[0],
+        "GYRO_BIAS_STD": p.bias_std[1],
+        "FORGETTING": p.forgetting,
+        "GATE": p.gate,
+        "VELOCITY_NOISE": p.velocity_noise,
+        "LATERAL_NOISE": p.lateral_noise,
+        "REAR_AXLE": p.rear_axle,
+        "LATERAL_INTERVAL": batch.LATERAL_INTERVAL,
+        "CORNERING": timeline.CORNERING,
+        "STANDSTILL_NOISE": p.standstill_noise,
+        "STANDSTILL_INTERVAL": batch.STANDSTILL_INTERVAL,
+        "STANDSTILL_RATE_NOISE": batch.STANDSTILL_RATE_NOISE,
+    }
+    return plain(numbers) | {
+        "VERSION": sigmaswarm.__version__,
+        "DESCRIPTION": f"{p.model}, {p.kind}",
+        "MODEL": p.model,
+        "MOST_REJECTED": str(MOST_REJECTED),
+    }
+
+
+def plain(numbers: dict[str, float | None]) -> dict[str, str]:
+    """Numbers as text that keeps every bit; None is left out."""
+    return {name: repr(float(value)) for name, value in numbers.items() if value is not None}
+
+
+def listed(numbers: Iterable[float], form: str = "{}") -> str:
+    """Numbers with commas in between."""
+    return ", ".join(form.format(repr(float(number))) for number in numbers)

@@ -1,0 +1,96 @@
+"""An estimate as a ROS 2 bag with one topic, /sigmaswarm/odometry (nav_msgs/Odometry); needs the extra ``ros``.
+
+The pose is in ``map``, east-north-up; the twist in ``base_link``, forward and left, as REP-105 and the message ask.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.run import Estimate
+
+TOPIC = "/sigmaswarm/odometry"
+NOT_ESTIMATED = 1e6
+"""The variance that is stated for what a filter in the plane says nothing of: height, roll, pitch, the rates."""
+
+
+def ros2(estimate: Estimate, path: Path) -> None:
+    """Write a bag, which is a folder, with MCAP storage.
+
+    Raises
+    ------
+    InputError
+        If rosbags is not installed, or a time is before 0.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError:
+        raise InputError(
+            f"{path}: a bag needs rosbags; install it with: pip install 'sigmaswarm[ros]'"
+        ) from None
+    if estimate.time[0] < 0:
+        raise InputError(
+            f"{path}: a bag has no times before 0 (is {estimate.time[0]:g} s); shift the drive's times"
+        )
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    covariances = _planes(estimate)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
+        for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, covariances, strict=True):
+            nanoseconds = round(float(t) * 1e9)
+            message = _odometry(store.types, nanoseconds, mean, pose, twist)
+            writer.write(connection, nanoseconds, store.serialize_cdr(message, "nav_msgs/msg/Odometry"))
+
+
+def _planes(estimate: Estimate) -> list[tuple[Array, Array]]:
+    """Covariances of x, y, theta, and of the velocity forward and left, at each time; zero where there are none."""
+    n = estimate.mean.shape[1]
+    covariance = estimate.covariance if estimate.covariance.size else np.zeros((len(estimate.time), n, n))
+    pose = covariance[:, [[0], [1], [THETA]], [0, 1, THETA]]
+    theta = estimate.mean[:, THETA]
+    c, s = np.cos(theta), np.sin(theta)
+    forward, left = body_velocity(estimate.mean)
+    jacobian = np.stack([np.stack([c, s, left], axis=-1), np.stack([-s, c, -forward], axis=-1)], axis=1)
+    inner = covariance[:, [[2], [3], [THETA]], [2, 3, THETA]]
+    return list(zip(pose, jacobian @ inner @ jacobian.transpose(0, 2, 1), strict=True))
+
+
+def body_velocity(mean: Array) -> tuple[Array, Array]:
+    """Velocity forward and left, m/s, of means (..., n)."""
+    c, s = np.cos(mean[..., THETA]), np.sin(mean[..., THETA])
+    return c * mean[..., 2] + s * mean[..., 3], c * mean[..., 3] - s * mean[..., 2]
+
+
+def _odometry(types: Any, nanoseconds: int, mean: Array, pose: Array, twist: Array) -> Any:
+    """The message; covariances are 6 x 6: x, y, z and the rotations about them."""
+
+    def vector(x: float, y: float) -> Any:
+        return types["geometry_msgs/msg/Vector3"](x, y, 0.0)
+
+    half = float(mean[THETA]) / 2
+    forward, left = (float(v) for v in body_velocity(mean))
+    stamp = types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
+    position = types["geometry_msgs/msg/Point"](float(mean[0]), float(mean[1]), 0.0)
+    orientation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
+    return types["nav_msgs/msg/Odometry"](
+        types["std_msgs/msg/Header"](stamp, "map"),
+        "base_link",
+        types["geometry_msgs/msg/PoseWithCovariance"](
+            types["geometry_msgs/msg/Pose"](position, orientation), _six(pose, [0, 1, 5])
+        ),
+        types["geometry_msgs/msg/TwistWithCovariance"](
+            types["geometry_msgs/msg/Twist"](vector(forward, left), vector(0.0, 0.0)), _six(twist, [0, 1])
+        ),
+    )
+
+
+def _six(known: Array, at: list[int]) -> Array:
+    whole = NOT_ESTIMATED * np.eye(6)
+    whole[np.ix_(at, at)] = known
+    return whole.ravel()

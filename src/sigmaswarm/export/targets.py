@@ -1,0 +1,76 @@
+"""The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.c99 import c99, replay_rows
+from sigmaswarm.export.filterpy import filterpy
+from sigmaswarm.export.robot_localization import robot_localization
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.tuning.store import write_whole
+
+Target = Literal["filterpy", "c99", "robot_localization"]
+
+TARGETS: dict[Target, Callable[[FilterParameters, float], dict[str, str]]] = {
+    "filterpy": filterpy,
+    "c99": c99,
+    "robot_localization": robot_localization,
+}
+"""From parameters, and the IMU interval (s) that Q refers to, to texts by file name."""
+
+
+def export_filter(
+    parameters: FilterParameters, target: Target, folder: str | Path, *, replay: Drive | None = None
+) -> list[Path]:
+    """Write a filter for a target.
+
+    Parameters
+    ----------
+    parameters : FilterParameters
+        With ``nominal_interval``, as every tuning has it.
+    target : {"filterpy", "c99", "robot_localization"}
+    folder : str or Path
+        Made if missing; files of the same names are replaced.
+    replay : Drive, optional
+        c99: also write this drive as replay.csv, the input of the program that replays.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the target is unknown, the parameters do not say which interval Q refers to, a variance can't be used, or
+        ``replay`` is given for a target that does not take it.
+    """
+    if target not in TARGETS:
+        raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
+    if parameters.nominal_interval is None:
+        raise InputError(
+            "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "
+            "example nominal_interval = 0.01, to [filter] in its file"
+        )
+    if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
+        raise InputError(
+            "a variance of the filter is not positive, so it would fail; tune it again or correct it"
+        )
+    if replay is not None and target != "c99":
+        raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
+    texts = TARGETS[target](parameters, parameters.nominal_interval)
+    if replay is not None:
+        texts["replay.csv"] = replay_rows(replay)
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: can't be made a folder ({error.strerror}); choose another --out"
+        ) from None
+    for name, text in texts.items():
+        write_whole(folder / name, text.encode())
+    return [folder / name for name in texts]

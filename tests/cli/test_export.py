@@ -1,0 +1,96 @@
+"""`sigmaswarm export`, and what `sigmaswarm run` writes beside CSV."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli.conftest import Command
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+
+
+def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path):
+    ended = sigmaswarm("export", tuned, "--to", "robot_localization", "--out", "ros")
+    assert (ended.code, ended.out) == (0, "wrote ros/robot_localization.yaml\n")
+    ended = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--json")
+    assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
+
+
+@needs_gcc
+def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    drive = drives / "urban-clear-00"
+    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive).code == 0
+    assert sigmaswarm("run", tuned, drive, "--out", "ours.csv").code == 0
+    subprocess.run("cc -std=c99 -O2 ins_gps.c replay.c -lm -o replay", cwd="c", shell=True, check=True)
+    subprocess.run("./replay < replay.csv > theirs.csv", cwd="c", shell=True, check=True)
+    theirs = np.loadtxt("c/theirs.csv", delimiter=",", skiprows=1)
+    ours = np.loadtxt("ours.csv", delimiter=",", skiprows=1)
+    assert Path("c/theirs.csv").read_text().startswith("t,x,y,vx,vy,theta,var_x")
+    np.testing.assert_allclose(theirs[:, :6], ours[:, :6], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--to", "rust", "--out", "x"], 'Invalid value "rust" for --to'),
+        (["--to", "c99"], "--out"),
+        (["--to", "filterpy", "--out", "x", "--replay", "DRIVE"], "--replay is for --to c99 only"),
+        (["--to", "c99", "--out", "x", "--replay", "nowhere"], "nowhere does not exist"),
+    ],
+)
+def test_mistakes_get_one_line(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path, arguments, said: str
+):
+    arguments = [drives / "urban-clear-00" if a == "DRIVE" else a for a in arguments]
+    ended = sigmaswarm("export", tuned, *arguments)
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    assert said in ended.err
+    assert list(here.iterdir()) == []
+
+
+def test_a_file_without_an_interval_is_sent_back(sigmaswarm: Command, tuned: Path, here: Path):
+    Path("p.toml").write_text(tuned.read_text().replace("nominal_interval = 0.01\n", ""))
+    ended = sigmaswarm("export", "p.toml", "--to", "c99", "--out", "x")
+    assert ended.code == 2 and "add nominal_interval" in ended.err
+
+
+def test_run_writes_maps_and_truth(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    drive = drives / "urban-clear-00"
+    ended = sigmaswarm("run", tuned, drive, "--out", "e.kml")
+    if ended.code == 2:
+        assert "--origin LAT,LON" in ended.err
+        ended = sigmaswarm("run", tuned, drive, "--out", "e.kml", "--origin", "49.0,8.4")
+    assert ended.code == 0 and "<coordinates>" in Path("e.kml").read_text()
+    assert sigmaswarm("run", tuned, drive, "--out", "e.tum", "--truth", "truth.tum").code == 0
+    assert (
+        len(Path("truth.tum").read_text().splitlines()) > len(Path("e.tum").read_text().splitlines()) > 1000
+    )
+
+
+@pytest.mark.parametrize("place", ["49", "north,8", "91,8", "49,181", "49,8,1,2", "nan,8"])
+def test_a_place_that_is_none_is_refused(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path, place: str
+):
+    ended = sigmaswarm("run", tuned, drives / "urban-clear-00", "--out", "e.kml", "--origin", place)
+    assert ended.code == 2
+    assert (
+        ended.err
+        == f"sigmaswarm: --origin '{place}' is not a place; write LAT,LON in degrees, for example 49.011,8.416\n"
+    )
+    assert list(here.iterdir()) == []
+
+
+def test_a_drive_that_knows_its_place_takes_no_other(
+    sigmaswarm: Command, tuned: Path, drives: Path, here: Path
+):
+    shutil.copytree(drives / "urban-clear-00", "drive")
+    about = Path("drive/drive.toml")
+    if "origin" not in about.read_text():
+        about.write_text("origin = [49.0, 8.4, 0.0]\n" + about.read_text())
+    ended = sigmaswarm("run", tuned, "drive", "--out", "e.gpx", "--origin", "1,2")
+    assert ended.code == 2 and "leave --origin out" in ended.err
+    assert sigmaswarm("run", tuned, "drive", "--out", "e.gpx").code == 0

@@ -1,0 +1,229 @@
+"""The exported C library: the library's numbers, no warning, and nothing that a sanitizer finds."""
+
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
+from filter_cases import KINDS, OPTIONS, equipped, parameters
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+from support import DRIVES, needs_shared
+
+CASES = [(model, kind, "all") for model in ("planar5", "planar8") for kind in KINDS]
+CASES += [("planar5", "ukf", option) for option in OPTIONS if option != "all"]
+CASES += [("planar8", "ekf", "lateral"), ("planar8", "adaptive-ukf", "plain")]
+
+REAL = {
+    "kitti-09-30-0033": (0.0, 45.0),
+    "colorado-1": (30.0, 75.0),
+    "dresden": (0.0, 60.0),
+    "kingston-1": (560.0, 900.0),  # it stands for a while
+}
+
+
+def given(model: str, kind: str, option: str) -> FilterParameters:
+    return parameters(model, kind=kind, nominal_interval=0.01, **OPTIONS[option])
+
+
+@cache
+def real(name: str) -> Drive:
+    return clip(read_drive(DRIVES / name), *REAL[name])
+
+
+@needs_gcc
+@pytest.mark.parametrize(("model", "kind", "option"), CASES)
+def test_it_is_the_run(tmp_path: Path, model: str, kind: str, option: str):
+    p = given(model, kind, option)
+    ours = run_filter(equipped(), p)
+    theirs = replay(build(tmp_path, p), equipped())
+    np.testing.assert_array_equal(theirs.time, ours.time)
+    assert distance(theirs.mean, ours.mean) < 1e-11
+    np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+@needs_shared
+@needs_gcc
+@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("kind", ["ukf", "strong-tracking-ukf"])
+def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, kind: str):
+    p = tuned("planar8", kind, real(name).nominal_interval)
+    ours, of_twin = twin(real(name), p)
+    assert of_twin < 1e-12
+    assert distance(replay(build(tmp_path, p), real(name)).mean, ours) < 1e-9
+
+
+@needs_gcc
+def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+    p, drive = given("planar8", "ukf", "gate"), jumping(equipped())
+    ours = run_filter(drive, p)
+    assert distance(replay(build(tmp_path, p), drive).mean, ours.mean) < 1e-11
+    assert np.max(np.abs(ours.mean - run_filter(equipped(), p).mean)) > 30.0  # it has followed the jump
+
+
+@needs_gcc
+def test_float_is_off_by_millimetres(tmp_path: Path):
+    p = given("planar8", "ukf", "all")
+    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), equipped()).mean - run_filter(equipped(), p).mean
+    assert 1e-9 < np.max(np.abs(off[:, :2])) < 3e-3
+
+
+def rows_with_late_fixes(late: float) -> list[str]:
+    """The replay's rows, each fix ``late`` s after its time."""
+    first, *rows = replay_rows(equipped()).splitlines()
+    when = {row: _time(row) + (late if row.startswith("fix") else 0.0) for row in rows}
+    return [first, *sorted(rows, key=lambda row: (when[row], row))]
+
+
+@needs_gcc
+@pytest.mark.parametrize("late", [0.003, 0.31])
+@pytest.mark.parametrize("kind", ["adaptive-ukf", "strong-tracking-ukf"])
+def test_late_fixes_take_it_back_and_forward(tmp_path: Path, kind: str, late: float):
+    p = given("planar8", kind, "all")
+    rows = [row for row in rows_with_late_fixes(late) if not row.startswith("fix") or _time(row) < 23.0]
+    program = build(tmp_path, p)
+    final = _last_row(program, rows)
+    in_time = _last_row(
+        program, [rows[0], *sorted(rows[1:], key=lambda row: (float(row.split(",")[1]), row))]
+    )
+    np.testing.assert_allclose(final, in_time, rtol=0, atol=1e-13)
+    forgetful = build(tmp_path, p, "-DINS_GPS_HISTORY=0")
+    assert np.max(np.abs(_last_row(forgetful, rows) - in_time)) > 1e-3
+
+
+def _time(row: str) -> float:
+    return float(row.split(",")[1])
+
+
+def _last_row(program: Path, rows: list[str]) -> np.ndarray:
+    done = subprocess.run([program], input="\n".join(rows) + "\n", capture_output=True, text=True, check=True)
+    return np.array([float(cell) for cell in done.stdout.splitlines()[-1].split(",")])
+
+
+@needs_clang
+@pytest.mark.parametrize(
+    "flags", [(), ("-DINS_GPS_FLOAT",), ("-DINS_GPS_HISTORY=0", "-DINS_GPS_FLOAT")], ids=str
+)
+def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
+    for model, kind, option in CASES:
+        export_filter(given(model, kind, option), "c99", tmp_path)
+        command = ["clang", *STRICT, *flags, "-fsyntax-only", tmp_path / "ins_gps.c", tmp_path / "replay.c"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [("-DINS_GPS_FLOAT",), ("-DINS_GPS_HISTORY=0",)], ids=str)
+def test_gcc_has_nothing_to_say_of_any_filter(tmp_path: Path, flags: tuple[str, ...]):
+    for model, kind, option in CASES:
+        export_filter(given(model, kind, option), "c99", tmp_path)
+        command = ["gcc", *STRICT, *flags, "-fsyntax-only", tmp_path / "ins_gps.c", tmp_path / "replay.c"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
+def test_the_sanitizers_find_nothing_over_a_drive(tmp_path: Path, kind: str):
+    p = given("planar8", kind, "all")
+    sanitized = replay(build(tmp_path, p, *SANITIZERS), equipped())
+    assert distance(sanitized.mean, run_filter(equipped(), p).mean) < 1e-11
+
+
+HOSTILE = r"""
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include "ins_gps.h"
+
+static unsigned long seed = 1;
+static unsigned pick(unsigned n)
+{
+    seed = (seed * 1103515245UL + 12345UL) & 0x7fffffffUL;
+    return (unsigned)(seed >> 8) % n;
+}
+
+int main(void)
+{
+    static InsGps f;
+    static const double odd[] = {NAN, INFINITY, -INFINITY, 1e308, -1e308, 5e-324, 0.0, -0.0, 1.0, 1e10};
+    const ins_gps_real mean[5] = {0, 0, 10, 0, 0}, velocity[2] = {10, (ins_gps_real)NAN};
+    const ins_gps_real P[25] = {1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1};
+    InsGpsState before, after;
+    /* What is refused changes nothing. */
+    ins_gps_init(&f, 0.0, mean, P, 0);
+    for (int k = 1; k < 200; k++) {
+        ins_gps_update(&f, 0.01 * k - 0.004, (ins_gps_real)(0.1 * k), 0, 0);
+        ins_gps_predict(&f, 0.01 * k, 0, 0, 0);
+    }
+    memset(&before, 0, sizeof before);
+    memset(&after, 0, sizeof after);
+    ins_gps_state(&f, &before);
+    const ins_gps_real nan = (ins_gps_real)NAN;
+    const bool samples = ins_gps_predict(&f, NAN, 0, 0, 0) || ins_gps_predict(&f, INFINITY, 0, 0, 0)
+                         || ins_gps_predict(&f, 1.99, 1, 1, 1) || ins_gps_predict(&f, 1.5, 1, 1, 1)
+                         || ins_gps_predict(&f, 3.0, nan, 0, 0) || ins_gps_predict(&f, 3.0, 0, 0, nan);
+    const bool fixes = ins_gps_update(&f, NAN, 0, 0, 0) || ins_gps_update(&f, 3.0, nan, 0, 0)
+                       || ins_gps_update(&f, 3.0, 0, nan, 0) || ins_gps_update(&f, 3.0, 0, 0, velocity)
+                       || ins_gps_update(&f, 0.1, 0, 0, 0);
+    if (samples || fixes) {
+        return 1;
+    }
+    ins_gps_state(&f, &after);
+    if (memcmp(&before, &after, sizeof before) || after.failed || f.left_out != 5) {
+        return 2;
+    }
+    /* Anything at all, in any order. */
+    unsigned long failures = 0;
+    for (int run = 0; run < 100; run++) {
+        ins_gps_init(&f, pick(3) ? 0.0 : odd[3 + pick(5)], mean, P, pick(2) ? mean : 0);
+        double t = 0.0;
+        for (int k = 0; k < 300; k++) {
+            double x[4];
+            for (int i = 0; i < 4; i++) {
+                x[i] = pick(40) ? (double)pick(1000) * 0.01 - 5.0 : odd[pick(10)];
+            }
+            t += 0.001 * (double)pick(20) - 0.003;
+            const double at = pick(60) ? t : odd[pick(10)];
+            const ins_gps_real z[2] = {(ins_gps_real)x[2], (ins_gps_real)x[3]};
+            if (pick(3)) {
+                ins_gps_predict(&f, at, (ins_gps_real)x[0], (ins_gps_real)x[1], z[0]);
+            } else {
+                for (unsigned n = pick(50) ? 1 : 100; n > 0; n--) {
+                    const double when = at - 0.1 * (double)pick(3) + 1e-4 * n;
+                    ins_gps_update(&f, when, (ins_gps_real)x[0], (ins_gps_real)x[1], pick(2) ? z : 0);
+                }
+            }
+        }
+        ins_gps_state(&f, &after);
+        bool finite = true;
+        for (int i = 0; i < INS_GPS_STATES; i++) {
+            finite = finite && isfinite(after.mean[i]) && isfinite(after.covariance[i][i]);
+        }
+        if (!finite && !after.failed) {
+            return 3;
+        }
+        failures += after.failed;
+    }
+    printf("%lu of 100 failed, and said so\n", failures);
+    return failures == 100 ? 4 : 0;
+}
+"""
+NO_TRAP = ("-fno-sanitize=float-divide-by-zero",)  # IEEE's inf is meant: all_finite finds it
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_HISTORY=0",)], ids=str)
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf", "strong-tracking-ukf"])
+def test_hostile_input_does_no_harm(tmp_path: Path, kind: str, flags: tuple[str, ...]):
+    program = build(tmp_path, given("planar8", kind, "all"), *SANITIZERS, *NO_TRAP, *flags, main=HOSTILE)
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,0 +1,111 @@
+"""The exported FilterPy script gives the library's numbers, without the library."""
+
+import ast
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import distance, jumping, run_script, tuned, twin
+from filter_cases import KINDS, OPTIONS, equipped, parameters
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.export.filterpy import filterpy, source_of
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.geodesy import enu_to_geodetic
+from support import DRIVES, make_drive, needs_shared
+
+REAL = {
+    "kitti-09-30-0033": ("ukf", 0.0, 20.0),
+    "colorado-1": ("ekf", 40.0, 65.0),
+    "dresden": ("adaptive-ukf", 0.0, 30.0),  # in degrees, with speed and course
+    "kingston-1": ("ukf", 560.0, 700.0),  # it stands for a while
+}
+ORIGIN = (49.011, 8.416, 110.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_it_is_the_run(tmp_path: Path, model: str, kind: str):
+    drive = clip(equipped(), 0.0, 9.0)
+    p = parameters(model, kind=kind, nominal_interval=0.01, **OPTIONS["all"])
+    ours = run_filter(drive, p)
+    theirs = run_script(tmp_path, p, drive)
+    np.testing.assert_array_equal(theirs.time, ours.time)
+    assert distance(theirs.mean, ours.mean) < 1e-10
+    np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
+    p, drive = (
+        parameters("planar5", kind="ekf", nominal_interval=0.01, gate=6.0),
+        jumping(clip(equipped(), 0.0, 14.0)),
+    )
+    assert distance(run_script(tmp_path, p, drive).mean, run_filter(drive, p).mean) < 1e-10
+
+
+@needs_shared
+@pytest.mark.parametrize("name", REAL)
+def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str):
+    kind, start, end = REAL[name]
+    drive = clip(read_drive(DRIVES / name), start, end)
+    p = tuned("planar8", kind, drive.nominal_interval)
+    ours, of_twin = twin(drive, p)
+    assert of_twin < 1e-12
+    assert distance(run_script(tmp_path, p, drive).mean, ours) < 1e-9
+
+
+def in_degrees(drive: Drive) -> Drive:
+    enu = np.column_stack([drive.gps.x, drive.gps.y, np.zeros(len(drive.gps))])
+    lat, lon, alt = enu_to_geodetic(enu, ORIGIN).T
+    return replace(drive, frame="wgs84", origin=ORIGIN, gps=replace(drive.gps, lat=lat, lon=lon, alt=alt))
+
+
+def test_it_reads_degrees(tmp_path: Path):
+    drive = in_degrees(make_drive(duration=8.0))
+    p = tuned("planar5", "ukf", 0.01, everything=False)
+    folder = write_drive(drive, tmp_path / "degrees")
+    ours = run_filter(read_drive(folder), p)
+    assert distance(run_script(tmp_path, p, folder).mean, ours.mean) < 1e-10
+
+
+def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
+    drive = make_drive(duration=8.0)
+    still = replace(drive, gps=replace(drive.gps, x=0 * drive.gps.x, y=0 * drive.gps.y))
+    folder = write_drive(still, tmp_path / "still")
+    (tmp_path / "s.py").write_text(filterpy(tuned("planar5", "ukf", 0.01), 0.01)["run_filter.py"])
+    command = [sys.executable, tmp_path / "s.py", folder, tmp_path / "e.csv"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("synthetic: never travels 20 m") and done.stderr.count("\n") == 1
+    done = subprocess.run(command[:-1], capture_output=True, text=True, check=False)
+    assert done.stderr == "usage: python run_filter.py DRIVE estimate.csv\n"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("everything", [True, False])
+def test_it_imports_nothing_but_numpy_and_filterpy(kind: str, everything: bool):
+    text = filterpy(tuned("planar8", kind, 0.01, everything=everything), 0.01)["run_filter.py"]
+    imported = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            imported |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            imported.add(str(node.module).split(".")[0])
+    others = imported - set(sys.stdlib_module_names)
+    assert others == {"numpy", "filterpy"}
+
+
+def test_sources_are_taken_whole_but_for_compiling_and_imports():
+    from sigmaswarm import geodesy
+    from sigmaswarm.drives import standstill
+
+    text = source_of(geodesy, ["SEMI_MAJOR_AXIS", "wrap_angle"])
+    assert text.startswith('SEMI_MAJOR_AXIS = 6378137.0\n"""m, WGS-84')
+    assert text.count("def wrap_angle") == 1 and "overload" not in text and "FLATTENING" not in text
+    assert "njit" not in source_of(standstill) and "import" not in source_of(standstill)

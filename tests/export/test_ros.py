@@ -1,0 +1,73 @@
+"""A bag is read back by rosbags as what the filter believed, turned into ROS's frames."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import tuned
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.ros import NOT_ESTIMATED, TOPIC
+from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
+from sigmaswarm.filters.run import Estimate, run_filter
+from support import make_drive
+
+DRIVE = make_drive(duration=8.0)
+
+
+@pytest.fixture(scope="module")
+def estimate() -> Estimate:
+    return run_filter(DRIVE, tuned("planar5", "ukf", 0.01, everything=False))
+
+
+def test_odometry_is_read_back(tmp_path: Path, estimate: Estimate):
+    reader = pytest.importorskip("rosbags.highlevel").AnyReader
+    write_estimate(estimate, tmp_path / "e.ros2")
+    with reader([tmp_path / "e.ros2"]) as bag:
+        assert list(bag.topics) == [TOPIC]
+        read = [(t, bag.deserialize(raw, connection.msgtype)) for connection, t, raw in bag.messages()]
+    assert len(read) == len(estimate.time)
+    for (nanoseconds, m), t, mean, p in zip(
+        read, estimate.time, estimate.mean, estimate.covariance, strict=True
+    ):
+        assert (
+            nanoseconds
+            == m.header.stamp.sec * 10**9 + m.header.stamp.nanosec
+            == pytest.approx(1e9 * t, abs=1)
+        )
+        pose, twist = m.pose.pose, m.twist.twist.linear
+        assert (pose.position.x, pose.position.y) == (mean[0], mean[1])
+        assert 2 * np.arctan2(pose.orientation.z, pose.orientation.w) == pytest.approx(mean[4], abs=1e-12)
+        # back into the world
+        assert (twist.x + 1j * twist.y) * np.exp(1j * mean[4]) == pytest.approx(mean[2] + 1j * mean[3])
+        np.testing.assert_array_equal(
+            m.pose.covariance.reshape(6, 6)[np.ix_([0, 1, 5], [0, 1, 5])], p[np.ix_([0, 1, 4], [0, 1, 4])]
+        )
+        assert m.pose.covariance[14] == NOT_ESTIMATED
+    assert (m.header.frame_id, m.child_frame_id) == ("map", "base_link")
+    rng = np.random.default_rng(0)  # the velocity's covariance in the body, by many draws
+    drawn = rng.multivariate_normal(mean, 1e-6 * p, 200_000)
+    body = (drawn[:, 2] + 1j * drawn[:, 3]) * np.exp(-1j * drawn[:, 4])
+    expected = np.cov(body.real, body.imag) * 1e6
+    np.testing.assert_allclose(m.twist.covariance.reshape(6, 6)[:2, :2], expected, atol=0.02 * expected.max())
+
+
+def test_what_a_bag_can_not_be_is_said(tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "there.ros2").mkdir()
+    with pytest.raises(InputError, match="exists already; delete it, or choose another name"):
+        check_target(tmp_path / "there.ros2")
+    with pytest.raises(InputError, match="no times before 0"):
+        write_estimate(replace(estimate, time=estimate.time - 100.0), tmp_path / "e.ros2")
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[ros\]'"):
+        write_estimate(estimate, tmp_path / "e.ros2")
+    assert not (tmp_path / "e.ros2").exists()
+
+
+def test_truth_goes_into_a_bag_too(tmp_path: Path):
+    reader = pytest.importorskip("rosbags.highlevel").AnyReader
+    write_estimate(true_trajectory(DRIVE), tmp_path / "truth.ros2")
+    with reader([tmp_path / "truth.ros2"]) as bag:
+        assert bag.message_count == 801

@@ -1,0 +1,67 @@
+"""Handing a filter over: what is written, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from exported import tuned
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.targets import TARGETS, Target, export_filter
+from support import make_drive
+
+P = tuned("planar5", "ukf", 0.01, everything=False)
+FILES = {
+    "filterpy": ["run_filter.py"],
+    "c99": ["ins_gps.h", "ins_gps.c", "replay.c"],
+    "robot_localization": ["robot_localization.yaml"],
+}
+
+
+def test_every_target_is_known():
+    assert list(TARGETS) == list(get_args(Target)) == list(FILES)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_it_writes_the_same_files_again(tmp_path: Path, target):
+    written = export_filter(P, target, tmp_path / "a" / "b")
+    assert written == [tmp_path / "a" / "b" / name for name in FILES[target]]
+    before = [path.read_bytes() for path in written]
+    assert [path.read_bytes() for path in export_filter(P, target, tmp_path / "a" / "b")] == before
+    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == sorted(FILES[target])
+
+
+def test_a_replay_comes_beside_the_c_library(tmp_path: Path):
+    written = export_filter(P, "c99", tmp_path, replay=make_drive(duration=8.0))
+    rows = written[-1].read_text().splitlines()
+    assert written[-1].name == "replay.csv"
+    assert [row.split(",")[0] for row in rows[:2]] == ["start", "imu"]
+    assert len(rows) == 1 + 801 + 40
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"nominal_interval": None}, "which IMU interval .* add nominal_interval"),
+        ({"process_noise": (1e-3, -1e-3, 1e-3, 1e-3, 1e-3)}, "variance of the filter is not positive"),
+        ({"measurement_noise": (0.0, 1.0)}, "variance of the filter is not positive"),
+    ],
+)
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_filter_that_can_not_be_handed_over_is_refused(tmp_path: Path, target, change: dict, said: str):
+    with pytest.raises(InputError, match=said):
+        export_filter(replace(P, **change), target, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_was_asked_for_wrongly_is_said(tmp_path: Path):
+    with pytest.raises(
+        InputError, match="no export target is called 'rust'; choose one of filterpy, c99, robot_loc"
+    ):
+        export_filter(P, "rust", tmp_path)  # pyright: ignore
+    with pytest.raises(InputError, match="--replay is for --to c99 only"):
+        export_filter(P, "filterpy", tmp_path, replay=make_drive(duration=8.0))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"file: can't be made a folder .*; choose another --out"):
+        export_filter(P, "c99", tmp_path / "file")

@@ -1,0 +1,57 @@
+"""Templates: what is filled in, what is left out, and that nothing is forgotten."""
+
+import re
+
+import pytest
+
+from exported import tuned
+from sigmaswarm.export.targets import TARGETS
+from sigmaswarm.export.template import _chosen, fill
+
+TEXT = """a
+#if USE_A
+b
+#if HISTORY > 0
+c
+#else
+d
+#endif
+#if USE_B
+e
+#else
+f
+#endif
+#else
+g
+#endif
+h
+"""
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        (True, True, "a|b|#if HISTORY > 0|c|#else|d|#endif|e|h|"),
+        (True, False, "a|b|#if HISTORY > 0|c|#else|d|#endif|f|h|"),
+        (False, True, "a|g|h|"),
+        (False, False, "a|g|h|"),
+    ],
+)
+def test_parts_stay_where_they_are_used_and_the_compilers_own_always(a: bool, b: bool, expected: str):
+    assert _chosen(TEXT, {"USE_A": a, "USE_B": b}) == expected.replace("|", "\n")
+
+
+def test_a_place_without_a_value_is_an_error():
+    with pytest.raises(KeyError, match="VERSION"):
+        fill("ins_gps.c.in", {}, {"DESCRIPTION": "x"})
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("everything", [True, False])
+@pytest.mark.parametrize("kind", ["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"])
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everything: bool):
+    for text in TARGETS[target](tuned(model, kind, 0.01, everything=everything), 0.01).values():
+        assert re.findall(r"@[A-Z]", text) == []
+        assert "USE_" not in text
+        assert text.endswith("\n")

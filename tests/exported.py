@@ -1,0 +1,119 @@
+"""Builds and runs exported filters, as whoever gets them would: with a C compiler, and with a Python of their own."""
+
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+needs_clang = pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
+SANITIZERS = (
+    "-g",
+    "-fsanitize=address,undefined,float-divide-by-zero,float-cast-overflow",
+    "-fno-sanitize-recover",
+)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """What an exported filter wrote: (k,), (k, n), (k, n)."""
+
+    time: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+def build(
+    folder: Path, parameters: FilterParameters, *flags: str, compiler: str = "gcc", main: str = ""
+) -> Path:
+    """The replaying program (or ``main``, C source, in its place) on an exported C library."""
+    export_filter(parameters, "c99", folder)
+    source = folder / "replay.c"
+    if main:
+        source = folder / "main.c"
+        source.write_text(main)
+    program = folder / "program"
+    command = [compiler, *STRICT, "-O2", *flags, folder / "ins_gps.c", source, "-lm", "-o", program]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    return program
+
+
+def replay(program: Path, drive: Drive) -> Replayed:
+    """Run the C program over a drive."""
+    done = subprocess.run([program], input=replay_rows(drive), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = np.loadtxt(done.stdout.splitlines(), delimiter=",", skiprows=1)
+    n = (rows.shape[1] - 1) // 2
+    return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :])
+
+
+def run_script(folder: Path, parameters: FilterParameters, drive: Drive | Path) -> Replayed:
+    """Run the FilterPy script over a drive, in a Python that can't find sigmaswarm."""
+    (script,) = export_filter(parameters, "filterpy", folder)
+    if isinstance(drive, Drive):
+        drive = write_drive(drive, folder / "drive")
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    environment["OPENBLAS_NUM_THREADS"] = "1"  # more of them only get in each other's way
+    command = [sys.executable, "-c", _ISOLATED, script, drive, folder / "estimate.csv"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    rows = np.loadtxt(folder / "estimate.csv", delimiter=",", skiprows=1)
+    n = (rows.shape[1] - 1) // 2
+    return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :] ** 2)
+
+
+_ISOLATED = """
+import runpy, sys
+sys.modules["sigmaswarm"] = sys.modules["scipy.io"] = None  # so that importing them fails
+sys.argv[:1] = []
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def twin(drive: Drive, parameters: FilterParameters, moved: float = 1e-13) -> tuple[np.ndarray, float]:
+    """The library's means (k, n), and how far they go when the initial heading is moved by ``moved`` rad."""
+    initial = initial_state(drive)
+    mean = initial.mean.copy()
+    mean[4] += moved
+    ours = run_filter(drive, parameters, initial=initial)
+    assert ours.failure is None
+    other = run_filter(drive, parameters, initial=InitialState(mean, initial.covariance, initial.time))
+    return ours.mean, distance(other.mean, ours.mean)
+
+
+def distance(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest difference of two runs' means, relative to max(1, |x_i|); headings around the circle."""
+    difference = one - other
+    difference[:, 4] = (difference[:, 4] + np.pi) % (2 * np.pi) - np.pi
+    return float(np.max(np.abs(difference) / np.maximum(1.0, np.abs(other))))
+
+
+def tuned(model: str, kind: str, interval: float, *, everything: bool = True) -> FilterParameters:
+    """A sensible filter for fixes of about a metre: about what tunings on real drives end with."""
+    per_second = (1e-3, 1e-3, 0.05, 0.05, 1e-5) + ((1e-5, 1e-5, 1e-9) if model == "planar8" else ())
+    q = tuple(variance * interval for variance in per_second)
+    p = FilterParameters(0.5, 2.0, 0.0, q, (1.0, 1.2), model, kind=kind, nominal_interval=interval)
+    if not everything:
+        return p
+    return replace(p, lateral_noise=0.05, rear_axle=0.8, standstill_noise=1e-3, gate=9.2, velocity_noise=0.25)
+
+
+def jumping(drive: Drive) -> Drive:
+    """The drive with fixes that jump 40 m after its middle: a gate turns them away at first, but not for good."""
+    late = drive.gps.time > drive.imu.time[0] + drive.duration / 2
+    return replace(drive, gps=replace(drive.gps, x=drive.gps.x + 40.0 * late))
