@@ -9,6 +9,7 @@ from cyclopts import App, CycloptsError
 import sigmaswarm
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.evaluate import evaluate
+from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
@@ -33,6 +34,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
 )
 for command in (tune, evaluate, run, split, simulate, plot, demo):
     app.command(command)
+app.command(import_, name="import")
 
 
 def main() -> NoReturn:

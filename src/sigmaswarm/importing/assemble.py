@@ -1,0 +1,267 @@
+"""Gathered columns put together: parts joined, times in order, positions in one frame, and then a Drive."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.checks import shortage_of
+from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.mounting import parse_mount, rotate
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Role
+
+Say = Callable[[str], None]
+Values = dict[str, Array]
+
+LEAST_STD = 1e-6
+"""m: a stated standard deviation not above it means that the receiver states none."""
+SPARSE = 0.1
+"""An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
+MOVING = 1.0
+"""m/s; slower than this, the course says nothing about the heading."""
+
+
+def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Recipe, say: Say) -> Drive:
+    """Make a drive of what was gathered; ``say`` takes a sentence on whatever was assumed or left out.
+
+    Raises
+    ------
+    InputError
+        Something that a drive needs is missing or can't be right.
+    """
+    required: dict[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "gps": (), "truth": ()}
+    joined: dict[Role, tuple[Nanoseconds, Values]] = {
+        role: _join(parts, role, required[role], say) for role, parts in gathered.items() if parts
+    }
+    seconds, zero = _seconds(joined, recipe)
+    imu = joined["imu"][1]
+    if recipe.mount:
+        imu = rotate(imu, parse_mount(recipe.mount))
+    gps, origin = _fixes(joined["gps"][1], recipe.origin, say)
+    truth = None
+    if "truth" in joined:
+        truth = Truth(seconds["truth"], **_motion(seconds["truth"], joined["truth"][1], origin, gps, say))
+    metadata: dict[str, Any] = {}
+    if zero:
+        metadata["time_origin_s"] = zero
+    if recipe.gps_lever_arm_m:
+        metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
+    drive = Drive(
+        name=name,
+        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
+        gps=Gps(seconds["gps"], **gps),
+        truth=truth,
+        frame="wgs84" if "lat" in gps else "enu",
+        origin=origin,
+        metadata=metadata,
+    )
+    if shortage := shortage_of(drive):
+        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
+    return drive
+
+
+def _with_offset(shortage: str, drive: Drive) -> str:
+    if "overlap" not in shortage:
+        return shortage
+    offset = drive.imu.time[0] - drive.gps.time[0]
+    return f"{shortage}, with --gps-offset (were both begun together: {offset:.3f})"
+
+
+def _join(
+    parts: Sequence[Columns], role: Role, required: Sequence[str], say: Say
+) -> tuple[Nanoseconds, Values]:
+    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours."""
+    first, *others = [_in_order(part, role, say) for part in parts]
+    time, values = first
+    for other_time, other in others:
+        if not len(other_time):
+            continue
+        inside = (time >= other_time[0]) & (time <= other_time[-1])
+        if left := int(np.count_nonzero(~inside)):
+            say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+        time, values = time[inside], {k: v[inside] for k, v in values.items()}
+        since = other_time[0] if len(other_time) else 0
+        for name, column in other.items():
+            known = np.isfinite(column)
+            if known.any():
+                values[name] = np.interp(
+                    (time - since) / SECOND, (other_time[known] - since) / SECOND, column[known]
+                )
+    return _complete_rows(time, values, role, required, say)
+
+
+def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
+    """A part's rows with their times strictly increasing."""
+    table = part.part.table
+    if part.unkept:
+        say(
+            f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {part.part.columns['keep']} is not true"
+        )
+    if part.timeless:
+        say(f"{role}: {part.timeless} rows of {table} without a time left out")
+    time, values = part.time, part.values
+    if not len(time):
+        raise InputError(f"the {role}: {table} holds no usable row; --show shows what it holds")
+    if np.any(np.diff(time) < 0):
+        say(
+            f"{role}: {int(np.count_nonzero(np.diff(time) < 0))} rows of {table} came out of order; sorted by time"
+        )
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], {k: v[order] for k, v in values.items()}
+    new = np.diff(time, prepend=time[0] - 1) > 0
+    if not new.all():
+        say(f"{role}: {int(np.count_nonzero(~new))} rows of {table} with the time of the row before left out")
+        time, values = time[new], {k: v[new] for k, v in values.items()}
+    return time, values
+
+
+def _complete_rows(
+    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
+) -> tuple[Nanoseconds, Values]:
+    """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
+    for name in required:
+        if name not in values or not np.isfinite(values[name]).any():
+            raise InputError(f"the {role}: nothing gives {name}; say what does with --map {role}.{name}=...")
+    values = dict(values)
+    for name in ("std_x", "std_y"):
+        if name in values:
+            values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
+    positions = ("lat", "lon", "x", "y")
+    together = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+    # positions may be sparse (one table with IMU and fixes); what else is sparse goes
+    placed = np.all(
+        [np.isfinite(values[n]) for n in positions if n in values] or [np.ones(len(time), bool)], axis=0
+    )
+    for name in [n for n in values if n not in positions and n not in required]:
+        empty = ~np.isfinite(values[name][placed]) if name in values and placed.any() else np.zeros(0)
+        if empty.size and np.mean(empty) > SPARSE:
+            gone = next((pair for pair in together if name in pair), (name,))
+            if not empty.all():
+                say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
+            for other in gone:
+                values.pop(other, None)
+    full = np.all([np.isfinite(v) for v in values.values()], axis=0)
+    sparse = role == "gps" and np.mean(placed) < 0.5
+    if (left := int(np.count_nonzero(~full))) and not sparse:
+        say(f"{role}: {left} rows with an empty cell left out")
+    time, values = time[full], {k: v[full] for k, v in values.items()}
+    return (time, values) if role != "gps" else _changed_only(time, values, say)
+
+
+def _changed_only(time: Nanoseconds, values: Values, say: Say) -> tuple[Nanoseconds, Values]:
+    """Fixes that are repeated until the next one comes (a table at the IMU's rate) count once."""
+    position = [values[n] for n in ("lat", "lon", "x", "y") if n in values]
+    if not position:
+        return time, values
+    changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
+    if len(time) < 10 or np.mean(changed) > 0.5:
+        return time, values
+    say(f"gps: {int(np.count_nonzero(~changed))} rows that repeat the position before left out")
+    return time[changed], {k: v[changed] for k, v in values.items()}
+
+
+def _seconds(
+    joined: Mapping[Role, tuple[Nanoseconds, Values]], recipe: Recipe
+) -> tuple[dict[Role, Array], int]:
+    """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
+    offsets: dict[Role, float] = {"imu": 0.0, "gps": recipe.gps_offset_s, "truth": recipe.truth_offset_s}
+    moved: dict[Role, Nanoseconds] = {
+        role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
+    }
+    begin = min(int(moved[role][0]) for role in ("imu", "gps") if len(moved[role]))
+    zero = begin // SECOND if begin >= LONG_AGO else 0
+    return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
+
+
+def _fixes(
+    values: Values, origin: tuple[float, float, float] | None, say: Say
+) -> tuple[Values, tuple[float, float, float] | None]:
+    """The fixes' columns as a drive has them, and the origin of the local frame."""
+    if "vx" in values and "vy" in values:
+        vx, vy = values.pop("vx"), values.pop("vy")
+        values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
+    if "course" in values:
+        values["course"] = np.asarray(wrap_angle(values["course"]))
+    if "lat" in values and "lon" in values:
+        if not len(values["lat"]):
+            raise InputError("the gps: no fix is left; --show shows what the log holds")
+        altitude = values.get("alt")
+        if origin is None:
+            height = 0.0 if altitude is None else float(altitude[0])
+            origin = float(values["lat"][0]), float(values["lon"][0]), height
+        enu = geodetic_to_enu(
+            values["lat"], values["lon"], origin[2] if altitude is None else altitude, origin
+        )
+        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
+        _require_degrees(values)
+    elif not {"x", "y"} <= set(values):
+        raise InputError(
+            "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
+        )
+    for lone, mate in (("std_x", "std_y"), ("std_y", "std_x")):
+        if lone in values and mate not in values:
+            values[mate] = values[lone]
+    return values, origin
+
+
+def _require_degrees(values: Values) -> None:
+    for name, most in (("lat", 90.0), ("lon", 180.0)):
+        wrong = np.abs(values[name]) > most
+        if wrong.any():
+            value = values[name][wrong][0]
+            raise InputError(
+                f"the gps: {name} = {value:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+            )
+
+
+def _motion(
+    time: Array, values: Values, origin: tuple[float, float, float] | None, gps: Values, say: Say
+) -> Values:
+    """The truth's columns; velocity and heading, where the log has none, from positions and course."""
+    if "lat" in values and "lon" in values:
+        if origin is None:
+            raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
+        level = np.full(len(time), origin[2])
+        enu = geodetic_to_enu(values["lat"], values["lon"], values.get("alt", level), origin)
+        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
+    if not {"x", "y"} <= set(values) or len(time) < 2:
+        raise InputError(
+            "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
+        )
+    if "speed" in values and "course" in values and "vx" not in values:
+        values["vx"], values["vy"] = (
+            values["speed"] * np.cos(values["course"]),
+            values["speed"] * np.sin(values["course"]),
+        )
+    if "forward" in values and "theta" in values:
+        body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
+        east_north = body * np.exp(1j * values["theta"])
+        values["vx"], values["vy"] = east_north.real, east_north.imag
+    if "vx" not in values or "vy" not in values:
+        say("truth: velocity taken from the positions' differences")
+        values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
+    if "theta" not in values:
+        say("truth: heading taken from the course, held while the vehicle is slower than 1 m/s")
+        values["theta"] = _held_course(values["vx"], values["vy"])
+    apart = np.hypot(
+        np.median(values["x"]) - np.median(gps["x"]), np.median(values["y"]) - np.median(gps["y"])
+    )
+    if apart > 1000.0:
+        say(f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin")
+    return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
+
+
+def _held_course(vx: Array, vy: Array) -> Array:
+    """Course (n,), rad, of a velocity; while it is slow, the last one known, or else the first."""
+    moving = np.hypot(vx, vy) > MOVING
+    if not moving.any():
+        return np.zeros(len(vx))
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(vx)), -1))
+    last[last < 0] = int(np.argmax(moving))
+    return np.arctan2(vy, vx)[last]
