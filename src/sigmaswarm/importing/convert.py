@@ -74,6 +74,8 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         for guess in guesses.values():
             notes += guess.notes
         gathered = _gather_all(request, sources, recipe, progress)
+        for source in sources.values():
+            notes += source.remarks
         metadata: dict[str, Any] = {}
         for guess in guesses.values():
             metadata |= guess.metadata

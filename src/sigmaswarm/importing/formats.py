@@ -10,6 +10,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Source
 
 READERS: dict[str, tuple[str, str]] = {
+    "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
+    "ros": ("ros", "a ROS 1 bag, or a ROS 2 bag's folder or file"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
 """By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""

@@ -1,6 +1,6 @@
 """What every reader makes of a log: named tables of columns, handed over batch by batch."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -89,6 +89,11 @@ class Source(Protocol):
         """What it holds."""
         ...
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What was noticed while reading, one sentence each."""
+        ...
+
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
         """The wanted columns of the wanted tables, in the order in which the log has them."""
         ...
@@ -111,6 +116,11 @@ class Frames:
     def tables(self) -> dict[str, Table]:
         """The tables, as any source tells them."""
         return {k: Table(tuple(f.columns), self.kinds.get(k, ""), len(f)) for k, f in self.frames.items()}
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Nothing: all was noticed when the guess was made."""
+        return ()
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
         """Each table as one batch."""

@@ -36,6 +36,7 @@ class ColumnFiles:
     path: Path
     scans: Mapping[str, pl.LazyFrame]
     tables: Mapping[str, Table]
+    remarks: tuple[str, ...] = ()
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
         """The files one after the other, some hundred thousand rows at a time."""
