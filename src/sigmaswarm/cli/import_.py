@@ -37,6 +37,7 @@ def import_(
     truth_offset: float | None = None,
     origin: _Values = None,
     lever_arm: _Values = None,
+    gps_from_truth: _Values = None,
     name: str | None = None,
     overwrite: _Flag = False,
     json: _Flag = False,
@@ -96,6 +97,8 @@ def import_(
         lat,lon,alt of the local frame; the first fix by default.
     lever_arm
         From the IMU to the antenna, m forward,left,up.
+    gps_from_truth
+        rate,noise: make fixes of the truth, at so many Hz with so many m of white noise, as 5,1.
     name
         The drive's name; the folder's by default.
     overwrite
@@ -113,8 +116,11 @@ def import_(
         "mount": mount,
         "gps_offset_s": gps_offset,
         "truth_offset_s": truth_offset,
-        "origin": None if origin is None else _three(origin, "--origin"),
-        "gps_lever_arm_m": None if lever_arm is None else _three(lever_arm, "--lever-arm"),
+        "origin": None if origin is None else _numbers(origin, 3, "--origin", "50.1,8.7,120"),
+        "gps_lever_arm_m": None if lever_arm is None else _numbers(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
+        "gps_from_truth": None
+        if gps_from_truth is None
+        else _numbers(gps_from_truth, 2, "--gps-from-truth", "5,1"),
     }
     request = Request(
         source=source,
@@ -134,16 +140,16 @@ def import_(
     _import(request, out, name or out.resolve().name, save_recipe, overwrite, json)
 
 
-def _three(text: str, option: str) -> tuple[float, float, float]:
+def _numbers(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
     from sigmaswarm.errors import InputError
 
     try:
-        a, b, c = (float(v) for v in text.split(","))
+        numbers = tuple(float(v) for v in text.split(","))
     except ValueError:
-        raise InputError(
-            f"{option} {text!r} is not three numbers; write them with commas, as 1.2,0,0.5"
-        ) from None
-    return a, b, c
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
+    return numbers
 
 
 def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":

@@ -23,6 +23,8 @@ LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
+SEED = 0
+"""Of the noise of fixes that are made of the truth."""
 MOVING = 1.0
 """m/s; slower than this, the course says nothing about the heading."""
 
@@ -43,13 +45,24 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
     imu = joined["imu"][1]
     if recipe.mount:
         imu = rotate(imu, parse_mount(recipe.mount))
-    gps, origin = _fixes(joined["gps"][1], recipe.origin, say)
+    origin = recipe.origin
+    gps: Values = {}
+    if "gps" in joined:
+        gps, origin = _fixes(joined["gps"][1], origin, say)
     truth = None
     if "truth" in joined:
-        truth = Truth(seconds["truth"], **_motion(seconds["truth"], joined["truth"][1], origin, gps, say))
+        values, origin = _placed_truth(joined["truth"][1], origin, "lat" in gps or not gps)
+        truth = Truth(seconds["truth"], **_motion(seconds["truth"], values, gps, say))
+    if recipe.gps_from_truth:
+        if truth is None:
+            raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
+        seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
     metadata: dict[str, Any] = {}
     if zero:
         metadata["time_origin_s"] = zero
+    if recipe.gps_from_truth:
+        rate, noise = recipe.gps_from_truth
+        metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
     drive = Drive(
@@ -174,7 +187,7 @@ def _seconds(
     moved: dict[Role, Nanoseconds] = {
         role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
     }
-    begin = min(int(moved[role][0]) for role in ("imu", "gps") if len(moved[role]))
+    begin = min(int(time[0]) for role, time in moved.items() if role != "truth" or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
 
@@ -220,20 +233,42 @@ def _require_degrees(values: Values) -> None:
             )
 
 
-def _motion(
-    time: Array, values: Values, origin: tuple[float, float, float] | None, gps: Values, say: Say
-) -> Values:
-    """The truth's columns; velocity and heading, where the log has none, from positions and course."""
+def _placed_truth(
+    values: Values, origin: tuple[float, float, float] | None, alone: bool
+) -> tuple[Values, tuple[float, float, float] | None]:
+    """The truth with x and y, m; about its own first place where no fixes have set an origin."""
     if "lat" in values and "lon" in values:
+        if origin is None and alone:
+            origin = (
+                float(values["lat"][0]),
+                float(values["lon"][0]),
+                float(values.get("alt", np.zeros(1))[0]),
+            )
         if origin is None:
             raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
-        level = np.full(len(time), origin[2])
-        enu = geodetic_to_enu(values["lat"], values["lon"], values.get("alt", level), origin)
+        enu = geodetic_to_enu(values["lat"], values["lon"], values.get("alt", origin[2]), origin)
         values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
-    if not {"x", "y"} <= set(values) or len(time) < 2:
+    if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
             "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
+    return values, origin
+
+
+def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
+    """Fixes at a rate, Hz, that lie where the truth is, with white noise, m per axis."""
+    if not (0 < rate <= 1000 and 0 <= noise < np.inf):
+        raise InputError(
+            f"--gps-from-truth {rate:g},{noise:g} can't be; give a rate in Hz and a deviation in m, as 5,1"
+        )
+    time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
+    error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))
+    x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
+    return time, {"x": x + error[0], "y": y + error[1]}
+
+
+def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
+    """The truth's columns; velocity and heading, where the log has none, from positions and course."""
     if "speed" in values and "course" in values and "vx" not in values:
         values["vx"], values["vy"] = (
             values["speed"] * np.cos(values["course"]),
@@ -249,6 +284,8 @@ def _motion(
     if "theta" not in values:
         say("truth: heading taken from the course, held while the vehicle is slower than 1 m/s")
         values["theta"] = _held_course(values["vx"], values["vy"])
+    if not gps:
+        return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
     apart = np.hypot(
         np.median(values["x"]) - np.median(gps["x"]), np.median(values["y"]) - np.median(gps["y"])
     )

@@ -11,7 +11,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
-from sigmaswarm.importing.recipe import Recipe, with_maps
+from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
 
 
@@ -92,7 +92,7 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
         ("gps", "position fixes", "name a log that holds them with --gps"),
     )
     for role, what, remedy in wanted:
-        if not recipe.roles.get(role):
+        if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
             path = home_of(role, request)
             there = ", ".join(list(sources[path].tables)[:12])
             raise InputError(
@@ -122,16 +122,25 @@ def complete_recipe(request: Request, guesses: Mapping[Path, Guess]) -> Recipe:
         guessed = guesses[home_of(role, request)].roles
         parts = guessed.get(role, ())
         if not parts and role == "truth" and request.truth:
-            parts = guessed.get("gps", ())  # a good receiver's fixes serve as truth
+            parts = _as_truth(guessed.get("gps", ()))
         if not parts and role == "gps" and request.gps:
             parts = guessed.get("truth", ())
         parts = request.recipe.roles.get(role, parts)
         if parts:
             roles[role] = parts
     whole = with_maps(Guess(roles), request.maps, request.time)
+    if request.recipe.gps_from_truth:
+        whole = replace(whole, roles={role: parts for role, parts in whole.roles.items() if role != "gps"})
     origins = [g.origin for g in guesses.values() if g.origin is not None]
     origin = request.recipe.origin or (origins[0] if origins else None)
     return replace(request.recipe, roles=whole.roles, origin=origin)
+
+
+def _as_truth(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """A good receiver's fixes serve as truth: without their deviations."""
+    return tuple(
+        replace(p, columns={k: v for k, v in p.columns.items() if k in COLUMNS["truth"]}) for p in parts
+    )
 
 
 def _gather_all(

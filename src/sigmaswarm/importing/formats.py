@@ -12,6 +12,10 @@ from sigmaswarm.importing.source import Source
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
     "ros": ("ros", "a ROS 1 bag, or a ROS 2 bag's folder or file"),
+    "kitti": ("kitti", "a drive of KITTI raw, its OXTS texts"),
+    "nclt": ("nclt", "a session of NCLT"),
+    "comma2k19": ("comma2k19", "a segment of comma2k19"),
+    "rtklib": ("rtklib", "a solution of RTKLIB, .pos: fixes or truth"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
 """By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""

@@ -17,13 +17,29 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
         *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course"),
         *("vx", "vy", "keep"),
     ),
-    "truth": ("t", "x", "y", "lat", "lon", "alt", "vx", "vy", "forward", "left", "theta", "keep"),
+    "truth": (
+        "t",
+        "x",
+        "y",
+        "lat",
+        "lon",
+        "alt",
+        "vx",
+        "vy",
+        "speed",
+        "course",
+        "forward",
+        "left",
+        "theta",
+        "keep",
+    ),
 }
 """What can be given for each role. Beside the drive's own columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
-north), ``forward, left`` (m/s in the body) and ``lat, lon, alt`` of the truth, and ``keep``, which rows count."""
+north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
+rows count."""
 
 _SETTINGS: dict[str, type] = {"mount": str, "gps_offset_s": float, "truth_offset_s": float}
-_PLACES = {"origin": 3, "gps_lever_arm_m": 3}
+_PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
 
 
 @dataclass(frozen=True)
@@ -37,6 +53,7 @@ class Recipe:
     gps_offset_s, truth_offset_s : s, added to the times of fixes and of truth
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
+    gps_from_truth : Hz, m; make fixes of the truth with so much white noise per axis, for data without a receiver
     """
 
     roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
@@ -45,6 +62,7 @@ class Recipe:
     truth_offset_s: float = 0.0
     origin: tuple[float, float, float] | None = None
     gps_lever_arm_m: tuple[float, float, float] | None = None
+    gps_from_truth: tuple[float, float] | None = None
 
     @classmethod
     def load(cls, path: Path) -> Self:

@@ -13,6 +13,9 @@ from sigmaswarm.errors import InputError
 Role = Literal["imu", "gps", "truth"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth")
 
+CHUNK = 5000
+"""Rows of a batch, where they are decoded one by one."""
+
 Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 
@@ -126,6 +129,46 @@ class Frames:
         """Each table as one batch."""
         for number, (table, columns) in enumerate(wanted.items(), 1):
             yield Batch(table, self.frames[table].select(list(columns)), number / len(wanted))
+
+    def guess(self, choice: Choice) -> Guess:
+        """The reader's guess; there is nothing to choose."""
+        return self.guessed
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A source of one table whose rows are decoded one after the other: what readers of receivers' streams return.
+
+    Attributes
+    ----------
+    read : yields rows in the order of ``columns``, and the share of the file that is read
+    """
+
+    path: Path
+    table: str
+    columns: tuple[str, ...]
+    read: Callable[[], Iterator[tuple[tuple[float, ...], float]]]
+    guessed: Guess
+    remarks: list[str] = field(default_factory=list[str])
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """The one table."""
+        return {self.table: Table(self.columns, "decoded")}
+
+    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
+        """Some thousand rows at a time."""
+        rows: list[tuple[float, ...]] = []
+        for row, done in self.read():
+            rows.append(row)
+            if len(rows) >= CHUNK:
+                yield Batch(self.table, self._frame(rows), done)
+                rows = []
+        if rows:
+            yield Batch(self.table, self._frame(rows), 1.0)
+
+    def _frame(self, rows: list[tuple[float, ...]]) -> pl.DataFrame:
+        return pl.DataFrame(rows, schema=dict.fromkeys(self.columns, pl.Float64), orient="row", strict=False)
 
     def guess(self, choice: Choice) -> Guess:
         """The reader's guess; there is nothing to choose."""

@@ -49,7 +49,7 @@ class ColumnFiles:
                     seen += len(frame)
                     yield Batch(table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted))
             except pl.exceptions.PolarsError as error:
-                raise _broken(self.path, table, error) from None
+                raise broken_table(self.path, table, error) from None
 
     def guess(self, choice: Choice) -> Guess:
         """By the columns' names, and units by their first rows."""
@@ -58,7 +58,7 @@ class ColumnFiles:
             try:
                 samples[name] = rows.head(SAMPLE).collect()
             except pl.exceptions.PolarsError as error:
-                raise _broken(self.path, name, error) from None
+                raise broken_table(self.path, name, error) from None
         return guess_roles(samples, choice.tables)
 
 
@@ -84,7 +84,7 @@ def scan(file: Path) -> pl.LazyFrame:
             )
         names = frame.collect_schema().names()
     except (pl.exceptions.PolarsError, OSError) as error:
-        raise _broken(file, file.name, error) from None
+        raise broken_table(file, file.name, error) from None
     if len(names) < 2:
         raise InputError(
             f"{file}: is one column, {names[0][:40]!r}; name the format, or separate cells by commas"
@@ -107,7 +107,7 @@ def _expected_rows(file: Path) -> int:
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 
 
-def _broken(path: Path, table: str, error: Exception) -> InputError:
+def broken_table(path: Path, table: str, error: Exception) -> InputError:
     where = path if path.name == table else path / table
     said = " ".join(str(error).split("\n")[0].split())[:160]
     return InputError(f"{where}: can't be read as a table ({said}); mend or export it again")
