@@ -103,7 +103,8 @@ def _join(
         for name, column in other.items():
             known = np.isfinite(column)
             if known.any():
-                values[name] = np.interp(
+                added = values.get(name[1:], 0.0) if name.startswith("+") else 0.0
+                values[name.removeprefix("+")] = added + np.interp(
                     (time - since) / SECOND, (other_time[known] - since) / SECOND, column[known]
                 )
     return _complete_rows(time, values, role, required, say)

@@ -16,6 +16,12 @@ READERS: dict[str, tuple[str, str]] = {
     "nclt": ("nclt", "a session of NCLT"),
     "comma2k19": ("comma2k19", "a segment of comma2k19"),
     "rtklib": ("rtklib", "a solution of RTKLIB, .pos: fixes or truth"),
+    "ubx": ("ubx", "u-blox UBX with NAV-PVT: fixes"),
+    "nmea": ("nmea", "NMEA 0183 sentences: fixes"),
+    "px4": ("px4", "a flight log of PX4, .ulg"),
+    "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
+    "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
+    "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
 """By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""

@@ -36,7 +36,7 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
 }
 """What can be given for each role. Beside the drive's own columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
 north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
-rows count."""
+rows count. A further table's ``+ax`` is added to ``ax``."""
 
 _SETTINGS: dict[str, type] = {"mount": str, "gps_offset_s": float, "truth_offset_s": float}
 _PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
@@ -125,7 +125,7 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
             )
         columns = {str(k): str(v) for k, v in cast("dict[str, Any]", entry).items()}
         table = columns.pop("table", "")
-        if unknown := sorted(set(columns) - set(COLUMNS[role])):
+        if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(
                 f"{path}: {unknown[0]!r} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
             )

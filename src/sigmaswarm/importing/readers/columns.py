@@ -31,11 +31,12 @@ def _files(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class ColumnFiles:
-    """Tables in files, scanned when they are wanted."""
+    """Tables in files, scanned when they are wanted; ``guessed`` where a format says what they are."""
 
     path: Path
     scans: Mapping[str, pl.LazyFrame]
     tables: Mapping[str, Table]
+    guessed: Guess | None = None
     remarks: tuple[str, ...] = ()
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
@@ -52,7 +53,9 @@ class ColumnFiles:
                 raise broken_table(self.path, table, error) from None
 
     def guess(self, choice: Choice) -> Guess:
-        """By the columns' names, and units by their first rows."""
+        """As the format says, or by the columns' names, and units by their first rows."""
+        if self.guessed is not None:
+            return self.guessed
         samples: dict[str, pl.DataFrame] = {}
         for name, rows in self.scans.items():
             try:

@@ -13,7 +13,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.columns import ColumnFiles, broken_table
-from sigmaswarm.importing.source import Choice, Guess, Part, Role, Source, Table
+from sigmaswarm.importing.source import Guess, Part, Role, Source, Table
 
 ORIGIN = (42.293227, -83.709657, 270.0)
 """Latitude, longitude (deg) and altitude (m) of the truth's frame."""
@@ -41,22 +41,6 @@ FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
 """Each role's file, its columns, and what a drive makes of them."""
 
 
-class _Session(ColumnFiles):
-    """The files of a session, with a fixed guess."""
-
-    def guess(self, choice: Choice) -> Guess:
-        """As the paper says."""
-        roles: dict[Role, tuple[Part, ...]] = {}
-        for role, (pattern, _, columns) in FILES.items():
-            for name in self.tables:
-                if Path(name).match(pattern):
-                    roles[role] = (Part(name, columns),)
-        notes = (
-            "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
-        )
-        return Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
-
-
 def recognizes(path: Path) -> bool:
     """Whether it is a session's folder."""
     return (path / "ms25.csv").is_file()
@@ -66,13 +50,20 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path) -> Generator[Source]:
     """Open the files, which have no header lines; the truth may lie beside them."""
     scans: dict[str, pl.LazyFrame] = {}
-    for pattern, columns, _ in FILES.values():
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role, (pattern, columns, expressions) in FILES.items():
         for file in sorted(path.glob(pattern))[:1]:
             kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns}
             scans[file.name] = pl.scan_csv(file, has_header=False, schema=kinds, null_values=["nan", "NaN"])
             _require_rows(file, scans[file.name])
+            roles[role] = (Part(file.name, expressions),)
     tables = {name: Table(tuple(scan.collect_schema().names()), "NCLT") for name, scan in scans.items()}
-    yield _Session(path, scans, tables)
+    notes = (
+        "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
+    )
+    yield ColumnFiles(
+        path, scans, tables, Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
+    )
 
 
 def _require_rows(file: Path, scan: pl.LazyFrame) -> None:
