@@ -35,7 +35,8 @@ def open_log(path: Path) -> Generator[Source]:
     """Read the topics that a drive is made of; the others are passed over."""
     core = library("pyulog.core", "logs")
     try:
-        log = core.ULog(str(path), message_name_filter_list=list(_TOPICS))
+        with path.open("rb") as file:
+            log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
     if log.file_corruption:
