@@ -100,7 +100,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
             "--mount",
             "-90",
             "--gps-offset",
-            "-0.25",
+            "-0.05",
             "--lever-arm",
             "-1.2,0,0.5",
         ),
@@ -112,7 +112,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
         got = library.read_drive(here / "out")
     np.testing.assert_allclose(got.imu.ax, drive.imu.ay)
     np.testing.assert_allclose(got.imu.az, 2 * drive.imu.az)
-    assert np.median(got.gps.time - drive.gps.time) == pytest.approx(-0.25, abs=1e-6)
+    assert np.median(got.gps.time - drive.gps.time) == pytest.approx(-0.05, abs=1e-6)
     assert got.name == "tuesday" and got.metadata["gps_lever_arm_m"] == [-1.2, 0.0, 0.5]
     assert "az" in ended.err  # what looks wrong is told: gravity twice as strong
 

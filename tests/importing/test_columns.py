@@ -219,3 +219,33 @@ def test_broken_map(tmp_path: Path, entry: str):
     foreign_imu().write_csv(tmp_path / "imu.csv")
     with pytest.raises(InputError, match="--map"):
         imported(tmp_path / "imu.csv", maps=[entry])
+
+
+def test_a_log_named_for_the_truth_needs_no_name_that_says_so(tmp_path: Path):
+    imu, gps, truth = DRIVE.imu, DRIVE.gps, DRIVE.truth
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
+    columns = {
+        "t": truth.time,
+        "x": truth.x,
+        "y": truth.y,
+        "vx": truth.vx,
+        "vy": truth.vy,
+        "theta": truth.theta,
+    }
+    pl.DataFrame(columns).write_csv(tmp_path / "track.csv")
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", truth=tmp_path / "track.csv").drive
+    assert_close(got.truth, truth, "time x y vx vy theta", 1e-12)
+    assert got.frame == "enu"
+
+
+def test_time_is_of_the_sources_tables(tmp_path: Path):
+    foreign_imu().write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": DRIVE.gps.time, "lat": DRIVE.gps.lat, "lon": DRIVE.gps.lon}).write_csv(
+        tmp_path / "gps.csv"
+    )
+    maps = [entry for entry in MAPS if not entry.startswith(("imu.t", "gps"))]
+    time = f"stamp*1e-9 - {EPOCH}"
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps, time=time).drive
+    assert_close(got.imu, DRIVE.imu, "time", 1e-6)
+    assert_close(got.gps, DRIVE.gps, "time", 1e-12)

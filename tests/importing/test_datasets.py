@@ -63,6 +63,15 @@ def test_kitti(tmp_path: Path):
     assert len(made.gps) == 60 and 0.7 < np.std(error) < 1.3
 
 
+def test_the_recipe_in_the_document_advances_the_rates(tmp_path: Path):
+    page = (Path(__file__).parents[2] / "docs" / "importing.md").read_text()
+    (tmp_path / "r.toml").write_text(page.split("```toml")[1].split("```")[0])
+    got = imported(write_kitti(tmp_path), recipe=Recipe.load(tmp_path / "r.toml")).drive
+    inside = DRIVE.imu.time <= DRIVE.imu.time[-1] - 0.06 + 1e-9
+    np.testing.assert_array_equal(got.imu.ax, DRIVE.imu.ax[inside])
+    np.testing.assert_allclose(got.imu.gz, DRIVE.imu.gz[6:], atol=1e-6)
+
+
 @needs_shared
 def test_kitti_as_it_was_converted_before(tmp_path: Path):
     """A real drive, written back as OXTS texts, gives the same IMU and truth, gaps and jitter included."""

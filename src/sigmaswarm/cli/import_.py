@@ -72,7 +72,7 @@ def import_(
         column=expression for a drive's columns, as "ax=-acc_y*9.80665"; "gps.t=stamp" and "truth.x=east" say whose,
         "az=" leaves a column out.
     time
-        Expression of the time in s, in all tables, as "stamp*1e-9" or "utc(date)".
+        Expression of the time in s, in SOURCE's tables, as "stamp*1e-9" or "utc(date)".
     recipe
         A recipe that was saved before.
     save_recipe

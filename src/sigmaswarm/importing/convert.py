@@ -26,7 +26,7 @@ class Request:
     form : the source's format, if not found out
     recipe : settings, and parts that take the place of the guess
     maps : ``column=expression``
-    time : expression of the time, in every table
+    time : expression of the time, in every table of the source
     choice : tables and times
     """
 
@@ -68,7 +68,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     notes: list[str] = []
     with ExitStack() as stack:
         sources = open_logs(request, stack)
-        guesses = {path: source.guess(request.choice) for path, source in sources.items()}
+        guesses = {path: guess_of(source, request) for path, source in sources.items()}
         recipe = complete_recipe(request, guesses)
         _require_sensors(recipe, request, sources)
         for guess in guesses.values():
@@ -115,6 +115,14 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
     }
 
 
+def guess_of(source: Source, request: Request) -> Guess:
+    """The reader's guess; a log that is named for the truth and has one table holds the truth, whatever its name."""
+    choice = request.choice
+    if source.path == request.truth and len(source.tables) == 1:
+        choice = replace(choice, tables={**choice.tables, "truth": next(iter(source.tables))})
+    return source.guess(choice)
+
+
 def complete_recipe(request: Request, guesses: Mapping[Path, Guess]) -> Recipe:
     """The recipe with the parts that the user left to the guess, from the logs that were named for them."""
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -128,7 +136,11 @@ def complete_recipe(request: Request, guesses: Mapping[Path, Guess]) -> Recipe:
         parts = request.recipe.roles.get(role, parts)
         if parts:
             roles[role] = parts
-    whole = with_maps(Guess(roles), request.maps, request.time)
+    times: dict[Role, str] = {}
+    for role in ROLES:
+        if request.time and home_of(role, request) == request.source:
+            times[role] = request.time
+    whole = with_maps(Guess(roles), request.maps, times)
     if request.recipe.gps_from_truth:
         whole = replace(whole, roles={role: parts for role, parts in whole.roles.items() if role != "gps"})
     origins = [g.origin for g in guesses.values() if g.origin is not None]

@@ -8,7 +8,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, time_expression
-from sigmaswarm.importing.convert import Request, complete_recipe, home_of, open_logs
+from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, open_logs
 from sigmaswarm.importing.guess import time_of
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Source
@@ -55,7 +55,7 @@ def look(request: Request) -> Look:
     notes: list[str] = []
     with ExitStack() as stack:
         sources = open_logs(request, stack)
-        guesses = {path: source.guess(request.choice) for path, source in sources.items()}
+        guesses = {path: guess_of(source, request) for path, source in sources.items()}
         try:
             recipe = complete_recipe(request, guesses)
         except InputError as error:

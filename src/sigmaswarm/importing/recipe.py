@@ -132,8 +132,12 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
         yield Part(table, columns)
 
 
-def with_maps(guess: Guess, maps: Sequence[str], time: str | None) -> Guess:
+def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> Guess:
     """The guess with what the user maps, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``, in the place of its own.
+
+    Parameters
+    ----------
+    times : the time of a role's tables, for roles that map no time of their own
 
     Raises
     ------
@@ -152,9 +156,9 @@ def with_maps(guess: Guess, maps: Sequence[str], time: str | None) -> Guess:
         else:  # "az=" leaves the column out
             left = {k: v for k, v in parts[place].columns.items() if k != column}
             parts[place] = replace(parts[place], columns=left)
-    if time:
-        said = {_entry(e)[0] for e in maps if _entry(e)[1] == "t"}
-        for role in set(roles) - said:
+    said = {role for role, column, _ in map(_entry, maps) if column == "t"}
+    for role, time in times.items():
+        if role in roles and role not in said:
             roles[role] = [replace(part, columns={**part.columns, "t": time}) for part in roles[role]]
     return replace(guess, roles={role: tuple(parts) for role, parts in roles.items()})
 
