@@ -15,8 +15,8 @@ from sigmaswarm.importing.source import ROLES, Source
 
 SAMPLE = 5000
 """Rows of a table by which ranges are told."""
-BATCHES = 500
-"""Batches looked at: a table that is not met by then is shown without values."""
+LOOKED_AT = 25_000
+"""Rows of all tables together, where they come mixed: one that is not met by then is shown without values."""
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,17 @@ def _beginnings(source: Source) -> dict[str, pl.DataFrame]:
     """The first rows of every table."""
     wanted = {name: table.columns for name, table in source.tables.items() if table.columns}
     rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in source.tables}
-    for number, batch in enumerate(source.batches(wanted)):
-        held = rows[batch.table]
-        if len(held) < SAMPLE:
-            new = batch.rows.head(SAMPLE - len(held))
-            rows[batch.table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
-        if number >= BATCHES or all(len(rows[name]) >= SAMPLE for name in wanted):
-            break
+    mixed = getattr(source, "interleaved", False)
+    for some in [wanted] if mixed else [{name: columns} for name, columns in wanted.items()]:
+        seen = 0
+        for batch in source.batches(some):
+            seen += len(batch.rows)
+            held = rows[batch.table]
+            if len(held) < SAMPLE:
+                new = batch.rows.head(SAMPLE - len(held))
+                rows[batch.table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
+            if seen >= LOOKED_AT or all(len(rows[name]) >= SAMPLE for name in some):
+                break
     return rows
 
 

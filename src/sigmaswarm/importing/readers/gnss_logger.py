@@ -9,6 +9,7 @@ from collections.abc import Collection, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import polars as pl
 
@@ -34,6 +35,7 @@ class _Lines:
     path: Path
     tables: Mapping[str, Table]
     remarks: tuple[str, ...] = ()
+    interleaved: ClassVar[bool] = True
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
         """Some thousand lines of a kind at a time."""
@@ -51,8 +53,10 @@ class _Lines:
                         f"{self.path}, row {number}: {line.strip()[:40]!r} is cut short; delete the row"
                     )
                 rows[kind].append(cells[: len(self.tables[kind].columns)])
-                if len(rows[kind]) >= CHUNK:
-                    yield self._batch(kind, rows, wanted, min(read / size, 1.0))
+                if sum(map(len, rows.values())) >= CHUNK:
+                    for full in wanted:
+                        if rows[full]:
+                            yield self._batch(full, rows, wanted, min(read / size, 1.0))
         for kind in wanted:
             if rows[kind]:
                 yield self._batch(kind, rows, wanted, 1.0)

@@ -8,17 +8,15 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.topics import guess_topics
-from sigmaswarm.importing.source import Batch, Choice, Guess, Table
+from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Table
 
-CHUNK = 5000
-"""Messages of a batch."""
 LATE = 0.1
 """s: header stamps that differ more from the receive times get a remark."""
 
@@ -33,6 +31,7 @@ class MessageLog:
     Attributes
     ----------
     stream : the messages of some topics, decoded, in the order of the log
+    interleaved : tables come mixed, so that a part of the log shows them all
     """
 
     path: Path
@@ -40,16 +39,18 @@ class MessageLog:
     stream: Callable[[Collection[str]], Iterator[Message]]
     unread: tuple[str, ...] = ()
     remarks: list[str] = field(default_factory=list[str])
+    interleaved: ClassVar[bool] = True
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
         """Some thousand messages at a time."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
         for seen, (topic, received, message) in enumerate(self.messages(wanted), 1):
-            collector = collectors[topic]
-            collector.add(received, message)
-            if len(collector.rows) >= CHUNK:
-                yield Batch(topic, collector.take(), min(seen / max(total, 1), 1.0))
+            collectors[topic].add(received, message)
+            if seen % CHUNK == 0:
+                for name, collector in collectors.items():
+                    if collector.rows:
+                        yield Batch(name, collector.take(), min(seen / max(total, 1), 1.0))
         for topic, collector in collectors.items():
             if collector.rows:
                 yield Batch(topic, collector.take(), 1.0)
