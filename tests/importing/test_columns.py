@@ -7,8 +7,10 @@ import polars as pl
 import pytest
 
 from importing.logs import EPOCH, a_drive, assert_close, imported
+from sigmaswarm import read_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.recipe import Recipe
+from support import DRIVES, needs_shared
 
 DRIVE = a_drive()
 G = 9.80665
@@ -249,3 +251,17 @@ def test_time_is_of_the_sources_tables(tmp_path: Path):
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps, time=time).drive
     assert_close(got.imu, DRIVE.imu, "time", 1e-6)
     assert_close(got.gps, DRIVE.gps, "time", 1e-12)
+
+
+@needs_shared
+def test_a_real_log_is_mended_as_others_mended_it():
+    """dresden as it was recorded: wrong signs, deg/s, pitched by 10.5 degrees; against the mended drive."""
+    maps = ["ax=-ax", "ay=-ay", "az=-az"]
+    got = imported(DRIVES / "dresden-as-recorded", maps=maps, recipe=Recipe(mount="0,10.5,0")).drive
+    wanted = read_drive(DRIVES / "dresden")
+    for column, least in (("ax", 0.999), ("ay", 0.999), ("az", 0.999), ("gz", 0.999)):
+        a = getattr(got.imu, column)[: len(wanted.imu)]
+        b = getattr(wanted.imu, column)[: len(a)]
+        assert np.corrcoef(a, b)[0, 1] > least, column
+    assert abs(np.median(got.imu.az) - np.median(wanted.imu.az)) < 0.01
+    assert any("deg/s" in note for note in imported(DRIVES / "dresden-as-recorded").notes)

@@ -232,6 +232,21 @@ def test_rtklib_as_fixes_and_as_truth(tmp_path: Path, form: str):
         assert got.gps.speed is None
 
 
+def test_truth_with_altitude_beside_fixes_without(tmp_path: Path):
+    """High up, fixes without an altitude lie at sea level; truth and fixes must still agree."""
+    gps = DRIVE.gps
+    high = write_pos(tmp_path / "rtk.pos")
+    lines = high.read_text().splitlines()
+    raised = [line if line[0] == "%" else line.replace(line.split()[4], "3000.0000", 1) for line in lines]
+    high.write_text("\n".join(raised) + "\n")
+    cells = np.column_stack([gps.time + EPOCH, gps.lat, gps.lon]).tolist()
+    rows = "\n".join(",".join(map(repr, row)) for row in cells)
+    (tmp_path / "gps.csv").write_text("t,lat,lon\n" + rows + "\n")
+    got = imported(imu_csv(tmp_path), gps=tmp_path / "gps.csv", truth=high).drive
+    np.testing.assert_allclose(got.truth.x, got.gps.x, atol=1e-3)
+    np.testing.assert_allclose(got.truth.y, got.gps.y, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("write", "damage"),
     [(w, d) for w in (write_kitti, write_nclt, write_comma) for d in ("cut", "empty", "missing")],

@@ -238,8 +238,6 @@ def _show(request: Any, save_recipe: Path | None, json: bool) -> None:
 
 
 def _print_look(seen: "Look") -> None:
-    from rich.table import Table
-
     from sigmaswarm.cli.common import stdout
 
     console = stdout()
@@ -247,19 +245,18 @@ def _print_look(seen: "Look") -> None:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
         console.print(f"{glance.table}: {glance.kind}{rows}{rate}", markup=False, style="bold")
-        table = Table(show_edge=False, box=None, padding=(0, 2))
-        table.add_column("  column")
-        for title in ("lowest", "median", "highest"):
-            table.add_column(title, justify="right")
-        for r in glance.ranges:
+        shown = [r for r in glance.ranges if r.low or r.high or r.low is None]
+        width = max((len(r.column) for r in shown), default=0)
+        for r in shown:
             cells = (
-                (r.example[:40], "", "")
-                if r.low is None
-                else (_short(r.low), _short(r.middle), _short(r.high))
+                f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
             )
-            table.add_row(f"  {r.column}".replace("[", r"\["), *cells)
-        if glance.ranges:
-            console.print(table)
+            console.print(
+                f"  {r.column:{width}} {r.example if r.low is None and r.example else cells}", markup=False
+            )
+        if left := len(glance.ranges) - len(shown):
+            console.print(f"  and {left} columns that are 0")
+    console.print("(each column's lowest value, median and highest, over the first rows)")
     console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
     console.print(
         seen.recipe.to_toml() or "nothing was recognized; say what is what with --map", markup=False
@@ -269,4 +266,4 @@ def _print_look(seen: "Look") -> None:
 
 
 def _short(value: float | None) -> str:
-    return "" if value is None else f"{value:.12g}" if abs(value) >= 1e6 else f"{value:.6g}"
+    return "" if value is None else f"{value:.12g}" if abs(value) >= 1e6 else f"{value:.8g}"

@@ -51,7 +51,7 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
         gps, origin = _fixes(joined["gps"][1], origin, say)
     truth = None
     if "truth" in joined:
-        values, origin = _placed_truth(joined["truth"][1], origin, "lat" in gps or not gps)
+        values, origin = _placed_truth(joined["truth"][1], origin, gps)
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], values, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
@@ -235,11 +235,15 @@ def _require_degrees(values: Values) -> None:
 
 
 def _placed_truth(
-    values: Values, origin: tuple[float, float, float] | None, alone: bool
+    values: Values, origin: tuple[float, float, float] | None, gps: Values
 ) -> tuple[Values, tuple[float, float, float] | None]:
-    """The truth with x and y, m; about its own first place where no fixes have set an origin."""
+    """The truth with x and y, m; about its own first place where no fixes have set an origin.
+
+    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand metres
+    between the two would stretch one of them by 16 cm a kilometre.
+    """
     if "lat" in values and "lon" in values:
-        if origin is None and alone:
+        if origin is None and not gps:
             origin = (
                 float(values["lat"][0]),
                 float(values["lon"][0]),
@@ -247,7 +251,9 @@ def _placed_truth(
             )
         if origin is None:
             raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
-        enu = geodetic_to_enu(values["lat"], values["lon"], values.get("alt", origin[2]), origin)
+        level = "lat" in gps and "alt" not in gps
+        altitude = origin[2] if level else values.get("alt", origin[2])
+        enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
         values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(

@@ -14,7 +14,7 @@ def columns_of(typestore: Any, msgtype: str) -> tuple[str, ...]:
         return ()
     paths = list(_paths(typestore, msgtype, "", 0))
     stamped = "header.stamp.sec" in paths
-    paths = [p for p in paths if not p.startswith("header.")]
+    paths = [p for p in paths if not p.startswith("header.") and ".header." not in p]
     return ("received", *(("stamp",) if stamped else ()), *paths)
 
 
