@@ -147,6 +147,8 @@ def test_mistakes_are_one_line(sigmaswarm: Command, here: Path, arguments: tuple
     assert ended.code == 2
     assert len(lines) == 1 and said in lines[0], ended.err
     assert not (here / "out").exists()
+    if "full" in arguments:
+        assert "importing" not in ended.err  # told before any work
 
 
 @pytest.mark.parametrize(

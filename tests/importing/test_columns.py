@@ -227,17 +227,12 @@ def test_a_log_named_for_the_truth_needs_no_name_that_says_so(tmp_path: Path):
     imu, gps, truth = DRIVE.imu, DRIVE.gps, DRIVE.truth
     pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
     pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
-    columns = {
-        "t": truth.time,
-        "x": truth.x,
-        "y": truth.y,
-        "vx": truth.vx,
-        "vy": truth.vy,
-        "theta": truth.theta,
-    }
+    sideways = truth.theta + 0.1  # so that it is not the course
+    columns = {"t": truth.time, "x": truth.x, "y": truth.y, "vx": truth.vx, "vy": truth.vy, "theta": sideways}
     pl.DataFrame(columns).write_csv(tmp_path / "track.csv")
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", truth=tmp_path / "track.csv").drive
-    assert_close(got.truth, truth, "time x y vx vy theta", 1e-12)
+    assert_close(got.truth, truth, "time x y vx vy", 1e-12)
+    np.testing.assert_allclose(got.truth.theta, sideways)
     assert got.frame == "enu"
 
 
@@ -251,6 +246,10 @@ def test_time_is_of_the_sources_tables(tmp_path: Path):
     got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps, time=time).drive
     assert_close(got.imu, DRIVE.imu, "time", 1e-6)
     assert_close(got.gps, DRIVE.gps, "time", 1e-12)
+    mapped = imported(
+        tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=[*maps, f"imu.t={time}"], time="stamp"
+    ).drive
+    assert_close(mapped.imu, DRIVE.imu, "time", 1e-6)
 
 
 @needs_shared

@@ -68,6 +68,7 @@ def test_text_is_a_number_or_nothing():
         "'text'",
         "acc_y @ acc_y",
         "sin(x=1)",
+        "sin(acc_y, x=1)",
         "sin(1, 2)",
         "utc(1 + 2)",
         "acc_y +",
