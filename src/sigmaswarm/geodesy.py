@@ -47,7 +47,7 @@ def geodetic_to_ecef(latitude: ArrayLike, longitude: ArrayLike, altitude: ArrayL
     )
 
 
-def _enu_axes(latitude: float, longitude: float) -> Array:
+def enu_axes(latitude: float, longitude: float) -> Array:
     """Rows: the east, north and up directions at a place, in earth-fixed coordinates."""
     lat, lon = np.radians(latitude), np.radians(longitude)
     return np.array(
@@ -79,7 +79,7 @@ def geodetic_to_enu(
         m east, north, up.
     """
     offset = geodetic_to_ecef(latitude, longitude, altitude) - geodetic_to_ecef(*origin)
-    return offset @ _enu_axes(origin[0], origin[1]).T
+    return offset @ enu_axes(origin[0], origin[1]).T
 
 
 def enu_to_geodetic(enu: ArrayLike, origin: tuple[float, float, float]) -> Array:
@@ -87,7 +87,7 @@ def enu_to_geodetic(enu: ArrayLike, origin: tuple[float, float, float]) -> Array
 
     Bowring's parametric latitude, iterated until it stands still (B. R. Bowring, 1976, Survey Review 23).
     """
-    ecef = np.asarray(enu, float) @ _enu_axes(origin[0], origin[1]) + geodetic_to_ecef(*origin)
+    ecef = np.asarray(enu, float) @ enu_axes(origin[0], origin[1]) + geodetic_to_ecef(*origin)
     x, y, z = ecef[..., 0], ecef[..., 1], ecef[..., 2]
     b = SEMI_MAJOR_AXIS * (1 - FLATTENING)
     p = np.hypot(x, y)

@@ -11,6 +11,7 @@ from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
+from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
@@ -30,12 +31,15 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
     sigmaswarm evaluate tuned drives/friday
     sigmaswarm run tuned drives/friday --out estimate.csv
 
+Another kind of log? `sigmaswarm import LOG --show` looks at it, `sigmaswarm import LOG DRIVE` makes a drive of it.
+
 No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
 for command in (doctor, tune, evaluate, run, export, split, simulate, plot, demo):
     app.command(command)
+app.command(import_, name="import")
 
 
 def main() -> NoReturn:

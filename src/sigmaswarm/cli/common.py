@@ -86,6 +86,27 @@ def progress_bar(title: str, counted: str, **fields: Any) -> Generator[Callable[
             bar.stop()
 
 
+@contextmanager
+def percent_bar(title: str) -> Generator[Callable[[float], None]]:
+    """A bar on stderr, with the time that remains; yields the function that moves it: the share that is done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task(title, total=1.0)
+
+    def show(done: float) -> None:
+        bar.start()  # not before there is progress: a mistake is to be told in one line
+        bar.update(task, completed=done)
+
+    try:
+        yield show
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
 def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> None:
     """The comparison as a table: every drive, the mean, and what the tuning improved."""
     from rich.table import Table

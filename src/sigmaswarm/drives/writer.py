@@ -41,7 +41,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
         Something is there already, or the drive holds what the files can't.
     """
     folder = Path(path).resolve()  # "." has no name to rename
-    _require_replaceable(folder, overwrite)
+    require_replaceable(folder, overwrite)
     texts = _texts(drive, folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +61,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     return folder
 
 
-def _require_replaceable(folder: Path, overwrite: bool) -> None:
+def require_replaceable(folder: Path, overwrite: bool) -> None:
     """Refuse to touch anything but an empty place or, if so told, a folder with only a drive in it."""
     if not folder.exists():
         return

@@ -1,0 +1,261 @@
+"""`sigmaswarm import`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from sigmaswarm.importing.convert import Imported
+    from sigmaswarm.importing.look import Look
+    from sigmaswarm.importing.recipe import Recipe
+
+_Flag = Annotated[bool, Parameter(negative=())]
+_Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+
+
+def import_(
+    source: Annotated[Path, Parameter(name="SOURCE")],
+    out: Annotated[Path | None, Parameter(name="OUT")] = None,
+    /,
+    *,
+    show: _Flag = False,
+    format: str | None = None,
+    gps: Path | None = None,
+    truth: Path | None = None,
+    map: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    time: str | None = None,
+    recipe: Path | None = None,
+    save_recipe: Path | None = None,
+    imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None,
+    gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None,
+    velocity_topic: Annotated[str | None, Parameter(name=("--velocity-topic", "--velocity-table"))] = None,
+    truth_topic: Annotated[str | None, Parameter(name=("--truth-topic", "--truth-table"))] = None,
+    receive_times: _Flag = False,
+    mount: _Values = None,
+    gps_offset: float | None = None,
+    truth_offset: float | None = None,
+    origin: _Values = None,
+    lever_arm: _Values = None,
+    gps_from_truth: _Values = None,
+    name: str | None = None,
+    overwrite: _Flag = False,
+    json: _Flag = False,
+) -> None:
+    """Make a drive of a log: ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs, phones.
+
+    The format is found out by looking. Begin with --show, which writes nothing.
+
+    Examples:
+
+        sigmaswarm import monday.mcap --show
+        sigmaswarm import monday.mcap drives/monday --imu-topic /imu/data --mount 90
+        sigmaswarm import imu.csv drives/monday --gps track.ubx --truth rtk.pos
+        sigmaswarm import log.csv drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
+
+    Parameters
+    ----------
+    source
+        The log, a file or a folder. It holds the IMU, and often all.
+    out
+        The drive's folder, to be made.
+    show
+        Show tables or topics, rates, ranges and what would be done; write nothing.
+    format
+        The source's format, where looking finds the wrong one: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea,
+        px4, sensor-logger, phyphox, gnss-logger, csv.
+    gps
+        A log of its own for the fixes.
+    truth
+        A log of its own for the truth; fixes of a good receiver will do.
+    map
+        column=expression for a drive's columns, as "ax=-acc_y*9.80665"; "gps.t=stamp" and "truth.x=east" say whose,
+        "az=" leaves a column out.
+    time
+        Expression of the time in s, in SOURCE's tables, as "stamp*1e-9" or "utc(date)".
+    recipe
+        A recipe that was saved before.
+    save_recipe
+        File for the recipe, to be used again.
+    imu_topic
+        Topic or table of the IMU.
+    gps_topic
+        Topic or table of the fixes.
+    velocity_topic
+        Topic of the receiver's velocity, m/s east and north.
+    truth_topic
+        Topic or table of the truth.
+    receive_times
+        Take the times at which messages were received, not their headers' stamps.
+    mount
+        How the IMU sits in the vehicle: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
+    gps_offset
+        Seconds to add to the fixes' times.
+    truth_offset
+        Seconds to add to the truth's times.
+    origin
+        lat,lon,alt of the local frame; the first fix by default.
+    lever_arm
+        From the IMU to the antenna, m forward,left,up.
+    gps_from_truth
+        rate,noise: make fixes of the truth, at so many Hz with so many m of white noise, as 5,1.
+    name
+        The drive's name; the folder's by default.
+    overwrite
+        Replace a drive that is there.
+    json
+        Print what was found or written for machines.
+    """
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.importing.convert import Request
+    from sigmaswarm.importing.recipe import Recipe
+    from sigmaswarm.importing.source import Choice
+
+    topics = {"imu": imu_topic, "gps": gps_topic, "velocity": velocity_topic, "truth": truth_topic}
+    settings: dict[str, Any] = {
+        "mount": mount,
+        "gps_offset_s": gps_offset,
+        "truth_offset_s": truth_offset,
+        "origin": None if origin is None else _numbers(origin, 3, "--origin", "50.1,8.7,120"),
+        "gps_lever_arm_m": None if lever_arm is None else _numbers(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
+        "gps_from_truth": None
+        if gps_from_truth is None
+        else _numbers(gps_from_truth, 2, "--gps-from-truth", "5,1"),
+    }
+    request = Request(
+        source=source,
+        gps=gps,
+        truth=truth,
+        form=format,
+        recipe=_with(Recipe.load(recipe) if recipe else Recipe(), settings),
+        maps=map or (),
+        time=time,
+        choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
+    )
+    if show:
+        _show(request, save_recipe, json)
+        return
+    if out is None:
+        raise InputError("name the drive's folder to be made after the source, or use --show to look first")
+    _import(request, out, name or out.resolve().name, save_recipe, overwrite, json)
+
+
+def _numbers(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
+    from sigmaswarm.errors import InputError
+
+    try:
+        numbers = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
+    return numbers
+
+
+def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":
+    from dataclasses import replace
+
+    return replace(recipe, **{key: value for key, value in settings.items() if value is not None})
+
+
+def _import(
+    request: Any, out: Path, name: str, save_recipe: Path | None, overwrite: bool, json: bool
+) -> None:
+    """Import and write; say what was assumed."""
+    from sigmaswarm.cli.common import percent_bar, print_json
+    from sigmaswarm.cli.findings import print_diagnosis
+    from sigmaswarm.doctor.diagnose import diagnose
+    from sigmaswarm.drives.writer import require_replaceable, write_drive
+    from sigmaswarm.importing.convert import import_drive
+
+    require_replaceable(out.resolve(), overwrite)
+    with percent_bar("importing") as progress:
+        imported = import_drive(request, name, progress)
+    write_drive(imported.drive, out, overwrite=overwrite)
+    if save_recipe:
+        imported.recipe.save(save_recipe)
+    diagnosis = diagnose(imported.drive)
+    if json:
+        print_json(_summary(imported, out) | {"doctor": diagnosis.to_dict()})
+    else:
+        _tell(imported, out)
+        print_diagnosis(diagnosis)
+
+
+def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
+    drive = imported.drive
+    return {
+        "drive": str(out),
+        "duration_s": drive.duration,
+        "imu_samples": len(drive.imu),
+        "fixes": len(drive.gps),
+        "truth_samples": len(drive.truth) if drive.truth else 0,
+        "notes": list(imported.notes),
+    }
+
+
+def _tell(imported: "Imported", out: Path) -> None:
+    from sigmaswarm.cli.common import stdout
+
+    drive, console = imported.drive, stdout()
+    truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
+    for note in imported.notes:
+        console.print(f"note: {note}", markup=False)
+    if not imported.recipe.mount:
+        console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
+    rate = 1 / drive.nominal_interval
+    console.print(
+        f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.0f} Hz), "
+        f"{len(drive.gps)} fixes{truth}",
+        markup=False,
+    )
+    console.print(f"next: sigmaswarm plot {out}", markup=False)
+
+
+def _show(request: Any, save_recipe: Path | None, json: bool) -> None:
+    from sigmaswarm.cli.common import print_json
+    from sigmaswarm.importing.look import look
+
+    seen = look(request)
+    if save_recipe:
+        seen.recipe.save(save_recipe)
+    if json:
+        from dataclasses import asdict
+
+        print_json(
+            {"tables": [asdict(t) for t in seen.tables], "recipe": seen.recipe.to_toml(), "notes": seen.notes}
+        )
+    else:
+        _print_look(seen)
+
+
+def _print_look(seen: "Look") -> None:
+    from sigmaswarm.cli.common import stdout
+
+    console = stdout()
+    for glance in seen.tables:
+        rows = f", {glance.rows} rows" if glance.rows is not None else ""
+        rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
+        console.print(f"{glance.table}: {glance.kind}{rows}{rate}", markup=False, style="bold")
+        shown = [r for r in glance.ranges if r.low or r.high or r.low is None]
+        width = max((len(r.column) for r in shown), default=0)
+        for r in shown:
+            cells = (
+                f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
+            )
+            console.print(
+                f"  {r.column:{width}} {r.example if r.low is None and r.example else cells}", markup=False
+            )
+        if left := len(glance.ranges) - len(shown):
+            console.print(f"  and {left} columns that are 0")
+    console.print("(each column's lowest value, median and highest, over the first rows)")
+    console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
+    console.print(
+        seen.recipe.to_toml() or "nothing was recognized; say what is what with --map", markup=False
+    )
+    for note in seen.notes:
+        console.print(f"note: {note}", markup=False)
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:.12g}" if abs(value) >= 1e6 else f"{value:.8g}"

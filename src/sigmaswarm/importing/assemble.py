@@ -1,0 +1,211 @@
+"""A drive of joined columns: one clock, one frame, the IMU turned, and what the truth lacks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.checks import shortage_of
+from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.joining import Say, Values, join
+from sigmaswarm.importing.mounting import parse_mount, rotate
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Role
+
+SEED = 0
+"""Of the noise of fixes that are made of the truth."""
+MOVING = 1.0
+"""m/s; slower than this, the course says nothing about the heading."""
+
+
+def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Recipe, say: Say) -> Drive:
+    """Make a drive of what was gathered; ``say`` takes a sentence on whatever was assumed or left out.
+
+    Raises
+    ------
+    InputError
+        Something that a drive needs is missing or can't be right.
+    """
+    required: dict[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "gps": (), "truth": ()}
+    joined: dict[Role, tuple[Nanoseconds, Values]] = {
+        role: join(parts, role, required[role], say) for role, parts in gathered.items() if parts
+    }
+    seconds, zero = _seconds(joined, recipe)
+    imu = joined["imu"][1]
+    if recipe.mount:
+        imu = rotate(imu, parse_mount(recipe.mount))
+    origin = recipe.origin
+    gps: Values = {}
+    if "gps" in joined:
+        gps, origin = _fixes(joined["gps"][1], origin, say)
+    truth = None
+    if "truth" in joined:
+        values, origin = _placed_truth(joined["truth"][1], origin, gps)
+        truth = Truth(seconds["truth"], **_motion(seconds["truth"], values, gps, say))
+    if recipe.gps_from_truth:
+        if truth is None:
+            raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
+        seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
+    metadata: dict[str, Any] = {}
+    if zero:
+        metadata["time_origin_s"] = zero
+    if recipe.gps_from_truth:
+        rate, noise = recipe.gps_from_truth
+        metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
+    if recipe.gps_lever_arm_m:
+        metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
+    drive = Drive(
+        name=name,
+        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
+        gps=Gps(seconds["gps"], **gps),
+        truth=truth,
+        frame="wgs84" if "lat" in gps else "enu",
+        origin=origin,
+        metadata=metadata,
+    )
+    if shortage := shortage_of(drive):
+        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
+    return drive
+
+
+def _with_offset(shortage: str, drive: Drive) -> str:
+    if "overlap" not in shortage:
+        return shortage
+    offset = drive.imu.time[0] - drive.gps.time[0]
+    return f"{shortage}, with --gps-offset (were both begun together: {offset:.3f})"
+
+
+def _seconds(
+    joined: Mapping[Role, tuple[Nanoseconds, Values]], recipe: Recipe
+) -> tuple[dict[Role, Array], int]:
+    """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
+    offsets: dict[Role, float] = {"imu": 0.0, "gps": recipe.gps_offset_s, "truth": recipe.truth_offset_s}
+    moved: dict[Role, Nanoseconds] = {
+        role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
+    }
+    begin = min(int(time[0]) for role, time in moved.items() if role != "truth" or "gps" not in moved)
+    zero = begin // SECOND if begin >= LONG_AGO else 0
+    return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
+
+
+def _fixes(
+    values: Values, origin: tuple[float, float, float] | None, say: Say
+) -> tuple[Values, tuple[float, float, float] | None]:
+    """The fixes' columns as a drive has them, and the origin of the local frame."""
+    if "vx" in values and "vy" in values:
+        vx, vy = values.pop("vx"), values.pop("vy")
+        values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
+    if "course" in values:
+        values["course"] = np.asarray(wrap_angle(values["course"]))
+    if "lat" in values and "lon" in values:
+        if not len(values["lat"]):
+            raise InputError("the gps: no fix is left; --show shows what the log holds")
+        altitude = values.get("alt")
+        if origin is None:
+            height = 0.0 if altitude is None else float(altitude[0])
+            origin = float(values["lat"][0]), float(values["lon"][0]), height
+        enu = geodetic_to_enu(
+            values["lat"], values["lon"], origin[2] if altitude is None else altitude, origin
+        )
+        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
+        _require_degrees(values)
+    elif not {"x", "y"} <= set(values):
+        raise InputError(
+            "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
+        )
+    for lone, mate in (("std_x", "std_y"), ("std_y", "std_x")):
+        if lone in values and mate not in values:
+            values[mate] = values[lone]
+    return values, origin
+
+
+def _require_degrees(values: Values) -> None:
+    for name, most in (("lat", 90.0), ("lon", 180.0)):
+        wrong = np.abs(values[name]) > most
+        if wrong.any():
+            value = values[name][wrong][0]
+            raise InputError(
+                f"the gps: {name} = {value:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+            )
+
+
+def _placed_truth(
+    values: Values, origin: tuple[float, float, float] | None, gps: Values
+) -> tuple[Values, tuple[float, float, float] | None]:
+    """The truth with x and y, m; about its own first place where no fixes have set an origin.
+
+    Where the fixes have no altitude they count as level with the origin, and so does the truth then: a thousand metres
+    between the two would stretch one of them by 16 cm a kilometre.
+    """
+    if "lat" in values and "lon" in values:
+        if origin is None and not gps:
+            origin = (
+                float(values["lat"][0]),
+                float(values["lon"][0]),
+                float(values.get("alt", np.zeros(1))[0]),
+            )
+        if origin is None:
+            raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
+        level = "lat" in gps and "alt" not in gps
+        altitude = origin[2] if level else values.get("alt", origin[2])
+        enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
+        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
+    if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
+        raise InputError(
+            "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
+        )
+    return values, origin
+
+
+def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
+    """Fixes at a rate, Hz, that lie where the truth is, with white noise, m per axis."""
+    if not (0 < rate <= 1000 and 0 <= noise < np.inf):
+        raise InputError(
+            f"--gps-from-truth {rate:g},{noise:g} can't be; give a rate in Hz and a deviation in m, as 5,1"
+        )
+    time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
+    error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))
+    x, y = (np.interp(time, truth.time, column) for column in (truth.x, truth.y))
+    return time, {"x": x + error[0], "y": y + error[1]}
+
+
+def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
+    """The truth's columns; velocity and heading, where the log has none, from positions and course."""
+    if "speed" in values and "course" in values and "vx" not in values:
+        values["vx"], values["vy"] = (
+            values["speed"] * np.cos(values["course"]),
+            values["speed"] * np.sin(values["course"]),
+        )
+    if "forward" in values and "theta" in values:
+        body = values["forward"] + 1j * values.get("left", np.zeros(len(time)))
+        east_north = body * np.exp(1j * values["theta"])
+        values["vx"], values["vy"] = east_north.real, east_north.imag
+    if "vx" not in values or "vy" not in values:
+        say("truth: velocity taken from the positions' differences")
+        values["vx"], values["vy"] = np.gradient(values["x"], time), np.gradient(values["y"], time)
+    if "theta" not in values:
+        say("truth: heading taken from the course, held while the vehicle is slower than 1 m/s")
+        values["theta"] = _held_course(values["vx"], values["vy"])
+    if not gps:
+        return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
+    apart = np.hypot(
+        np.median(values["x"]) - np.median(gps["x"]), np.median(values["y"]) - np.median(gps["y"])
+    )
+    if apart > 1000.0:
+        say(f"truth: lies {apart:.0f} m from the fixes on the whole; if it has another origin, give --origin")
+    return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
+
+
+def _held_course(vx: Array, vy: Array) -> Array:
+    """Course (n,), rad, of a velocity; while it is slow, the last one known, or else the first."""
+    moving = np.hypot(vx, vy) > MOVING
+    if not moving.any():
+        return np.zeros(len(vx))
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(vx)), -1))
+    last[last < 0] = int(np.argmax(moving))
+    return np.arctan2(vy, vx)[last]

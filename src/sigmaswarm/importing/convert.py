@@ -1,0 +1,198 @@
+"""The whole way: open a log, guess or take a recipe, gather, assemble, write."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.assemble import assemble
+from sigmaswarm.importing.formats import open_log
+from sigmaswarm.importing.gather import Columns, check_part, gather
+from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
+from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be imported, and all that the user said about it.
+
+    Attributes
+    ----------
+    source : the log; it must hold the IMU
+    gps, truth : further logs, for fixes and truth
+    form : the source's format, if not found out
+    recipe : settings, and parts that take the place of the guess
+    maps : ``column=expression``
+    time : expression of the time, in every table of the source
+    choice : tables and times
+    """
+
+    source: Path
+    gps: Path | None = None
+    truth: Path | None = None
+    form: str | None = None
+    recipe: Recipe = field(default_factory=Recipe)
+    maps: Sequence[str] = ()
+    time: str | None = None
+    choice: Choice = field(default_factory=Choice)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A drive, how it was made, and what was assumed on the way."""
+
+    drive: Drive
+    recipe: Recipe
+    notes: tuple[str, ...]
+
+
+def import_drive(request: Request, name: str, progress: Progress = lambda done: None) -> Imported:
+    """Make a drive of a log.
+
+    Parameters
+    ----------
+    request : Request
+    name : str
+        Of the drive.
+    progress : callable
+        Is told the share that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        A log is broken, lacks something, or a column can't be made; one line says which, and what to do.
+    """
+    notes: list[str] = []
+    with ExitStack() as stack:
+        sources = open_logs(request, stack)
+        guesses = {path: guess_of(source, request) for path, source in sources.items()}
+        recipe = complete_recipe(request, guesses)
+        _require_sensors(recipe, request, sources)
+        for guess in guesses.values():
+            notes += guess.notes
+        gathered = _gather_all(request, sources, recipe, progress)
+        for source in sources.values():
+            notes += source.remarks
+        metadata: dict[str, Any] = {}
+        for guess in guesses.values():
+            metadata |= guess.metadata
+    progress(1.0)
+    drive = assemble(name, gathered, recipe, notes.append)
+    drive = replace(drive, metadata={**metadata, **drive.metadata, "source": request.source.name})
+    return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
+
+
+def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, Source]) -> None:
+    """Refuse logs in which no IMU or no fixes were found, before they are read."""
+    wanted: tuple[tuple[Role, str, str], ...] = (
+        ("imu", "IMU samples", "name the log that holds them as SOURCE"),
+        ("gps", "position fixes", "name a log that holds them with --gps"),
+    )
+    for role, what, remedy in wanted:
+        if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
+            path = home_of(role, request)
+            there = ", ".join(list(sources[path].tables)[:12])
+            raise InputError(
+                f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (see --show)"
+            )
+
+
+def home_of(role: Role, request: Request) -> Path:
+    """The log that gives a role."""
+    named: Mapping[Role, Path | None] = {"imu": None, "gps": request.gps, "truth": request.truth}
+    return named[role] or request.source
+
+
+def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
+    """Open every log that the request names; the stack closes them."""
+    paths = dict.fromkeys(home_of(role, request) for role in ROLES)
+    return {
+        path: stack.enter_context(open_log(path, request.form if path == request.source else None))
+        for path in paths
+    }
+
+
+def guess_of(source: Source, request: Request) -> Guess:
+    """The reader's guess; a log that is named for the truth and has one table holds the truth, whatever its name."""
+    choice = request.choice
+    if source.path == request.truth and len(source.tables) == 1:
+        choice = replace(choice, tables={**choice.tables, "truth": next(iter(source.tables))})
+    return source.guess(choice)
+
+
+def complete_recipe(request: Request, guesses: Mapping[Path, Guess]) -> Recipe:
+    """The recipe with the parts that the user left to the guess, from the logs that were named for them."""
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role in ROLES:
+        guessed = guesses[home_of(role, request)].roles
+        parts = guessed.get(role, ())
+        if not parts and role == "truth" and request.truth:
+            parts = _as_truth(guessed.get("gps", ()))
+        if not parts and role == "gps" and request.gps:
+            parts = guessed.get("truth", ())
+        parts = request.recipe.roles.get(role, parts)
+        if parts:
+            roles[role] = parts
+    times: dict[Role, str] = {}
+    for role in ROLES:
+        if request.time and home_of(role, request) == request.source:
+            times[role] = request.time
+    whole = with_maps(Guess(roles), request.maps, times)
+    if request.recipe.gps_from_truth:
+        whole = replace(whole, roles={role: parts for role, parts in whole.roles.items() if role != "gps"})
+    origins = [g.origin for g in guesses.values() if g.origin is not None]
+    origin = request.recipe.origin or (origins[0] if origins else None)
+    return replace(request.recipe, roles=whole.roles, origin=origin)
+
+
+def _as_truth(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """A good receiver's fixes serve as truth: without their deviations."""
+    return tuple(
+        replace(p, columns={k: v for k, v in p.columns.items() if k in COLUMNS["truth"]}) for p in parts
+    )
+
+
+def _gather_all(
+    request: Request, sources: Mapping[Path, Source], recipe: Recipe, progress: Progress
+) -> dict[Role, list[Columns]]:
+    """Each log is read once, for all the roles that it gives."""
+    gathered: dict[Role, list[Columns]] = {}
+    size = {path: _size(path) for path in sources}
+    total, before = sum(size.values()), 0
+    for path, source in sources.items():
+        mine: list[tuple[Role, Part]] = []
+        for role in ROLES:
+            if home_of(role, request) == path:
+                for part in recipe.roles.get(role, ()):
+                    mine.append((role, _with_table(part, source)))
+        for role, part in mine:
+            check_part(part, source, role)
+        share = _share(progress, before / total, size[path] / total)
+        for (role, _), columns in zip(mine, gather(source, [p for _, p in mine], share), strict=True):
+            gathered.setdefault(role, []).append(columns)
+        before += size[path]
+    return gathered
+
+
+def _with_table(part: Part, source: Source) -> Part:
+    """A part that names no table takes the only one."""
+    if part.table:
+        return part
+    if len(source.tables) > 1:
+        raise InputError(
+            f"{source.path}: holds {len(source.tables)} tables, and none was chosen for {', '.join(part.columns)}; "
+            "write a recipe with table = ..., or choose with --imu-topic and the like"
+        )
+    return replace(part, table=next(iter(source.tables)))
+
+
+def _share(progress: Progress, begin: float, part: float) -> Callable[[float], None]:
+    return lambda done: progress(begin + part * done)
+
+
+def _size(path: Path) -> int:
+    files = [path] if path.is_file() else [f for f in path.rglob("*") if f.is_file()]
+    return max(sum(f.stat().st_size for f in files), 1)

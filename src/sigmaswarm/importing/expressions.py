@@ -1,0 +1,246 @@
+"""Expressions over a table's columns, as polars expressions. Text is parsed and checked, never executed.
+
+``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
+```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
+"""
+
+import ast
+import difflib
+import math
+import operator
+import re
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Any
+
+import polars as pl
+
+from sigmaswarm.errors import InputError
+
+LONGEST = 1000
+"""Characters of an expression at most: nesting stays within what Python can walk."""
+
+
+def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return (a * a + b * b).sqrt()
+
+
+def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return pl.when(condition).then(a).otherwise(b)
+
+
+def _not(a: Any) -> Any:
+    return ~a
+
+
+_CONSTANTS = {"pi": math.pi, "g": 9.80665}
+_OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Mod: operator.mod,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Not: _not,
+    ast.And: operator.and_,
+    ast.Or: operator.or_,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+_FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
+    "abs": (1, pl.Expr.abs),
+    "sqrt": (1, pl.Expr.sqrt),
+    "exp": (1, pl.Expr.exp),
+    "log": (1, pl.Expr.log),
+    "sin": (1, pl.Expr.sin),
+    "cos": (1, pl.Expr.cos),
+    "tan": (1, pl.Expr.tan),
+    "radians": (1, pl.Expr.radians),
+    "degrees": (1, pl.Expr.degrees),
+    "atan2": (2, pl.arctan2),
+    "hypot": (2, _hypot),
+    "min": (2, pl.min_horizontal),
+    "max": (2, pl.max_horizontal),
+    "where": (3, _where),
+}
+"""What may be called: how many values it takes, and what it does."""
+FUNCTIONS = (*_FUNCTIONS, "utc")
+"""What an expression may call."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """What a text means: a polars expression, the columns that it uses, and those that must hold numbers."""
+
+    polars: pl.Expr
+    columns: frozenset[str]
+    numbers: frozenset[str]
+
+
+@dataclass(frozen=True)
+class _Context:
+    """The text being compiled, the columns there are, and those used so far: all, and as numbers."""
+
+    text: str
+    columns: Collection[str]
+    used: set[str]
+    numbers: set[str]
+
+
+def compile_expression(text: str, columns: Collection[str]) -> Expression:
+    """What a text means over a table's columns.
+
+    Raises
+    ------
+    InputError
+        The text is no expression, names a column that is not there, or uses what is not allowed.
+    """
+    about = _Context(text, columns, set(), set())
+    try:
+        polars = _build(parse(text), about)
+        return Expression(polars, frozenset(about.used), frozenset(about.numbers))
+    except RecursionError:
+        raise InputError(f"the expression {text[:40]!r}... is nested too deeply; simplify it") from None
+
+
+def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
+    """The column and the factor where a text says just ``column`` or ``column * number``, else None.
+
+    Whole numbers of nanoseconds since 1970 have more digits than a float holds: such a time is best scaled as integers.
+    """
+    tree = parse(text)
+    factor = 1.0
+    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
+        right = tree.right
+        if not isinstance(right, ast.Constant) or not isinstance(right.value, int | float) or not right.value:
+            return None
+        factor = right.value if isinstance(tree.op, ast.Mult) else 1 / right.value
+        tree = tree.left
+    name = _column_name(tree)
+    return None if name is None or name not in columns else (name, factor)
+
+
+def parse(text: str) -> ast.expr:
+    """The syntax tree of a text, backticked names turned into ``col("...")``."""
+    if len(text) > LONGEST:
+        raise InputError(f"the expression {text[:40]!r}... is longer than {LONGEST} characters; shorten it")
+    plain = re.sub(r"`([^`]*)`", lambda m: f"col({m.group(1)!r})", text.strip())
+    try:
+        return ast.parse(plain, mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise InputError(
+            f"{text!r} is not an expression; write for example -acc_y*9.80665, and `a name with spaces` in backticks"
+        ) from None
+
+
+def _column_name(node: ast.AST) -> str | None:
+    """The column that a node names: a name, a.b.c, a[0], or col("any text")."""
+    match node:
+        case ast.Name(id=name):
+            return name
+        case ast.Attribute(value=inner, attr=name) if (start := _column_name(inner)) is not None:
+            return f"{start}.{name}"
+        case ast.Subscript(value=inner, slice=ast.Constant(value=int(i))) if s := _column_name(inner):
+            return f"{s}[{i}]"
+        case ast.Call(func=ast.Name(id="col"), args=[ast.Constant(value=str(name))], keywords=[]):
+            return name
+        case _:
+            return None
+
+
+def _build(node: ast.AST, about: _Context) -> pl.Expr:
+    """One node of the tree, checked against what is allowed."""
+
+    def build(inner: ast.AST) -> pl.Expr:
+        return _build(inner, about)
+
+    name = _column_name(node)
+    if name is not None:
+        return _column(name, about)
+    match node:
+        case ast.Constant(value=bool() | int() | float() as value):
+            return pl.lit(value if isinstance(value, bool) else float(value))
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](build(operand))
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+            return _OPERATORS[type(op)](build(left), build(right))
+        case ast.Compare(left=left, ops=ops, comparators=others) if {type(o) for o in ops} <= set(_OPERATORS):
+            return _chain(left, ops, others, about)
+        case ast.BoolOp(op=op, values=values):
+            first, *rest = (build(v) for v in values)
+            for other in rest:
+                first = _OPERATORS[type(op)](first, other)
+            return first
+        case ast.Call(func=ast.Name(id="utc"), args=[inner], keywords=[]):
+            return _utc(inner, about)
+        case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
+            wanted, function = _FUNCTIONS[f]
+            if len(args) != wanted:
+                raise InputError(
+                    f"{f} in {about.text!r} takes {wanted} value(s), not {len(args)}; mend the expression"
+                )
+            return function(*(build(a) for a in args))
+        case _:
+            shown = ast.unparse(node)
+            raise InputError(
+                f"{shown!r} in {about.text!r} is not allowed; use columns, numbers, + - * / ** %, comparisons, "
+                f"and {', '.join(FUNCTIONS)}"
+            )
+
+
+def _chain(left: ast.expr, ops: list[ast.cmpop], others: list[ast.expr], about: _Context) -> pl.Expr:
+    """``a < b < c`` as ``a < b and b < c``; text on one side compares as text."""
+    pairs = zip([left, *others], ops, others, strict=False)
+    return pl.all_horizontal(*(_compare(a, op, b, about) for a, op, b in pairs))
+
+
+def _compare(a: ast.expr, op: ast.cmpop, b: ast.expr, about: _Context) -> pl.Expr:
+    name = _column_name(a)
+    if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
+        _require_column(name, about)
+        return _OPERATORS[type(op)](pl.col(name).cast(pl.String), pl.lit(b.value))
+    return _OPERATORS[type(op)](_build(a, about), _build(b, about))
+
+
+def _column(name: str, about: _Context) -> pl.Expr:
+    """A column as float64 (text is read as a number, null where it is none), or a constant."""
+    if name in _CONSTANTS and name not in about.columns:
+        return pl.lit(_CONSTANTS[name])
+    _require_column(name, about)
+    about.numbers.add(name)
+    return pl.col(name).cast(pl.Float64, strict=False)
+
+
+def _require_column(name: str, about: _Context) -> None:
+    if name not in about.columns:
+        near = difflib.get_close_matches(name, about.columns, 1, 0.5)
+        hint = f"perhaps `{near[0]}`" if near else f"there are {_listed(about.columns)}"
+        raise InputError(f"{about.text!r} names the column {name!r}, which is not there; {hint}")
+    about.used.add(name)
+
+
+def _utc(inner: ast.expr, about: _Context) -> pl.Expr:
+    """Seconds since 1970 of a column that holds dates, as text (ISO 8601) or as such; without a zone they are UTC."""
+    name = _column_name(inner)
+    if name is None:
+        raise InputError(f"utc(...) in {about.text!r} takes the name of a column; mend the expression")
+    _require_column(name, about)
+    said = pl.col(name).cast(pl.String).str.replace("T", " ").str.replace(r"(Z| ?UTC)$", "")
+    zone = said.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
+    ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
+    ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
+    moment = said.str.replace(r"(\d\d:.*)[+-]\d\d:?\d\d$", "${1}").str.to_datetime(
+        time_unit="ns", strict=False
+    )
+    return moment.dt.timestamp("ns") / 1e9 - ahead
+
+
+def _listed(names: Collection[str], count: int = 12) -> str:
+    shown = ", ".join(f"`{name}`" for name in list(names)[:count])
+    return shown + (f" and {len(names) - count} more" if len(names) > count else "")

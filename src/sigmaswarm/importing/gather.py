@@ -1,0 +1,113 @@
+"""From a log's batches to a drive's columns: expressions evaluated, rows that can't be used left out and counted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.clocks import Nanoseconds, time_expression
+from sigmaswarm.importing.expressions import compile_expression
+from sigmaswarm.importing.source import Part, Progress, Source
+
+NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
+"""Texts that mean a cell is empty."""
+
+
+@dataclass
+class Columns:
+    """A part's columns while they are gathered, and then as a whole.
+
+    Attributes
+    ----------
+    time : (n,) ns
+    values : by name, each (n,); NaN where the log has none
+    unkept, timeless : rows left out since ``keep`` is false, since they have no time
+    """
+
+    part: Part
+    time: Nanoseconds = field(default_factory=lambda: np.zeros(0, np.int64))
+    values: dict[str, Array] = field(default_factory=dict[str, Array])
+    unkept: int = 0
+    timeless: int = 0
+    seen: int = 0
+    chunks: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
+
+    def add(self, frame: pl.DataFrame, source: Source) -> None:
+        """Evaluate the part's expressions on some rows of its table."""
+        texts = dict(self.part.columns)
+        keep = texts.pop("keep", None)
+        time = texts.pop("t")
+        frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
+        _require_numbers(frame, self.part, source, self.seen)
+        self.seen += len(frame)
+        if keep:
+            kept = frame.filter(
+                compile_expression(keep, frame.columns).polars.fill_null(False).cast(pl.Boolean)
+            )
+            self.unkept += len(frame) - len(kept)
+            frame = kept
+        expressions = [
+            compile_expression(t, frame.columns).polars.cast(pl.Float64).alias(n) for n, t in texts.items()
+        ]
+        rows = frame.lazy().select(time_expression(time, frame).alias("t"), *expressions).collect()
+        usable = rows.filter(pl.col("t").is_not_null())
+        self.timeless += len(rows) - len(usable)
+        if len(usable):
+            self.chunks.append(usable)
+
+    def finish(self) -> "Columns":
+        """Put the chunks together."""
+        if self.chunks:
+            whole = pl.concat(self.chunks)
+            self.chunks = []
+            self.time = whole["t"].to_numpy().astype(np.int64)
+            for name in whole.columns[1:]:
+                self.values[name] = whole[name].fill_null(np.nan).to_numpy().astype(np.float64)
+        return self
+
+
+def check_part(part: Part, source: Source, role: str) -> None:
+    """Refuse a part whose table or columns the log does not have, or that has no time."""
+    if part.table not in source.tables:
+        there = ", ".join(list(source.tables)[:12])
+        raise InputError(f"{source.path}: has no {part.table!r} for the {role}; there are {there}")
+    if "t" not in part.columns:
+        raise InputError(
+            f"{source.path}: which column of {part.table} is the time of the {role} was not found; say it with --time"
+        )
+    columns = source.tables[part.table].columns
+    for text in part.columns.values():
+        compile_expression(text, columns)
+
+
+def gather(source: Source, parts: Sequence[Part], progress: Progress) -> list[Columns]:
+    """Read the log once and evaluate all parts."""
+    gathered = [Columns(part) for part in parts]
+    wanted: dict[str, set[str]] = {}
+    for part in parts:
+        columns = source.tables[part.table].columns
+        for text in part.columns.values():
+            wanted.setdefault(part.table, set()).update(compile_expression(text, columns).columns)
+    for batch in source.batches(wanted):
+        for columns in gathered:
+            if columns.part.table == batch.table:
+                columns.add(batch.rows, source)
+        progress(batch.done)
+    return [columns.finish() for columns in gathered]
+
+
+def _require_numbers(frame: pl.DataFrame, part: Part, source: Source, seen: int) -> None:
+    """Refuse text where a number is needed, with its row."""
+    used = (compile_expression(text, frame.columns).numbers for text in part.columns.values())
+    for name in {n for names in used for n in names if frame.schema[n] == pl.String}:
+        said = frame[name]
+        wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
+        if wrong.fill_null(False).any():
+            i = int(wrong.fill_null(False).arg_max() or 0)
+            raise InputError(
+                f"{source.path}, {part.table}, row {seen + i + 1} of the data, column {name}: {said[i]!r} is not a "
+                "number; mend or delete the row, or use utc(...) where the column holds dates"
+            )

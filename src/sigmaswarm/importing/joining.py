@@ -1,0 +1,113 @@
+"""The parts of a role joined into one table: times in order, rows complete; what is left out is said."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.clocks import SECOND, Nanoseconds
+from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.source import Role
+
+Say = Callable[[str], None]
+Values = dict[str, Array]
+
+LEAST_STD = 1e-6
+"""m: a stated standard deviation not above it means that the receiver states none."""
+SPARSE = 0.1
+"""An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
+
+
+def join(
+    parts: Sequence[Columns], role: Role, required: Sequence[str], say: Say
+) -> tuple[Nanoseconds, Values]:
+    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours."""
+    first, *others = [_in_order(part, role, say) for part in parts]
+    time, values = first
+    for other_time, other in others:
+        if not len(other_time):
+            continue
+        inside = (time >= other_time[0]) & (time <= other_time[-1])
+        if left := int(np.count_nonzero(~inside)):
+            say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+        time, values = time[inside], {k: v[inside] for k, v in values.items()}
+        since = other_time[0] if len(other_time) else 0
+        for name, column in other.items():
+            known = np.isfinite(column)
+            if known.any():
+                added = values.get(name[1:], 0.0) if name.startswith("+") else 0.0
+                values[name.removeprefix("+")] = added + np.interp(
+                    (time - since) / SECOND, (other_time[known] - since) / SECOND, column[known]
+                )
+    return _complete_rows(time, values, role, required, say)
+
+
+def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
+    """A part's rows with their times strictly increasing."""
+    table = part.part.table
+    if part.unkept:
+        say(
+            f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {part.part.columns['keep']} is not true"
+        )
+    if part.timeless:
+        say(f"{role}: {part.timeless} rows of {table} without a time left out")
+    time, values = part.time, part.values
+    if not len(time):
+        raise InputError(f"the {role}: {table} holds no usable row; --show shows what it holds")
+    if np.any(np.diff(time) < 0):
+        say(
+            f"{role}: {int(np.count_nonzero(np.diff(time) < 0))} rows of {table} came out of order; sorted by time"
+        )
+        order = np.argsort(time, kind="stable")
+        time, values = time[order], {k: v[order] for k, v in values.items()}
+    new = np.diff(time, prepend=time[0] - 1) > 0
+    if not new.all():
+        say(f"{role}: {int(np.count_nonzero(~new))} rows of {table} with the time of the row before left out")
+        time, values = time[new], {k: v[new] for k, v in values.items()}
+    return time, values
+
+
+def _complete_rows(
+    time: Nanoseconds, values: Values, role: Role, required: Sequence[str], say: Say
+) -> tuple[Nanoseconds, Values]:
+    """Rows without gaps: columns mostly empty are left out, then rows with an empty cell."""
+    for name in required:
+        if name not in values or not np.isfinite(values[name]).any():
+            raise InputError(f"the {role}: nothing gives {name}; say what does with --map {role}.{name}=...")
+    values = dict(values)
+    for name in ("std_x", "std_y"):
+        if name in values:
+            values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
+    positions = ("lat", "lon", "x", "y")
+    together = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+    # positions may be sparse (one table with IMU and fixes); what else is sparse goes
+    placed = np.all(
+        [np.isfinite(values[n]) for n in positions if n in values] or [np.ones(len(time), bool)], axis=0
+    )
+    for name in [n for n in values if n not in positions and n not in required]:
+        empty = ~np.isfinite(values[name][placed]) if name in values and placed.any() else np.zeros(0)
+        if empty.size and np.mean(empty) > SPARSE:
+            gone = next((pair for pair in together if name in pair), (name,))
+            if not empty.all():
+                say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
+            for other in gone:
+                values.pop(other, None)
+    full = np.all([np.isfinite(v) for v in values.values()], axis=0)
+    sparse = role == "gps" and np.mean(placed) < 0.5
+    if (left := int(np.count_nonzero(~full))) and not sparse:
+        say(f"{role}: {left} rows with an empty cell left out")
+    time, values = time[full], {k: v[full] for k, v in values.items()}
+    return (time, values) if role != "gps" else _changed_only(time, values, say)
+
+
+def _changed_only(time: Nanoseconds, values: Values, say: Say) -> tuple[Nanoseconds, Values]:
+    """Fixes that are repeated until the next one comes (a table at the IMU's rate) count once."""
+    position = [values[n] for n in ("lat", "lon", "x", "y") if n in values]
+    if not position:
+        return time, values
+    changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
+    if len(time) < 10 or np.mean(changed) > 0.5:
+        return time, values
+    say(f"gps: {int(np.count_nonzero(~changed))} rows that repeat the position before left out")
+    return time[changed], {k: v[changed] for k, v in values.items()}

@@ -1,0 +1,119 @@
+"""A first look at a log: its tables, their rates, their columns' ranges, and how a drive would be made of it."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.clocks import SECOND, time_expression
+from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, open_logs
+from sigmaswarm.importing.guess import time_of
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import ROLES, Source
+
+SAMPLE = 5000
+"""Rows of a table by which ranges are told."""
+LOOKED_AT = 25_000
+"""Rows of all tables together, where they come mixed: one that is not met by then is shown without values."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A column's values over the rows looked at: smallest, median, largest; None where it holds no numbers."""
+
+    column: str
+    low: float | None
+    middle: float | None
+    high: float | None
+    example: str
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A table: what it is, how many rows, Hz, and its columns."""
+
+    table: str
+    kind: str
+    rows: int | None
+    rate: float | None
+    ranges: tuple[Range, ...]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is in the logs of a request, the recipe that would be used, and what that assumes."""
+
+    tables: tuple[Glance, ...]
+    recipe: Recipe
+    notes: tuple[str, ...]
+
+
+def look(request: Request) -> Look:
+    """Look at the beginning of each log. Writes nothing, and a guess that fails is a note."""
+    notes: list[str] = []
+    with ExitStack() as stack:
+        sources = open_logs(request, stack)
+        guesses = {path: guess_of(source, request) for path, source in sources.items()}
+        try:
+            recipe = complete_recipe(request, guesses)
+        except InputError as error:
+            recipe, notes = request.recipe, [str(error)]
+        times = {
+            (home_of(role, request), part.table): part.columns["t"]
+            for role in ROLES
+            for part in recipe.roles.get(role, ())
+            if "t" in part.columns
+        }
+        tables = [
+            _glance(table, frame, source, times.get((path, table)))
+            for path, source in sources.items()
+            for table, frame in _beginnings(source).items()
+        ]
+    for guess in guesses.values():
+        notes += guess.notes
+    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)))
+
+
+def _beginnings(source: Source) -> dict[str, pl.DataFrame]:
+    """The first rows of every table."""
+    wanted = {name: table.columns for name, table in source.tables.items() if table.columns}
+    rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in source.tables}
+    mixed = getattr(source, "interleaved", False)
+    for some in [wanted] if mixed else [{name: columns} for name, columns in wanted.items()]:
+        seen = 0
+        for batch in source.batches(some):
+            seen += len(batch.rows)
+            held = rows[batch.table]
+            if len(held) < SAMPLE:
+                new = batch.rows.head(SAMPLE - len(held))
+                rows[batch.table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
+            if seen >= LOOKED_AT or all(len(rows[name]) >= SAMPLE for name in some):
+                break
+    return rows
+
+
+def _glance(name: str, frame: pl.DataFrame, source: Source, time: str | None) -> Glance:
+    table = source.tables[name]
+    return Glance(name, table.kind, table.rows, _rate(frame, time), tuple(_ranges(frame)))
+
+
+def _rate(frame: pl.DataFrame, time: str | None) -> float | None:
+    """Hz, from the median step of the time; None without one."""
+    time = time or (time_of(frame) if len(frame) else None)
+    if time is None or len(frame) < 2:
+        return None
+    steps = frame.select(time_expression(time, frame).alias("t"))["t"].diff().drop_nulls()
+    step = steps.filter(steps > 0).median()
+    return SECOND / step if isinstance(step, int | float) and step > 0 else None
+
+
+def _ranges(frame: pl.DataFrame) -> Iterator[Range]:
+    for name in frame.columns:
+        numbers = frame[name].cast(pl.Float64, strict=False).drop_nulls().drop_nans()
+        example = str(frame[name].drop_nulls().first() if len(frame) else "")
+        if len(numbers):
+            yield Range(name, *(float(v) for v in (numbers.min(), numbers.median(), numbers.max())), example)  # type: ignore
+        else:
+            yield Range(name, None, None, None, example)

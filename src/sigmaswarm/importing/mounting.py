@@ -1,0 +1,105 @@
+"""How an IMU sits in the vehicle: from the sensor's axes to x forward, y left, z up."""
+
+import math
+import re
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+
+_AXES = "xyz"
+
+
+def parse_mount(text: str) -> Array:
+    """The rotation (3, 3) from the sensor's axes to the vehicle's.
+
+    Parameters
+    ----------
+    text : str
+        ``"90"``: the sensor is turned by so many degrees about z, counter-clockwise seen from above.
+        ``"0,10.5,90"``: roll, pitch and yaw of the sensor in the vehicle, degrees, about x, then y, then z.
+        ``"x=-y,y=x"``: the vehicle's axes as the sensor's; an axis that is left out follows from the others.
+
+    Raises
+    ------
+    InputError
+        It is none of these, or a mirror image.
+    """
+    parts = text.replace(" ", "").split(",")
+    if all("=" in part for part in parts):
+        return _from_axes(text, parts)
+    try:
+        angles = [math.radians(float(part)) for part in parts]
+    except ValueError:
+        angles = []
+    if len(angles) not in (1, 3) or not all(map(math.isfinite, angles)):
+        raise InputError(
+            f"mount {text!r} is no mounting; write degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x)"
+        )
+    roll, pitch, yaw = angles if len(angles) == 3 else (0.0, 0.0, angles[0])
+    return _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
+
+
+def _turn(axis: int, angle: float) -> Array:
+    """The rotation (3, 3) by an angle, rad, about an axis; exact for quarter turns."""
+    quarter = angle / (math.pi / 2)
+    c, s = math.cos(angle), math.sin(angle)
+    if abs(quarter - round(quarter)) < 1e-12:
+        c, s = float(round(c)), float(round(s))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = c
+    matrix[i, j], matrix[j, i] = -s, s
+    return matrix
+
+
+def _from_axes(text: str, parts: list[str]) -> Array:
+    rows: dict[str, Array] = {}
+    for part in parts:
+        found = re.fullmatch(r"([xyz])=([+-]?)([xyz])", part)
+        if not found or found[1] in rows:
+            raise InputError(f"mount {text!r}: {part!r} is no axis; write for example x=-y,y=x")
+        rows[found[1]] = (-1.0 if found[2] == "-" else 1.0) * np.eye(3)[_AXES.index(found[3])]
+    matrix = _complete(rows)
+    if matrix is None or round(float(np.linalg.det(matrix))) != 1:
+        raise InputError(
+            f"mount {text!r} is a mirror image or uses an axis twice, no rotation; check signs with the right hand"
+        )
+    return matrix
+
+
+def _complete(rows: dict[str, Array]) -> Array | None:
+    """The matrix with the given rows: one that is left out is the others' cross product; two, z or x stays put."""
+    if len(rows) == 1:
+        stays = "z" if "z" not in rows else "x"
+        rows = {**rows, stays: np.eye(3)[_AXES.index(stays)]}
+    if len(rows) == 2:
+        (missing,) = set(_AXES) - set(rows)
+        i = _AXES.index(missing)
+        others = (rows[_AXES[(i + 1) % 3]], rows[_AXES[(i + 2) % 3]])
+        rows = {**rows, missing: np.cross(*others)}
+    return np.array([rows[a] for a in _AXES]) if all(np.any(rows[a]) for a in _AXES) else None
+
+
+def rotate(imu: dict[str, Array], rotation: Array) -> dict[str, Array]:
+    """The IMU's columns (n,) each, in the vehicle's axes.
+
+    Raises
+    ------
+    InputError
+        A column is wanted that the log does not have.
+    """
+    turned = dict(imu)
+    for sensor, names in (("accelerometer", ("ax", "ay", "az")), ("gyro", ("gx", "gy", "gz"))):
+        for row, name in enumerate(names):
+            used = [names[k] for k in range(3) if rotation[row, k]]
+            if lost := [n for n in used if n not in imu]:
+                if name in ("ax", "ay", "gz"):
+                    raise InputError(
+                        f"mount: the vehicle's {name} needs the {sensor}'s {lost[0]}, which the log lacks; map it"
+                    )
+                turned.pop(name, None)
+                continue
+            turned[name] = np.sum([rotation[row, names.index(n)] * imu[n] for n in used], axis=0)
+    return turned

@@ -1,0 +1,103 @@
+"""comma2k19: a segment's folder, with processed_log and global_pose.
+
+H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the data set's README: NumPy arrays of times
+(s since the device's start) and values; IMU forward, right, down; poses of the camera in ECEF, quaternions Hamilton,
+w first, that turn the device's axes to ECEF.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_axes, enu_to_geodetic, geodetic_to_ecef
+from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source
+
+_SENSORS = {
+    "accelerometer": ("IMU/accelerometer", "IMU/acceleration"),
+    "gyro": ("IMU/gyro", "IMU/gyro_uncalibrated"),
+    "gnss": ("GNSS/live_gnss_ublox", "GNSS/live_gnss_qcom"),
+}
+_COLUMNS = {
+    "accelerometer": ("forward", "right", "down"),
+    "gyro": ("forward", "right", "down"),
+    "gnss": ("latitude", "longitude", "speed", "utc", "altitude", "bearing"),
+}
+_FIX = {
+    **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
+    **{"speed": "speed", "course": "radians(90 - bearing)"},
+}
+_TRUTH = {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}
+
+
+def recognizes(path: Path) -> bool:
+    """Whether it is a segment's folder."""
+    return (path / "processed_log" / "IMU").is_dir()
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[Source]:
+    """Read a segment: a minute, a few MB."""
+    frames: dict[str, pl.DataFrame] = {}
+    for name, folders in _SENSORS.items():
+        folder = next((f for f in (path / "processed_log" / f for f in folders) if f.is_dir()), None)
+        if folder is not None:
+            frames[name] = _table(folder, _COLUMNS[name])
+    pose = next((f for f in (path / "global_pose", path / "global_pos") if f.is_dir()), None)
+    if pose is not None:
+        frames["pose"] = _pose(pose)
+    roles: dict[Role, tuple[Part, ...]] = {}
+    if {"accelerometer", "gyro"} <= frames.keys():
+        acceleration = {"t": "t", "ax": "forward", "ay": "-right", "az": "-down"}
+        rates = {"t": "t", "gx": "forward", "gy": "-right", "gz": "-down"}
+        roles["imu"] = (Part("accelerometer", acceleration), Part("gyro", rates))
+    if "gnss" in frames:
+        roles["gps"] = (Part("gnss", _FIX),)
+    if "pose" in frames:
+        roles["truth"] = (Part("pose", _TRUTH),)
+    notes = ("the IMU's axes turned from forward, right, down; the truth is the camera's",)
+    yield Frames(path, frames, Guess(roles, notes, metadata={"licence": "MIT", "dataset": "comma2k19"}))
+
+
+def _load(path: Path) -> Array:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    except (OSError, ValueError, EOFError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"{path}: can't be read as a NumPy array ({said}); unpack the segment again"
+        ) from None
+
+
+def _table(folder: Path, columns: tuple[str, ...]) -> pl.DataFrame:
+    """Times and values of a sensor."""
+    time, values = _load(folder / "t"), _load(folder / "value")
+    if values.shape != (len(time), len(columns)):
+        raise InputError(
+            f"{folder}: value has shape {values.shape}, not {(len(time), len(columns))}; unpack the segment again"
+        )
+    return pl.DataFrame({"t": time, **dict(zip(columns, values.T, strict=True))})
+
+
+def _pose(folder: Path) -> pl.DataFrame:
+    """The camera's place in degrees, and its velocity and heading about the first place."""
+    time, ecef = _load(folder / "frame_times"), _load(folder / "frame_positions")
+    velocity, quaternion = _load(folder / "frame_velocities"), _load(folder / "frame_orientations")
+    if not len(time) == len(ecef) == len(velocity) == len(quaternion):
+        raise InputError(f"{folder}: its arrays differ in length; unpack the segment again")
+    center = (0.0, 0.0, 0.0)  # any plane serves to get from ECEF to degrees
+    first = enu_to_geodetic((ecef[:1] - geodetic_to_ecef(*center)) @ enu_axes(0.0, 0.0).T, center)[0]
+    axes = enu_axes(first[0], first[1])
+    near = (float(first[0]), float(first[1]), float(first[2]))
+    places = enu_to_geodetic((ecef - geodetic_to_ecef(*near)) @ axes.T, near)
+    w, x, y, z = quaternion.T
+    # the first column of the rotation: where the device's forward axis points
+    forward = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1) @ axes.T
+    moving = velocity @ axes.T
+    columns = dict(zip(("lat", "lon", "alt"), places.T, strict=True))
+    theta = np.arctan2(forward[:, 1], forward[:, 0])
+    return pl.DataFrame({"t": time, **columns, "vx": moving[:, 0], "vy": moving[:, 1], "theta": theta})

@@ -1,0 +1,104 @@
+"""KITTI raw: the OXTS RT3003's texts, synchronized (10 Hz) or not (100 Hz).
+
+One text of 30 numbers a sample and a file of times; meaning, units and signs from ``dataformat.txt`` of the data set
+(A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw from east.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.source import Frames, Guess, Part, Source
+
+COLUMNS = (
+    *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
+    *("ax", "ay", "az", "af", "al", "au", "wx", "wy", "wz", "wf", "wl", "wu"),
+    *("pos_accuracy", "vel_accuracy", "navstat", "numsats", "posmode", "velmode", "orimode"),
+)
+TABLE = "oxts"
+_T = "stamp*1e-9"
+GUESS = Guess(
+    {
+        "imu": (
+            Part(TABLE, {"t": _T, "ax": "ax", "ay": "ay", "az": "az", "gx": "wx", "gy": "wy", "gz": "wz"}),
+        ),
+        "gps": (Part(TABLE, {"t": _T, "lat": "lat", "lon": "lon", "alt": "alt"}),),
+        "truth": (
+            Part(
+                TABLE,
+                {"t": _T, "lat": "lat", "lon": "lon", "alt": "alt", "vx": "ve", "vy": "vn", "theta": "yaw"},
+            ),
+        ),
+    },
+    (
+        "KITTI has no receiver of its own: fixes and truth are the same RTK/INS solution; for an honest test make "
+        "noisy fixes with --gps-from-truth",
+        "the unit's angular rates are some 0.06 s late by its own yaw; docs/importing.md tells how to advance them",
+    ),
+    metadata={"licence": "CC BY-NC-SA 3.0", "dataset": "KITTI raw"},
+)
+
+
+def _oxts(path: Path) -> Path:
+    return path if path.name == "oxts" else path / "oxts"
+
+
+def recognizes(path: Path) -> bool:
+    """Whether it is a drive's folder, or the folder oxts in it."""
+    return (_oxts(path) / "timestamps.txt").is_file() and (_oxts(path) / "data").is_dir()
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[Source]:
+    """Read all texts of a drive: an hour of 100 Hz is 360 000 files, and 90 MB."""
+    folder = _oxts(path)
+    if not recognizes(path):
+        raise InputError(
+            f"{path}: is no drive of KITTI raw; name the folder that holds oxts/timestamps.txt and oxts/data"
+        )
+    stamps = _stamps(folder / "timestamps.txt")
+    files = sorted((folder / "data").glob("*.txt"))
+    if not files:
+        raise InputError(f"{folder / 'data'}: holds no texts; unpack the drive again")
+    rows = np.array([_numbers(file) for file in files])
+    number = np.array([_number(file, len(stamps)) for file in files])
+    frame = pl.DataFrame({"stamp": stamps[number], **dict(zip(COLUMNS, rows.T, strict=True))})
+    yield Frames(path, {TABLE: frame}, GUESS, {TABLE: "OXTS RT3003"})
+
+
+def _stamps(path: Path) -> np.ndarray:
+    """Nanoseconds of each line; a line may be empty where a sample was lost."""
+    lines = path.read_text().splitlines()
+    try:
+        times = np.array([line.strip() or "NaT" for line in lines], dtype="datetime64[ns]")
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; unpack the drive again") from None
+    if not len(times):
+        raise InputError(f"{path} is empty; unpack the drive again")
+    return times.astype(np.int64)
+
+
+def _numbers(path: Path) -> list[float]:
+    cells = path.read_text().split()
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(COLUMNS):
+        raise InputError(
+            f"{path}: holds {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
+        )
+    return numbers
+
+
+def _number(path: Path, count: int) -> int:
+    """The sample's number, which is the file's name."""
+    if not path.stem.isdigit() or int(path.stem) >= count:
+        raise InputError(
+            f"{path}: timestamps.txt has only {count} lines, none for it; unpack the drive again"
+        )
+    return int(path.stem)

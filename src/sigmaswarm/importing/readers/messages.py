@@ -1,0 +1,144 @@
+"""Logs of messages on topics: each topic is a table, each number in its messages a column named by its path.
+
+``received`` is when a message was recorded and ``stamp`` what its header says, both in ns.
+"""
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.topics import guess_topics
+from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Table
+
+LATE = 0.1
+"""s: header stamps that differ more from the receive times get a remark."""
+
+Message = tuple[str, int, Any]
+"""Topic, receive time in ns, and the message with its fields as attributes or keys."""
+
+
+@dataclass(frozen=True)
+class MessageLog:
+    """An open log of messages.
+
+    Attributes
+    ----------
+    stream : the messages of some topics, decoded, in the order of the log
+    interleaved : tables come mixed, so that a part of the log shows them all
+    """
+
+    path: Path
+    tables: Mapping[str, Table]
+    stream: Callable[[Collection[str]], Iterator[Message]]
+    unread: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list[str])
+    interleaved: ClassVar[bool] = True
+
+    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
+        """Some thousand messages at a time."""
+        total = sum(self.tables[topic].rows or 0 for topic in wanted)
+        collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
+        for seen, (topic, received, message) in enumerate(self.messages(wanted), 1):
+            collectors[topic].add(received, message)
+            if seen % CHUNK == 0:
+                for name, collector in collectors.items():
+                    if collector.rows:
+                        yield Batch(name, collector.take(), min(seen / max(total, 1), 1.0))
+        for topic, collector in collectors.items():
+            if collector.rows:
+                yield Batch(topic, collector.take(), 1.0)
+            self.remarks.extend(collector.remarks())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """The messages; whatever a decoder stumbles over becomes one line."""
+        try:
+            yield from self.stream(topics)
+        except InputError:
+            raise
+        except Exception as error:  # decoders raise anything on damaged bytes
+            raise broken(self.path, error) from None
+
+    def guess(self, choice: Choice) -> Guess:
+        """By message types, and topics' names."""
+        guess = guess_topics(self.tables, choice, lambda topic: next(self.messages([topic]), None), self.path)
+        notes = (*guess.notes, *(f"{u} can't be decoded and is left out" for u in self.unread))
+        return Guess(guess.roles, notes)
+
+
+@dataclass
+class _Collector:
+    """Rows of one topic, and how far its stamps are from the receive times."""
+
+    topic: str
+    columns: list[str]
+    rows: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
+    delays: list[float] = field(default_factory=list[float])
+
+    def __post_init__(self) -> None:
+        self.getters = [getter(c) for c in self.columns if c != "received"]
+
+    def add(self, received: int, message: Any) -> None:
+        """Take the wanted numbers out of a message."""
+        values = iter([get(message) for get in self.getters])
+        self.rows.append(tuple(received if c == "received" else next(values) for c in self.columns))
+        if "stamp" in self.columns:
+            self.delays.append((received - self.rows[-1][self.columns.index("stamp")]) * 1e-9)
+
+    def take(self) -> pl.DataFrame:
+        """The rows so far; begin anew."""
+        rows, self.rows = self.rows, []
+        self.delays = self.delays[:: max(len(self.delays) // 20_000, 1)]
+        return pl.DataFrame(rows, schema=self.columns, orient="row", infer_schema_length=None)
+
+    def remarks(self) -> Iterator[str]:
+        """Whether stamps and receive times tell different things."""
+        delay = float(np.median(self.delays)) if self.delays else 0.0
+        if abs(delay) > LATE:
+            when = "before" if delay > 0 else "after"
+            yield (
+                f"{self.topic}: header stamps are {abs(delay):.3f} s {when} the receive times (median); "
+                "were the stamps wrong, take --receive-times"
+            )
+
+
+def getter(column: str) -> Callable[[Any], Any]:
+    """What takes a column's number out of a message."""
+    if column == "stamp":
+        return stamp_of
+    path, _, index = column.partition("[")
+    take = attrgetter(path)
+    if not index:
+        return lambda message: take(message) if not isinstance(message, dict) else _key(message, path)
+    i = int(index.rstrip("]"))
+    return lambda message: (
+        float(take(message)[i]) if not isinstance(message, dict) else _key(message, path)[i]
+    )
+
+
+def _key(message: Any, path: str) -> Any:
+    for name in path.split("."):
+        message = message.get(name) if isinstance(message, dict) else None
+    return message
+
+
+def stamp_of(message: Any) -> int:
+    """The stamp of a message's header, ns."""
+    if isinstance(message, dict):
+        stamp = _key(message, "header.stamp") or _key(message, "timestamp") or {}
+        return stamp.get("sec", 0) * 10**9 + stamp.get("nanosec", stamp.get("nsec", 0))
+    stamp = message.header.stamp
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+def broken(path: Path, error: Exception) -> InputError:
+    """One line for what a library says of a damaged file."""
+    said = " ".join(str(error).split())[:160] or type(error).__name__
+    said = re.sub(r"^b'|'$", "", said)
+    return InputError(f"{path}: is cut short or broken ({said}); record or copy it again")

@@ -1,0 +1,75 @@
+"""NCLT: a session's ms25.csv, gps.csv and groundtruth_*.csv.
+
+N. Carlevaris-Bianco, A. K. Ushani, R. M. Eustice, "University of Michigan North Campus long-term vision and lidar
+dataset", IJRR 2016: times in us of UTC, body x forward, y right, z down, truth x north, y east about a fixed origin,
+latitude and longitude in rad.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.columns import ColumnFiles, broken_table
+from sigmaswarm.importing.source import Guess, Part, Role, Source, Table
+
+ORIGIN = (42.293227, -83.709657, 270.0)
+"""Latitude, longitude (deg) and altitude (m) of the truth's frame."""
+
+FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
+    "imu": (
+        "ms25.csv",
+        ("utime", "mag_x", "mag_y", "mag_z", "accel_x", "accel_y", "accel_z", "rot_r", "rot_p", "rot_h"),
+        {
+            **{"t": "utime*1e-6", "ax": "accel_x", "ay": "-accel_y", "az": "-accel_z"},
+            **{"gx": "rot_r", "gy": "-rot_p", "gz": "-rot_h"},
+        },
+    ),
+    "gps": (
+        "gps.csv",
+        ("utime", "mode", "num_satellites", "lat", "lon", "alt", "track", "speed"),
+        {"t": "utime*1e-6", "lat": "degrees(lat)", "lon": "degrees(lon)", "alt": "alt", "keep": "mode >= 2"},
+    ),
+    "truth": (
+        "groundtruth*.csv",
+        ("utime", "x", "y", "z", "roll", "pitch", "heading"),
+        {"t": "utime*1e-6", "x": "y", "y": "x", "theta": "pi/2 - heading"},
+    ),
+}
+"""Each role's file, its columns, and what a drive makes of them."""
+
+
+def recognizes(path: Path) -> bool:
+    """Whether it is a session's folder."""
+    return (path / "ms25.csv").is_file()
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[Source]:
+    """Open the files, which have no header lines; the truth may lie beside them."""
+    scans: dict[str, pl.LazyFrame] = {}
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role, (pattern, columns, expressions) in FILES.items():
+        for file in sorted(path.glob(pattern))[:1]:
+            kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns}
+            scans[file.name] = pl.scan_csv(file, has_header=False, schema=kinds, null_values=["nan", "NaN"])
+            _require_rows(file, scans[file.name])
+            roles[role] = (Part(file.name, expressions),)
+    tables = {name: Table(tuple(scan.collect_schema().names()), "NCLT") for name, scan in scans.items()}
+    notes = (
+        "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
+    )
+    yield ColumnFiles(
+        path, scans, tables, Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
+    )
+
+
+def _require_rows(file: Path, scan: pl.LazyFrame) -> None:
+    try:
+        rows = scan.head(10).collect()
+    except pl.exceptions.PolarsError as error:
+        raise broken_table(file, file.name, error) from None
+    if not len(rows):
+        raise InputError(f"{file} is empty; unpack the session again")

@@ -1,0 +1,64 @@
+"""ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags: no ROS needed."""
+
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.definitions import columns_of
+from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
+from sigmaswarm.importing.source import Source, Table, first_bytes, library
+
+_FILES = (".bag", ".db3", ".mcap")
+
+
+def recognizes(path: Path) -> bool:
+    """Whether it is a bag: by its first bytes, or a folder with metadata.yaml or bags in it."""
+    if path.is_dir():
+        return bool(_paths(path))
+    return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")
+
+
+def _paths(path: Path) -> list[Path]:
+    """What rosbags is to open: a bag's folder itself, or the files of one that lost its metadata."""
+    if path.is_file() or (path / "metadata.yaml").exists():
+        return [path]
+    return sorted(f for f in path.iterdir() if f.suffix in _FILES)
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[Source]:
+    """Open a bag; definitions that a ROS 2 bag does not bring along are those of the latest ROS."""
+    anyreader = library("rosbags.highlevel", "ros")
+    typesys = library("rosbags.typesys", "ros")
+    paths = _paths(path)
+    if not paths:
+        raise InputError(
+            f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
+        )
+    try:
+        reader = anyreader.AnyReader(paths, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        reader.open()
+    except Exception as error:  # the library raises anything on damaged bytes
+        raise broken(path, error) from None
+    try:
+        yield _log(path, reader)
+    finally:
+        reader.close()
+
+
+def _log(path: Path, reader: Any) -> MessageLog:
+    tables: dict[str, Table] = {}
+    for topic, info in reader.topics.items():
+        kind = info.msgtype or "several types"
+        tables[topic] = Table(columns_of(reader.typestore, kind), kind, info.msgcount)
+
+    def stream(topics: Collection[str]) -> Iterator[Message]:
+        wanted = [c for c in reader.connections if c.topic in topics]
+        for connection, received, raw in reader.messages(connections=wanted) if wanted else ():
+            yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
+
+    known = {topic: table for topic, table in tables.items() if table.columns}
+    unread = tuple(f"{topic} ({tables[topic].kind})" for topic in tables if topic not in known)
+    return MessageLog(path, known, stream, unread)

@@ -1,0 +1,104 @@
+"""RTKLIB's solutions, ``.pos``: fixes, or truth.
+
+RTKLIB ver. 2.4.2 Manual, B.1: comments begin with %, the last one names the columns; dates or GPS week and seconds;
+latitude and longitude in degrees, height above the ellipsoid, deviations north, east, up; Q 1 fixed, 2 float.
+"""
+
+import re
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.clocks import GPS_EPOCH, gps_to_unix
+from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes
+
+WEEK = 604_800
+"""s."""
+_NAMES = {
+    **{"latitude(deg)": "latitude", "longitude(deg)": "longitude", "height(m)": "height"},
+    **{"sdn(m)": "sdn", "sde(m)": "sde", "sdu(m)": "sdu", "age(s)": "age"},
+    **{"vn(m/s)": "vn", "ve(m/s)": "ve", "vu(m/s)": "vu"},
+}
+_TARGETS = {
+    **{"lat": "latitude", "lon": "longitude", "alt": "height", "std_x": "sde", "std_y": "sdn"},
+    **{"vx": "ve", "vy": "vn"},
+}
+
+
+def recognizes(path: Path) -> bool:
+    """Whether it has RTKLIB's header."""
+    head = first_bytes(path)
+    return path.suffix == ".pos" or (head.startswith(b"%") and b"latitude(deg)" in head)
+
+
+@contextmanager
+def open_log(path: Path) -> Generator[Source]:
+    """Read the header, and rows when they are wanted."""
+    system, columns = _header(path)
+    targets = {target: name for target, name in _TARGETS.items() if name in columns}
+    notes = {
+        "GPST": f"{path.name}: GPS time taken to UTC; where the other sensors count GPS time, give --truth-offset or "
+        "--gps-offset 18 (leap seconds since 2017)",
+        "UTC": f"{path.name}: times are UTC",
+    }
+    guess = Guess({"gps": (Part("solution", {"t": "t", **targets}),)}, (notes[system],))
+    utc: Callable[[float], float] = (
+        (lambda s: float(gps_to_unix(np.array([s]))[0])) if system == "GPST" else float
+    )
+    source = Rows(path, "solution", ("t", *columns), lambda: _rows(path, len(columns), utc), guess)
+    yield source
+
+
+def _header(path: Path) -> tuple[str, list[str]]:
+    """The time system, and the columns after the time."""
+    said = ""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            if not line.startswith("%"):
+                break
+            if re.match(r"%\s*(GPST|UTC|JST)\b", line):
+                said = line
+    words = re.sub(r"[%,;]", " ", said).split()
+    if len(words) < 3 or words[0] == "JST":
+        raise InputError(
+            f"{path}: has no header of RTKLIB's with GPST or UTC; write the solution with its header"
+        )
+    columns = [_NAMES.get(word, word) for word in words[1:]]
+    if not {"latitude", "longitude"} <= set(columns):
+        raise InputError(
+            f"{path}: has {', '.join(words[1:4])}; write the solution as latitude, longitude, height"
+        )
+    return words[0], columns
+
+
+def _rows(path: Path, width: int, utc: Callable[[float], float]) -> Iterator[tuple[tuple[float, ...], float]]:
+    """Time and numbers of each line."""
+    size, read = path.stat().st_size, 0
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            read += len(line)
+            if line.startswith("%") or not line.strip():
+                continue
+            cells = re.split(r"[\s,;]+", line.strip())
+            try:
+                time, values = utc(_seconds(*cells[:2])), [float(cell) for cell in cells[2:]]
+            except (ValueError, TypeError):
+                time, values = 0.0, []
+            if len(values) != width:
+                raise InputError(
+                    f"{path}, row {number}: {line.strip()[:40]!r}... has not the header's {width} numbers; "
+                    "the file may be cut short; delete the row"
+                )
+            yield (time, *values), min(read / size, 1.0)
+
+
+def _seconds(first: str, second: str) -> float:
+    """s since 1970, without leap seconds, of a date and a time of day, or of a GPS week and its seconds."""
+    if "/" in first:
+        day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)
+        hours, minutes, seconds = second.split(":")
+        return float(day) + int(hours) * 3600 + int(minutes) * 60 + float(seconds)
+    return GPS_EPOCH + int(first) * WEEK + float(second)

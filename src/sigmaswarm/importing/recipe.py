@@ -1,0 +1,184 @@
+"""How a log becomes a drive, as a record that can be saved as TOML and used again."""
+
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Self, cast
+
+import tomli_w
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.source import ROLES, Guess, Part, Role
+
+COLUMNS: dict[Role, tuple[str, ...]] = {
+    "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
+    "gps": (
+        *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course"),
+        *("vx", "vy", "keep"),
+    ),
+    "truth": (
+        "t",
+        "x",
+        "y",
+        "lat",
+        "lon",
+        "alt",
+        "vx",
+        "vy",
+        "speed",
+        "course",
+        "forward",
+        "left",
+        "theta",
+        "keep",
+    ),
+}
+"""What can be given for each role. Beside the drive's own columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
+north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
+rows count. A further table's ``+ax`` is added to ``ax``."""
+
+_SETTINGS: dict[str, type] = {"mount": str, "gps_offset_s": float, "truth_offset_s": float}
+_PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is taken from a log, and what is done to it.
+
+    Attributes
+    ----------
+    roles : the parts of imu, gps and truth
+    mount : how the IMU sits in the vehicle, as ``parse_mount`` takes it
+    gps_offset_s, truth_offset_s : s, added to the times of fixes and of truth
+    origin : latitude (deg), longitude (deg), altitude (m) of the local frame
+    gps_lever_arm_m : m forward, left, up from the IMU to the antenna
+    gps_from_truth : Hz, m; make fixes of the truth with so much white noise per axis, for data without a receiver
+    """
+
+    roles: Mapping[Role, tuple[Part, ...]] = field(default_factory=dict[Role, tuple[Part, ...]])
+    mount: str = ""
+    gps_offset_s: float = 0.0
+    truth_offset_s: float = 0.0
+    origin: tuple[float, float, float] | None = None
+    gps_lever_arm_m: tuple[float, float, float] | None = None
+    gps_from_truth: tuple[float, float] | None = None
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a recipe that ``save`` or a person wrote."""
+        try:
+            content = tomllib.loads(path.read_text("utf-8-sig"))
+        except OSError as error:
+            raise InputError(f"{path}: can't be read ({error.strerror}); name a recipe file") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path} is not valid TOML: {error}; mend that line") from None
+        known = (*ROLES, *_SETTINGS, *_PLACES)
+        if unknown := sorted(set(content) - set(known)):
+            raise InputError(f"{path}: {unknown[0]!r} is unknown; the keys are {', '.join(known)}")
+        settings = {
+            key: _setting(content[key], key, path) for key in (*_SETTINGS, *_PLACES) if key in content
+        }
+        roles: dict[Role, tuple[Part, ...]] = {
+            role: tuple(_parts(content[role], role, path)) for role in ROLES if role in content
+        }
+        return cls(roles=roles, **settings)
+
+    def to_toml(self) -> str:
+        """The recipe as TOML that ``load`` reads."""
+        content: dict[str, Any] = {k: v for k in (*_SETTINGS, *_PLACES) if (v := getattr(self, k))}
+        for role, parts in self.roles.items():
+            content[role] = [{"table": part.table, **part.columns} for part in parts]
+        return tomli_w.dumps(content)
+
+    def save(self, path: Path) -> None:
+        """Write the recipe as a file."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(
+            "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml(), encoding="utf-8"
+        )
+
+
+def _setting(value: Any, key: str, path: Path) -> Any:
+    length = _PLACES.get(key)
+    if length:
+        values = cast("list[Any]", value if isinstance(value, list) else [])
+        if len(values) == length and all(type(v) in (int, float) for v in values):
+            return tuple(float(v) for v in values)
+        raise InputError(f"{path}: {key} = {value!r} can't be used; write {length} numbers")
+    kind = _SETTINGS[key]
+    if kind is float and type(value) in (int, float):
+        return float(value)
+    if isinstance(value, kind):
+        return value
+    raise InputError(
+        f"{path}: {key} = {value!r} can't be used; write {'text' if kind is str else 'a number'}"
+    )
+
+
+def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
+    entries = cast("list[Any]", content if isinstance(content, list) else [content])
+    for entry in entries:
+        if not isinstance(entry, dict):
+            raise InputError(
+                f"{path}: {role} = {entry!r} can't be used; write [[{role}]] and its columns below"
+            )
+        columns = {str(k): str(v) for k, v in cast("dict[str, Any]", entry).items()}
+        table = columns.pop("table", "")
+        if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
+            raise InputError(
+                f"{path}: {unknown[0]!r} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
+            )
+        yield Part(table, columns)
+
+
+def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> Guess:
+    """The guess with what the user maps, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``, in the place of its own.
+
+    Parameters
+    ----------
+    times : the time of a role's tables, for roles that map no time of their own
+
+    Raises
+    ------
+    InputError
+        An entry is no ``column=expression``, or no role has such a column.
+    """
+    roles = {role: list(parts) for role, parts in guess.roles.items()}
+    for entry in maps:
+        role, column, expression = _entry(entry)
+        parts = roles.setdefault(role, [])
+        if not parts:
+            parts.append(Part("", {}))
+        place = next((i for i, part in enumerate(parts) if column in part.columns), 0)
+        if column == "t" or expression:
+            parts[place] = replace(parts[place], columns={**parts[place].columns, column: expression})
+        else:  # "az=" leaves the column out
+            left = {k: v for k, v in parts[place].columns.items() if k != column}
+            parts[place] = replace(parts[place], columns=left)
+    said = {role for role, column, _ in map(_entry, maps) if column == "t"}
+    for role, time in times.items():
+        if role in roles and role not in said:
+            roles[role] = [replace(part, columns={**part.columns, "t": time}) for part in roles[role]]
+    return replace(guess, roles={role: tuple(parts) for role, parts in roles.items()})
+
+
+def _entry(text: str) -> tuple[Role, str, str]:
+    """The role, column and expression of ``[role.]column=expression``."""
+    target, equals, expression = text.partition("=")
+    prefix, dot, column = target.strip().rpartition(".")
+    if not equals:
+        raise InputError(f'--map {text!r} is no mapping; write for example --map "ax=-acc_y*9.80665"')
+    if dot and prefix not in ROLES:
+        raise InputError(
+            f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"
+        )
+    for role in ROLES:  # x, y without a role are the fixes'; t, keep the IMU's
+        if (prefix or role) == role and column in COLUMNS[role]:
+            return role, column, expression.strip()
+    home = (
+        COLUMNS[cast("Role", prefix)]
+        if prefix
+        else tuple(dict.fromkeys(c for r in ROLES for c in COLUMNS[r]))
+    )
+    raise InputError(f"--map {text!r}: there is no column {column!r} to map to; there are {', '.join(home)}")

@@ -1,0 +1,191 @@
+"""`sigmaswarm import`: the whole way from a bag to an evaluation, the first look, and mistakes in one line."""
+
+import importlib
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sigmaswarm as library
+from importing.bags import messages, write_mcap, write_ros
+from importing.logs import EPOCH, a_drive
+from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
+
+ORIGIN = (50.0, 8.0, 100.0)
+Command = Callable[..., Any]
+
+
+def simulated() -> Drive:
+    """A simulated drive with fixes in degrees and all of their columns."""
+    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    fixes = len(drive.gps)
+    lat, lon, alt = enu_to_geodetic(np.column_stack([drive.gps.x, drive.gps.y, np.zeros(fixes)]), ORIGIN).T
+    rng = np.random.default_rng(0)
+    std, motion = rng.uniform(0.5, 2.0, (2, fixes)), (rng.uniform(3, 14, fixes), rng.uniform(-3, 3, fixes))
+    gps = Gps(drive.gps.time, drive.gps.x, drive.gps.y, lat, lon, alt, *std, *motion)
+    return Drive("bagged", drive.imu, gps, drive.truth, "wgs84", ORIGIN)
+
+
+def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
+    drive = simulated()
+    write_ros(here / "bag", messages(drive))
+    ended = sigmaswarm("import", "bag", "drives/monday", "--origin", "50,8,100")
+    assert ended.code == 0, ended.err
+    assert "note: /imu/data is in the frame 'imu_link'" in ended.out
+    assert "wrote drives/monday: 40.0 s" in ended.out
+    assert "importing" in ended.err  # progress
+
+    got = library.read_drive(here / "drives" / "monday")
+    assert got.metadata["time_origin_s"] == EPOCH
+    for table, columns in (("imu", "ax ay az gx gy gz"), ("gps", "lat lon alt"), ("truth", "x y")):
+        for column in columns.split():
+            np.testing.assert_array_equal(
+                getattr(getattr(got, table), column), getattr(getattr(drive, table), column)
+            )
+    for table, columns in (
+        ("imu", "time"),
+        ("gps", "time std_x std_y speed course"),
+        ("truth", "time vx vy"),
+    ):
+        for column in columns.split():
+            a, b = getattr(getattr(got, table), column), getattr(getattr(drive, table), column)
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-9, err_msg=column)  # stamps are whole ns
+    np.testing.assert_allclose(got.gps.x, drive.gps.x, atol=5e-9)
+    np.testing.assert_allclose(wrap_angle(got.truth.theta - drive.truth.theta), 0, atol=1e-12)
+
+    ended = sigmaswarm(
+        *("tune", "drives/monday", "--out", "tuned", "--particles", "16", "--generations", "3", "--json"),
+        *("--objective", "truth-pose"),
+    )
+    assert ended.code == 0, ended.err
+    ended = sigmaswarm("evaluate", "tuned", "drives/monday", "--json")
+    assert ended.code == 0, ended.err
+    assert "monday" in ended.out
+
+
+def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, here: Path):
+    write_mcap(here / "log.mcap", messages(a_drive()))
+    ended = sigmaswarm("import", "log.mcap", "--show")
+    assert ended.code == 0, ended.err
+    for said in (
+        "/imu/data: sensor_msgs/msg/Imu, 1201 rows, 100 Hz",
+        "linear_acceleration.x",
+        "[[imu]]",
+        "latitude",
+    ):
+        assert said in ended.out, said
+    assert [path.name for path in here.iterdir()] == ["log.mcap"]
+    ended = sigmaswarm("import", "log.mcap", "--show", "--json", "--save-recipe", "recipe.toml")
+    assert {table["table"] for table in json.loads(ended.out)["tables"]} >= {"/imu/data", "/gps/fix"}
+    first = sigmaswarm("import", "log.mcap", "a")
+    second = sigmaswarm("import", "log.mcap", "b", "--recipe", "recipe.toml", "--json")
+    assert first.code == second.code == 0
+    assert json.loads(second.out)["fixes"] == 60
+    for file in ("imu.csv", "gps.csv", "truth.csv"):
+        assert (here / "a" / file).read_bytes() == (here / "b" / file).read_bytes()
+
+
+def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
+    write_mcap(here / "log.mcap", messages(a_drive()))
+    ended = sigmaswarm(
+        *(
+            "import",
+            "log.mcap",
+            "out",
+            "--mount",
+            "-90",
+            "--gps-offset",
+            "-0.05",
+            "--lever-arm",
+            "-1.2,0,0.5",
+        ),
+        *("--map", "az=2*linear_acceleration.z", "--name", "tuesday", "--gps-topic", "/gps/fix"),
+    )
+    assert ended.code == 0, ended.err
+    drive = a_drive()
+    with pytest.warns(library.SigmaswarmWarning, match="column az"):
+        got = library.read_drive(here / "out")
+    np.testing.assert_allclose(got.imu.ax, drive.imu.ay)
+    np.testing.assert_allclose(got.imu.az, 2 * drive.imu.az)
+    assert np.median(got.gps.time - drive.gps.time) == pytest.approx(-0.05, abs=1e-6)
+    assert got.name == "tuesday" and got.metadata["gps_lever_arm_m"] == [-1.2, 0.0, 0.5]
+    assert "az" in ended.out  # what looks wrong is told: gravity twice as strong
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nowhere", "out"), "nowhere does not exist"),
+        (("log.mcap",), "name the drive's folder"),
+        (("log.mcap", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
+        (("log.mcap", "out", "--format", "ros"), "log.mcap"),
+        (("notes.md", "out"), "of no format that is known"),
+        (("log.mcap", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
+        (("log.mcap", "out", "--mount", "sideways"), "mount 'sideways'"),
+        (("log.mcap", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),
+        (("log.mcap", "out", "--map", "ax=open('x')"), "is not allowed"),
+        (("log.mcap", "out", "--map", "wheel=1"), "no column 'wheel'"),
+        (("log.mcap", "out", "--recipe", "none.toml"), "none.toml: can't be read"),
+        (("log.mcap", "out", "--gps-offset", "100"), "do not overlap"),
+        (("log.mcap", "full"), "is not part of a drive"),
+        (("cut.mcap", "out"), "cut.mcap: is cut short or broken"),
+    ],
+)
+def test_mistakes_are_one_line(sigmaswarm: Command, here: Path, arguments: tuple[str, ...], said: str):
+    write_mcap(here / "log.mcap", messages(a_drive()))
+    (here / "cut.mcap").write_bytes((here / "log.mcap").read_bytes()[:100_000])
+    (here / "notes.md").write_text("# notes\n")
+    (here / "full").mkdir()
+    (here / "full" / "thesis.txt").write_text("precious")
+    ended = sigmaswarm("import", *arguments, *(["--overwrite"] if "full" in arguments else []))
+    lines = [line for line in ended.err.splitlines() if not line.startswith("importing")]
+    assert ended.code == 2
+    assert len(lines) == 1 and said in lines[0], ended.err
+    assert not (here / "out").exists()
+    if "full" in arguments:
+        assert "importing" not in ended.err  # told before any work
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "library_name", "extra"),
+    [
+        ("log.mcap", b"\x89MCAP0\r\n", "mcap", "ros"),
+        ("log.bag", b"#ROSBAG V2.0\n", "rosbags", "ros"),
+        ("log.ubx", b"\xb5\x62\x01\x07", "pyubx2", "logs"),
+        ("log.nmea", b"$GNGGA,", "pynmeagps", "logs"),
+        ("log.ulg", b"ULog\x01\x12\x35", "pyulog", "logs"),
+    ],
+)
+def test_a_missing_library_is_named(
+    sigmaswarm: Command,
+    here: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    file: str,
+    content: bytes,
+    library_name: str,
+    extra: str,
+):
+    (here / file).write_bytes(content)
+    for name in [n for n in sys.modules if n == library_name or n.startswith(library_name + ".")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, library_name, None)  # as if it were not installed
+    with pytest.raises(ImportError):
+        importlib.import_module(library_name)
+    ended = sigmaswarm("import", file, "out")
+    assert ended.code == 2
+    assert (
+        f"needs {library_name}, which is not installed; run: pip install 'sigmaswarm[{extra}]'" in ended.err
+    )
+
+
+def test_help_names_every_format(sigmaswarm: Command):
+    from sigmaswarm.importing.formats import READERS
+
+    said = " ".join(sigmaswarm("import", "--help").out.split())
+    for name in READERS:
+        assert name in said

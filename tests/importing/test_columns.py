@@ -1,0 +1,266 @@
+"""CSV and Parquet, with guessed columns and with mapped ones."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from importing.logs import EPOCH, a_drive, assert_close, imported
+from sigmaswarm import read_drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.recipe import Recipe
+from support import DRIVES, needs_shared
+
+DRIVE = a_drive()
+G = 9.80665
+
+
+def foreign_imu(**changed: object) -> pl.DataFrame:
+    """The IMU as other loggers write it: ns since 1970, g with the opposite sign, deg/s, axes of their own."""
+    imu = DRIVE.imu
+    ns = np.round(imu.time * 1e9).astype(np.int64) + EPOCH * 10**9
+    columns: dict[str, object] = {
+        "stamp": ns,
+        "acc x [g]": -imu.ax / G,
+        "acc_y": -imu.ay / G,
+        "acc_z": -imu.az / G,
+        "gyro_z": np.degrees(imu.gz),
+    }
+    return pl.DataFrame(columns | changed)
+
+
+def foreign_gps() -> pl.DataFrame:
+    gps = DRIVE.gps
+    return pl.DataFrame(
+        {
+            "when": (np.round(gps.time * 1e9).astype("timedelta64[ns]") + np.datetime64(EPOCH, "s")),
+            "la": np.round(gps.lat * 1e7),
+            "lo": gps.lon,
+        }
+    )
+
+
+MAPS = (
+    *("ax=-`acc x [g]`*9.80665", "ay=-acc_y*g", "az=-acc_z*g", "gz=radians(gyro_z)"),
+    *("imu.t=stamp*1e-9", "gps.t=utc(when)", "gps.lat=la*1e-7", "gps.lon=lo"),
+)
+
+
+@pytest.mark.parametrize("kind", ["csv", "semicolons", "parquet"])
+def test_mapped(tmp_path: Path, kind: str):
+    for name, table in (("imu", foreign_imu()), ("gps", foreign_gps())):
+        if kind == "parquet":
+            table.write_parquet(tmp_path / f"{name}.parquet")
+        else:
+            table.write_csv(tmp_path / f"{name}.csv", separator=";" if kind == "semicolons" else ",")
+    suffix = "parquet" if kind == "parquet" else "csv"
+    got = imported(tmp_path / f"imu.{suffix}", gps=tmp_path / f"gps.{suffix}", maps=MAPS)
+    assert_close(got.drive.imu, DRIVE.imu, "time ax ay az gz", 1e-12)
+    assert_close(got.drive.gps, DRIVE.gps, "lat lon", 1e-7)
+    assert_close(got.drive.gps, DRIVE.gps, "time", 1e-6)  # utc() goes through a float
+    assert got.drive.metadata["time_origin_s"] == EPOCH
+
+
+def test_a_saved_recipe_does_the_same(tmp_path: Path):
+    foreign_imu().write_csv(tmp_path / "imu.csv")
+    foreign_gps().write_csv(tmp_path / "gps.csv")
+    recipe = Recipe(mount="90", gps_offset_s=0.125, origin=(50.0, 8.0, 0.0), gps_lever_arm_m=(1.0, 0.0, 0.5))
+    first = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=MAPS, recipe=recipe)
+    first.recipe.save(tmp_path / "recipe.toml")
+    loaded = Recipe.load(tmp_path / "recipe.toml")
+    assert loaded == first.recipe
+    again = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", recipe=loaded)
+    assert_close(again.drive.imu, first.drive.imu, "time ax ay az gz", 0)
+    assert_close(again.drive.gps, first.drive.gps, "time lat lon x y", 0)
+    assert again.drive.metadata["gps_lever_arm_m"] == [1.0, 0.0, 0.5]
+    assert again.drive.origin == (50.0, 8.0, 0.0)
+    assert_close(
+        again.drive.imu, type(DRIVE.imu)(DRIVE.imu.time, -DRIVE.imu.ay, DRIVE.imu.ax, DRIVE.imu.gz), "ax ay"
+    )
+    np.testing.assert_allclose(again.drive.gps.time, DRIVE.gps.time + 0.125, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "scale", "where"),
+    [
+        (("Acceleration x (m/s^2)", "Acceleration y (m/s^2)", "Gyroscope z (rad/s)"), (1, 1, 1), "names"),
+        (("acc_x_g", "acc_y_g", "gyro_z_dps"), (1 / G, 1 / G, 180 / np.pi), "units in names"),
+        (("AccX", "AccY", "yaw_rate"), (1, 1, 1), "small letters"),
+        (
+            ("linear_acceleration.x", "linear_acceleration.y", "angular_velocity.z"),
+            (1, 1, 1),
+            "message fields",
+        ),
+    ],
+)
+def test_guesses_by_names(tmp_path: Path, names: tuple[str, str, str], scale: tuple[float, ...], where: str):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    table = {
+        "time": imu.time,
+        names[0]: imu.ax * scale[0],
+        names[1]: imu.ay * scale[1],
+        names[2]: imu.gz * scale[2],
+    }
+    pl.DataFrame(table).write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"timestamp_ms": gps.time * 1e3, "Latitude": gps.lat, "lng": gps.lon}).write_csv(
+        tmp_path / "gps.csv"
+    )
+    got = imported(tmp_path)
+    assert_close(got.drive.imu, imu, "time ax ay gz", 1e-9)
+    assert_close(got.drive.gps, gps, "time lat lon", 1e-9)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
+@pytest.mark.parametrize("begin", [0, EPOCH])
+def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin: int):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    for name, time, more in (
+        ("imu", imu.time, {"ax": imu.ax, "ay": imu.ay, "gz": imu.gz}),
+        ("gps", gps.time, {"lat": gps.lat, "lon": gps.lon}),
+    ):
+        t = (
+            (time + begin) * factor
+            if unit == "s"
+            else np.round(time * factor).astype(np.int64) + begin * factor
+        )
+        pl.DataFrame({"t": t, **more}).write_csv(tmp_path / f"{name}.csv")
+    got = imported(tmp_path)
+    assert_close(got.drive.imu, imu, "time", 1e-3 if unit == "ms" else 1e-6)
+
+
+def test_one_table_for_all_with_fixes_repeated(tmp_path: Path):
+    """A logger that writes the last fix beside each IMU sample: each fix counts once, when it first appears."""
+    imu, gps = DRIVE.imu, DRIVE.gps
+    held = np.searchsorted(gps.time, imu.time, side="right") - 1
+    rows = held >= 0
+    table = {
+        "t": imu.time,
+        "ax": imu.ax,
+        "ay": imu.ay,
+        "gz": imu.gz,
+        "lat": gps.lat[held],
+        "lon": gps.lon[held],
+    }
+    pl.DataFrame(table).filter(pl.Series(rows)).write_csv(tmp_path / "all.csv")
+    got = imported(tmp_path / "all.csv")
+    np.testing.assert_allclose(got.drive.gps.lat, gps.lat)
+    assert np.all((got.drive.gps.time - gps.time >= 0) & (got.drive.gps.time - gps.time < 0.011))
+    assert any("repeat the position" in note for note in got.notes)
+
+
+def test_one_table_for_all_with_empty_cells(tmp_path: Path):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    both = pl.concat(
+        [
+            pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}),
+            pl.DataFrame({"t": gps.time, "lat": gps.lat, "lon": gps.lon}),
+        ],
+        how="diagonal",
+    ).sort("t")
+    both.write_csv(tmp_path / "all.csv")
+    got = imported(tmp_path / "all.csv")
+    assert_close(got.drive.imu, imu, "time ax ay gz", 1e-12)
+    assert_close(got.drive.gps, gps, "time lat lon", 1e-12)
+
+
+def test_rows_out_of_order_twice_or_without_values_are_told(tmp_path: Path):
+    table = foreign_imu()
+    shuffled = pl.concat([table[5:10], table[:5], table[9:], table[20:21].with_columns(acc_y=None)])
+    shuffled.write_csv(tmp_path / "imu.csv")
+    foreign_gps().write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=MAPS)
+    assert_close(got.drive.imu, DRIVE.imu, "time ax gz", 1e-12)
+    said = " ".join(got.notes)
+    assert "out of order" in said and "time of the row before" in said
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda t: t.with_columns(pl.col("acc_y").cast(pl.String)).with_columns(
+            acc_y=pl.when(pl.int_range(pl.len()) == 7).then(pl.lit("oops")).otherwise("acc_y")),
+         "row 8 of the data, column acc_y: 'oops' is not a number"),
+        (lambda t: t.head(0), "no"),
+        (lambda t: t.drop("gyro_z"), "'gyro_z', which is not there"),
+        (lambda t: t.with_columns(gyro_z=None), "gz"),
+        (lambda t: t.head(50), "50 samples are too few"),
+        (lambda t: t.with_columns(stamp=pl.col("stamp") - 10**15), "do not overlap"),
+    ],
+)  # fmt: skip
+def test_broken(tmp_path: Path, edit, said: str):
+    edit(foreign_imu()).write_csv(tmp_path / "imu.csv")
+    foreign_gps().write_csv(tmp_path / "gps.csv")
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=MAPS)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\n", b"a\n1\n", b"t,ax\n1,2,3,4\n5\n", b"\x00\xff\xfe" * 99, b"PAR1cut"]
+)
+def test_not_a_table(tmp_path: Path, content: bytes):
+    (tmp_path / "log.csv").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        imported(tmp_path / "log.csv")
+    assert "log.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["mount = 3", "origin = [1, 2]", "other = 1", "imu = 3", "[[imu]]\nxx = 'a'", "= ="],
+)
+def test_broken_recipe(tmp_path: Path, content: str):
+    (tmp_path / "r.toml").write_text(content)
+    with pytest.raises(InputError, match=r"r\.toml"):
+        Recipe.load(tmp_path / "r.toml")
+
+
+@pytest.mark.parametrize("entry", ["ax", "zz=1", "gps.ax=1", "wheel.x=1"])
+def test_broken_map(tmp_path: Path, entry: str):
+    foreign_imu().write_csv(tmp_path / "imu.csv")
+    with pytest.raises(InputError, match="--map"):
+        imported(tmp_path / "imu.csv", maps=[entry])
+
+
+def test_a_log_named_for_the_truth_needs_no_name_that_says_so(tmp_path: Path):
+    imu, gps, truth = DRIVE.imu, DRIVE.gps, DRIVE.truth
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}).write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
+    sideways = truth.theta + 0.1  # so that it is not the course
+    columns = {"t": truth.time, "x": truth.x, "y": truth.y, "vx": truth.vx, "vy": truth.vy, "theta": sideways}
+    pl.DataFrame(columns).write_csv(tmp_path / "track.csv")
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", truth=tmp_path / "track.csv").drive
+    assert_close(got.truth, truth, "time x y vx vy", 1e-12)
+    np.testing.assert_allclose(got.truth.theta, sideways)
+    assert got.frame == "enu"
+
+
+def test_time_is_of_the_sources_tables(tmp_path: Path):
+    foreign_imu().write_csv(tmp_path / "imu.csv")
+    pl.DataFrame({"t": DRIVE.gps.time, "lat": DRIVE.gps.lat, "lon": DRIVE.gps.lon}).write_csv(
+        tmp_path / "gps.csv"
+    )
+    maps = [entry for entry in MAPS if not entry.startswith(("imu.t", "gps"))]
+    time = f"stamp*1e-9 - {EPOCH}"
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps, time=time).drive
+    assert_close(got.imu, DRIVE.imu, "time", 1e-6)
+    assert_close(got.gps, DRIVE.gps, "time", 1e-12)
+    mapped = imported(
+        tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=[*maps, f"imu.t={time}"], time="stamp"
+    ).drive
+    assert_close(mapped.imu, DRIVE.imu, "time", 1e-6)
+
+
+@needs_shared
+def test_a_real_log_is_mended_as_others_mended_it():
+    """dresden as it was recorded: wrong signs, deg/s, pitched by 10.5 degrees; against the mended drive."""
+    maps = ["ax=-ax", "ay=-ay", "az=-az"]
+    got = imported(DRIVES / "dresden-as-recorded", maps=maps, recipe=Recipe(mount="0,10.5,0")).drive
+    wanted = read_drive(DRIVES / "dresden")
+    for column, least in (("ax", 0.999), ("ay", 0.999), ("az", 0.999), ("gz", 0.999)):
+        a = getattr(got.imu, column)[: len(wanted.imu)]
+        b = getattr(wanted.imu, column)[: len(a)]
+        assert np.corrcoef(a, b)[0, 1] > least, column
+    assert abs(np.median(got.imu.az) - np.median(wanted.imu.az)) < 0.01
+    assert any("deg/s" in note for note in imported(DRIVES / "dresden-as-recorded").notes)

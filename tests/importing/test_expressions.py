@@ -1,0 +1,127 @@
+import math
+import operator
+
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.expressions import compile_expression, integer_scale
+
+FRAME = pl.DataFrame(
+    {
+        "acc_y": [1.0, -2.0],
+        "a b (m/s^2)": ["3", "nan"],
+        "v.x": [1, 4],
+        "q[0]": [2, 3],
+        "kind": ["GPS", "NET"],
+        "date": ["2024-02-29T12:00:00.25Z", "2024-02-29 14:00:00.250+02:00"],
+    }
+)
+
+
+def value(text: str) -> list[object]:
+    return FRAME.select(compile_expression(text, FRAME.columns).polars.alias("out"))["out"].to_list()
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("-acc_y*9.80665", [-9.80665, 19.6133]),
+        ("acc_y/g", [1 / 9.80665, -2 / 9.80665]),
+        ("radians(180*v.x)", [math.pi, 4 * math.pi]),
+        ("sqrt(v.x) + q[0]**2", [5.0, 11.0]),
+        ("atan2(acc_y, v.x)", [math.atan2(1, 1), math.atan2(-2, 4)]),
+        ("hypot(3, 4)", [5.0]),
+        ("where(acc_y > 0, 1, -1)", [1.0, -1.0]),
+        ("0 < acc_y < 2", [True, False]),
+        ("kind == 'GPS'", [True, False]),
+        ("not (kind == 'GPS') or acc_y == 1", [True, True]),
+        ("utc(date)", [1709208000.25, 1709208000.25]),
+        ("max(acc_y, 0) - min(acc_y, 0)", [1.0, 2.0]),
+        ("-7 % 3", [2.0]),
+    ],
+)
+def test_means_what_it_says(text: str, wanted: list[object]):
+    assert value(text) == pytest.approx(wanted)
+
+
+def test_text_is_a_number_or_nothing():
+    first, second = value("`a b (m/s^2)` * 2")
+    assert first == 6.0
+    assert second is None or math.isnan(second)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('os').system('true')",
+        "().__class__.__bases__",
+        "open('x')",
+        "(lambda: 1)()",
+        "[i for i in (1, 2)]",
+        "acc_y if acc_y else 1",
+        "acc_y := 1",
+        "acc_y.__class__",
+        "f'{acc_y}'",
+        "'text'",
+        "acc_y @ acc_y",
+        "sin(x=1)",
+        "sin(acc_y, x=1)",
+        "sin(1, 2)",
+        "utc(1 + 2)",
+        "acc_y +",
+        "",
+        "`open",
+        "1" * 2000,
+        "-" * 990 + "1",
+        "nothing",
+    ],
+)
+def test_refuses_all_else_in_one_line(text: str):
+    with pytest.raises(InputError) as caught:
+        compile_expression(text, FRAME.columns)
+    assert "\n" not in str(caught.value)
+
+
+def test_suggests_the_column_that_was_meant():
+    with pytest.raises(InputError, match="perhaps `acc_y`"):
+        compile_expression("-accy", FRAME.columns)
+
+
+numbers = st.floats(-1e3, 1e3).map(lambda v: f"({v!r})")
+trees = st.recursive(
+    numbers | st.just("acc_y"),
+    lambda inner: st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda t: f"({t[0]}{t[1]}{t[2]})"),
+    max_leaves=8,
+)
+
+
+@given(trees)
+def test_arithmetic_is_pythons(text: str):
+    wanted = [eval(text, {"__builtins__": {}}, {"acc_y": v}) for v in (1.0, -2.0)]
+    got = value(f"{text} + 0*acc_y")
+    assert got == pytest.approx(wanted, rel=1e-12, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("stamp", ("stamp", 1.0)),
+        ("stamp*1e-9", ("stamp", 1e-9)),
+        ("stamp/1000", ("stamp", 0.001)),
+        ("stamp+1", None),
+        ("other*2", None),
+        ("stamp*0", None),
+    ],
+)
+def test_knows_a_scaled_column(text: str, wanted: tuple[str, float] | None):
+    assert integer_scale(text, ["stamp"]) == wanted
+
+
+def test_every_operator_is_tested_against_pythons():
+    for symbol in ("<", "<=", ">", ">=", "==", "!="):
+        python = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+        python |= {"==": operator.eq, "!=": operator.ne}
+        assert value(f"acc_y {symbol} 1") == [python[symbol](v, 1) for v in (1.0, -2.0)]

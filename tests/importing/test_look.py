@@ -1,0 +1,56 @@
+"""The first look reads the beginning of a long log, meets all of its tables, and guesses nothing that it can't."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from importing.logs import a_drive
+from sigmaswarm.importing.convert import Request
+from sigmaswarm.importing.look import LOOKED_AT, SAMPLE, _beginnings, look
+from sigmaswarm.importing.readers.messages import MessageLog
+from sigmaswarm.importing.source import CHUNK, Table
+
+
+def test_a_long_log_is_read_at_its_beginning_only():
+    read = 0
+
+    def stream(topics):
+        nonlocal read
+        for read in range(1_000_000):
+            yield ("/seldom" if read % 1000 == 0 else "/often"), read, SimpleNamespace(value=float(read))
+
+    tables = {
+        topic: Table(("received", "value"), "some/msg/Value") for topic in ("/often", "/seldom", "/never")
+    }
+    rows = _beginnings(MessageLog(Path("log"), tables, stream))
+    assert read <= LOOKED_AT + CHUNK
+    assert len(rows["/often"]) == SAMPLE and len(rows["/seldom"]) > 5 and len(rows["/never"]) == 0
+
+
+def test_every_file_is_looked_at(tmp_path: Path):
+    drive = a_drive()
+    many = np.arange(120_000) / 100
+    pl.DataFrame({"t": many, "ax": many * 0, "ay": many * 0 + 1, "gz": many * 0}).write_csv(
+        tmp_path / "a_imu.csv"
+    )
+    pl.DataFrame({"t": drive.gps.time, "lat": drive.gps.lat, "lon": drive.gps.lon}).write_csv(
+        tmp_path / "gps.csv"
+    )
+    (tmp_path / "notes.csv").write_text("day,who\nmonday,me\n")
+    seen = look(Request(tmp_path))
+    glances = {glance.table: glance for glance in seen.tables}
+    assert glances["a_imu.csv"].rate == pytest.approx(100, rel=1e-3)
+    assert glances["gps.csv"].rate == pytest.approx(5, rel=1e-3)
+    assert glances["notes.csv"].rate is None and glances["notes.csv"].ranges[1].example == "me"
+    ranges = {r.column: r for r in glances["gps.csv"].ranges}
+    assert ranges["lat"].low == drive.gps.lat.min() and ranges["lat"].high == drive.gps.lat.max()
+    assert [part.table for part in seen.recipe.roles["imu"]] == ["a_imu.csv"]
+
+
+def test_a_map_that_fails_is_a_note(tmp_path: Path):
+    pl.DataFrame({"t": [0.0, 1.0], "q": [1.0, 2.0]}).write_csv(tmp_path / "log.csv")
+    seen = look(Request(tmp_path / "log.csv", maps=["wheel=q"]))
+    assert any("no column 'wheel'" in note for note in seen.notes)

@@ -1,0 +1,180 @@
+"""ROS 1 and ROS 2 bags and MCAP: a drive written by other libraries comes back in every column."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from importing.bags import ROS1, ROS2, messages, write_mcap, write_ros
+from importing.logs import ORIGIN, a_drive, assert_close, imported
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Choice
+
+DRIVE = a_drive()
+AT = Recipe(origin=ORIGIN)
+
+
+def write(folder: Path, kind: str, **options) -> Path:
+    """A bag of some kind that holds the drive."""
+    if kind in ("cdr", "json"):
+        return write_mcap(folder / "log.mcap", messages(DRIVE, **options), kind)
+    path = folder / ("log.bag" if kind == "ros1" else "bag")
+    return write_ros(path, messages(DRIVE, ROS1 if kind == "ros1" else ROS2, **options), kind)
+
+
+def assert_same(got) -> None:
+    """Every column of the drive, to float rounding (nanosecond stamps; covariances and quaternions computed)."""
+    assert_close(got.imu, DRIVE.imu, "time ax ay az gx gy gz", 1e-9)
+    assert_close(got.imu, DRIVE.imu, "ax ay az gx gy gz", 0)
+    assert_close(got.gps, DRIVE.gps, "lat lon alt", 0)
+    assert_close(got.gps, DRIVE.gps, "time std_x std_y speed course", 1e-9)
+    assert_close(got.gps, DRIVE.gps, "x y", 5e-9)  # a float's last bit of a degree is 1e-9 m
+    assert_close(got.truth, DRIVE.truth, "x y", 0)
+    assert_close(got.truth, DRIVE.truth, "time vx vy", 1e-9)
+    np.testing.assert_allclose(wrap_angle(got.truth.theta - DRIVE.truth.theta), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap", "cdr", "json"])
+def test_round_trip(tmp_path: Path, kind: str):
+    got = imported(write(tmp_path, kind), recipe=AT)
+    assert_same(got.drive)
+    assert got.drive.frame == "wgs84" and got.drive.origin == ORIGIN
+    if kind != "json":
+        assert any("'imu_link'" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap", "cdr"])
+def test_a_vendors_message_that_the_file_defines(tmp_path: Path, kind: str):
+    assert_same(imported(write(tmp_path, kind, custom=True), recipe=AT).drive)
+
+
+def test_storage_file_alone(tmp_path: Path):
+    folder = write(tmp_path, "sqlite3")
+    assert_same(imported(next(folder.glob("*.db3")), recipe=AT).drive)
+    (folder / "metadata.yaml").unlink()
+    assert_same(imported(folder, recipe=AT).drive)
+
+
+def test_stamps_count_and_their_distance_is_told(tmp_path: Path):
+    bag = write(tmp_path, "sqlite3", delay=0.25)
+    stamped, received = imported(bag), imported(bag, choice=Choice(receive_times=True))
+    assert any("0.250 s before the receive times" in note for note in stamped.notes)
+    step = stamped.drive.imu.time - received.drive.imu.time + stamped.drive.metadata["time_origin_s"]
+    np.testing.assert_allclose(step - received.drive.metadata["time_origin_s"], -0.25, atol=1e-8)
+    assert not any("receive times" in note for note in received.notes)
+
+
+def test_unset_stamps(tmp_path: Path):
+    from importing.logs import EPOCH
+
+    got = imported(write(tmp_path, "sqlite3", delay=float(EPOCH) + 100.0), choice=Choice(receive_times=True))
+    assert_close(got.drive.imu, DRIVE.imu, "time", 1e-9)
+
+    def unset():
+        for topic, time, message in messages(DRIVE):
+            if hasattr(message, "header"):
+                message.header.stamp.sec = message.header.stamp.nanosec = 0
+            yield topic, time, message
+
+    (tmp_path / "b").mkdir()
+    got = imported(write_ros(tmp_path / "b" / "bag", unset()), recipe=AT)
+    assert_same(got.drive)
+    assert any("not set" in note for note in got.notes)
+
+
+def test_several_imus_are_chosen_among(tmp_path: Path):
+    def doubled():
+        for topic, time, message in messages(DRIVE):
+            yield topic, time, message
+            if topic == "/imu/data" and time > 1.0:
+                other = type(message)(**{k: getattr(message, k) for k in message.__dataclass_fields__})
+                vector = type(message.linear_acceleration)
+                other.linear_acceleration = vector(7.0, 7.0, 7.0)
+                yield "/imu/second", time, other
+
+    bag = write_ros(tmp_path / "bag", doubled())
+    first = imported(bag, recipe=AT)
+    assert_same(first.drive)
+    assert any("/imu/data taken for the imu, not /imu/second" in note for note in first.notes)
+    second = imported(bag, choice=Choice({"imu": "imu/second"}))
+    assert np.all(second.drive.imu.ax == 7.0)
+
+
+def test_wheel_odometry_is_no_truth_unless_chosen(tmp_path: Path):
+    renamed = (("/wheel" if t == "/ground_truth" else t, time, m) for t, time, m in messages(DRIVE))
+    bag = write_ros(tmp_path / "bag", renamed)
+    got = imported(bag, recipe=AT)
+    assert got.drive.truth is None
+    assert any("/wheel not taken as truth" in note for note in got.notes)
+    assert_same(imported(bag, recipe=AT, choice=Choice({"truth": "/wheel"})).drive)
+
+
+def test_commands_are_no_velocity(tmp_path: Path):
+    def sent():
+        for topic, time, message in messages(DRIVE):
+            yield ("/cmd_vel" if topic == "/gps/vel" else topic), time, message
+
+    assert imported(write_ros(tmp_path / "bag", sent())).drive.gps.speed is None
+
+
+def test_no_fix_and_unknown_covariance_are_left_out(tmp_path: Path):
+    def sent():
+        for i, (topic, time, message) in enumerate(messages(DRIVE)):
+            if topic == "/gps/fix":
+                message.position_covariance_type = 0
+                if i % 3 == 0:
+                    message.status.status = -1
+                    message.latitude = float("nan")
+            yield topic, time, message
+
+    got = imported(write_ros(tmp_path / "bag", sent()))
+    assert got.drive.gps.std_x is None
+    assert 0 < len(got.drive.gps) < len(DRIVE.gps)
+    assert any("status.status >= 0 is not true" in note for note in got.notes)
+
+
+def test_fixes_as_poses_in_metres(tmp_path: Path):
+    got = imported(write(tmp_path, "sqlite3"), choice=Choice({"gps": "/ground_truth"}))
+    assert got.drive.frame == "enu"
+    last = DRIVE.gps.time  # the receiver's velocity goes with the fixes, while there is one
+    both = (DRIVE.truth.time >= last[0]) & (DRIVE.truth.time <= last[-1])
+    assert_close(got.drive.gps, DRIVE.truth.select(both), "x y", 0)
+
+
+def test_fields_are_mapped(tmp_path: Path):
+    bag = write(tmp_path, "mcap", custom=True)
+    got = imported(bag, maps=["ax=-imu.linear_acceleration.y", "ay=imu.linear_acceleration.x"], recipe=AT)
+    np.testing.assert_array_equal(got.drive.imu.ax, -DRIVE.imu.ay)
+    np.testing.assert_array_equal(got.drive.imu.ay, DRIVE.imu.ax)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap", "cdr"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "wrong", "no topics"])
+def test_broken(tmp_path: Path, kind: str, damage: str):
+    if damage == "no topics":
+        sent = (m for m in messages(DRIVE) if m[0] == "/rosout_text")
+        path = tmp_path / ("log.bag" if kind == "ros1" else "log.mcap" if kind == "cdr" else "bag")
+        kept = (
+            (t, time, ROS1.types["std_msgs/msg/String"]("x") if kind == "ros1" else m) for t, time, m in sent
+        )
+        path = write_mcap(path, kept) if kind == "cdr" else write_ros(path, kept, kind)
+    else:
+        path = write(tmp_path, kind)
+        file = path if path.is_file() else next(f for f in path.iterdir() if f.suffix != ".yaml")
+        content = file.read_bytes()
+        broken = {"cut": content[: len(content) * 6 // 10], "empty": b"", "wrong": b"not a bag at all" * 99}
+        file.write_bytes(broken[damage])
+    with pytest.raises(InputError) as caught:
+        imported(path)
+    said = str(caught.value)
+    print(f"{kind}, {damage}: {said}")
+    assert path.name in said and "\n" not in said and len(said) < 400
+
+
+def test_missing_topic(tmp_path: Path):
+    with pytest.raises(InputError, match=r"no topic '/imu0' for --imu-topic; there are"):
+        imported(write(tmp_path, "sqlite3"), choice=Choice({"imu": "/imu0"}))
+    with pytest.raises(InputError, match=r"has no linear_acceleration.x"):
+        imported(tmp_path / "bag", choice=Choice({"imu": "/gps/fix"}))
