@@ -10,6 +10,7 @@ import sigmaswarm
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.plot import plot
+from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
@@ -31,7 +32,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (tune, evaluate, run, split, simulate, plot, demo):
+for command in (tune, evaluate, run, split, simulate, record_carla, plot, demo):
     app.command(command)
 
 
