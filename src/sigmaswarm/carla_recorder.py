@@ -707,8 +707,9 @@ class Session:
                 self._before.update(settings=settings, weather=self.world.get_weather())
         try:
             with self.trouble():
-                self._remove_leftovers()
                 self._apply_settings()
+                self.tick()  # a world that nobody ticks does not tell its actors
+                self._remove_leftovers()
         except BaseException:
             self.restore()
             raise
@@ -1051,6 +1052,19 @@ def place_car(session: Session, path: Path2D) -> Any:
         ) from None
 
 
+def settle(session: Session, car: Any) -> None:
+    """Let the car come to rest."""
+    for _ in range(SETTLE):
+        car.apply_control(session.carla.VehicleControl(brake=1.0))
+        session.tick()
+
+
+def control(session: Session, car: Any, physics: Physics, told: Control) -> None:
+    """Hand the driver's wishes to the car; CARLA steers right with positive numbers."""
+    steer = min(max(-told.angle / physics.steer, -1.0), 1.0)
+    car.apply_control(session.carla.VehicleControl(throttle=told.throttle, steer=steer, brake=told.brake))
+
+
 def drive(
     session: Session, recording: Recording, plan: Plan, car: Any, physics: Physics, rng: random.Random,
     show: Callable[[float], None],
@@ -1068,8 +1082,7 @@ def drive(
         x, y = state.place[:2]
         speed = math.hypot(*state.velocity[:2])
         told = driver.look(x, y, state.heading, speed)
-        steer = min(max(-told.angle / physics.steer, -1.0), 1.0)
-        car.apply_control(session.carla.VehicleControl(throttle=told.throttle, steer=steer, brake=told.brake))
+        control(session, car, physics, told)
         now = session.tick()
         if now != frame + 1:
             raise RecorderError(
@@ -1088,6 +1101,8 @@ def drive(
         hidden = began is not None and any(0 <= t - began - at < long for at, long in plan.outages)
         if (frame - recording.first_frame) % GPS_EVERY == 0 and not hidden:
             recording.fixes.append((t, *session.geodesy.place(fix.latitude, fix.longitude)))
+            if len(recording.fixes) == STAND * RATE / GPS_EVERY:
+                check_fixes(recording, session.options.gps_noise)
         if abs(driver.off) > 4.0 or t > limit:
             raise FailedRun(
                 f"{recording.name}: the car {'left its route' if t <= limit else 'got stuck'} after "
@@ -1196,9 +1211,7 @@ def record_one(
             where = ENVIRONMENTS[environment]
             plan = plan_maneuver(maneuver, where.friction, session.town, rng)
             car = place_car(session, plan.path)
-            for _ in range(SETTLE):
-                car.apply_control(session.carla.VehicleControl(brake=1.0))
-                session.tick()
+            settle(session, car)
             physics = edit_physics(session, car, journal.tire_friction(where.friction), where.friction / DRY)
             sensors = drive(session, recording, plan, car, physics, rng, lambda t: progress.show(name, t))
             check_fixes(recording, options.gps_noise)
@@ -1426,8 +1439,9 @@ def write_drive(folder: Path, recording: Recording, about: Dict[str, Any], optio
     new.mkdir(parents=True)
     rows = recording.rows
     _write_csv(new / "imu.csv", "t,ax,ay,az,gx,gy,gz", ((r.t, *r.force, *r.rate) for r in rows))
-    std = (options.gps_noise, options.gps_noise)
-    _write_csv(new / "gps.csv", "t,x,y,std_x,std_y", ((*fix, *std) for fix in recording.fixes))
+    std = (options.gps_noise,) * 2 if options.gps_noise > 0 else ()
+    header = "t,x,y,std_x,std_y" if std else "t,x,y"
+    _write_csv(new / "gps.csv", header, ((*fix, *std) for fix in recording.fixes))
     _write_csv(
         new / "truth.csv",
         "t,x,y,vx,vy,theta",
@@ -1475,54 +1489,51 @@ def _toml_value(value: Any) -> str:
 
 # -- The sweep of the brakes -------------------------------------------------------------------------------
 
-SWEEP = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.75, 3.5)
+SWEEP = (3.5, 2.0, 1.0, 0.5, 0.25)
 """tire_friction of all wheels; what it is worth depends on CARLA's road and version."""
-_SWEEP_SPEED = 10.0
 
 
 def sweep_brakes(session: Session, progress: Progress) -> List[List[float]]:
     """Brake hard with each tire_friction; returns pairs of it and the friction that it gave."""
     found: List[List[float]] = []
-    guess = 0.05
+    guess = 0.4
     for tire_friction in SWEEP:
         easy = min(0.4 * guess * GRAVITY, 2.5)
-        away = _SWEEP_SPEED**2 / 2 / easy + 30.0
-        legs = [Leg(away, _SWEEP_SPEED, easy, 20.0)]
+        speed = max(min(10.0, 15.0 * easy), 3.0)  # what 15 s of it give
+        away = 1.2 * speed**2 / 2 / easy + 10.0
+        legs = [Leg(away, speed, easy, 20.0)]
         rng = random.Random(seed_of(session.options.seed, "sweep", tire_friction))
         with session.trouble():
-            path = find_path(session.town, _straight(away + 200.0), rng)
+            path = find_path(session.town, _straight(away + 1.5 * speed**2 / guess / GRAVITY), rng)
             measured = _brake(session, Plan(path, legs, {}), tire_friction, rng)
         found.append([tire_friction, round(measured, 4)])
         progress.say(f"tire_friction {tire_friction:g} brakes with {measured:.3f} g")
-        guess = max(measured, 0.05)
+        guess = max(0.5 * measured, 0.02)
     return found
 
 
 def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
     """Friction, from how the speed falls from 90% to 30% under full brakes."""
     car = place_car(session, plan.path)
-    for _ in range(SETTLE):
-        car.apply_control(session.carla.VehicleControl(brake=1.0))
-        session.tick()
+    settle(session, car)
     physics = edit_physics(session, car, tire_friction)
     driver = Driver(plan, physics.wheelbase, BRAKE_GAIN, rng)
     state = _state(session, car, session.tick())
-    falling: List[Tuple[int, float]] = []
-    for step in range(RATE * 200):
+    fast, falling = 0.0, [0.0, 0.0]
+    for tick in range(RATE * 120):
         speed = math.hypot(*state.velocity[:2])
         told = driver.look(*state.place[:2], state.heading, speed)
-        braking = driver.arrived
-        throttle, brake = (0.0, 1.0) if braking else (told.throttle, told.brake)
-        steer = min(max(-told.angle / physics.steer, -1.0), 1.0)
-        car.apply_control(session.carla.VehicleControl(throttle=throttle, steer=steer, brake=brake))
+        if driver.arrived:
+            fast = fast or speed
+            falling = [tick if speed > share * fast else at for share, at in zip((0.9, 0.3), falling)]
+            if speed < 0.2 * fast:
+                break
+        control(session, car, physics, told)
         state = _state(session, car, session.tick())
-        if braking and speed < 0.9 * _SWEEP_SPEED:
-            falling.append((step, speed))
-        if falling and speed < 0.3 * _SWEEP_SPEED:
-            break
     session.clear()
-    (first, fast), (last, slow) = falling[0], falling[-1]
-    return (fast - slow) / (max(last - first, 1) * TICK) / GRAVITY
+    if not falling[1] > falling[0] > 0:
+        raise RecorderError(f"the sweep of the brakes found no stop with tire_friction {tire_friction:g}")
+    return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY
 
 
 # -- The command line --------------------------------------------------------------------------------------

@@ -12,11 +12,9 @@ from sigmaswarm.simulation.motion import motion_at
 from sigmaswarm.simulation.vehicle import MODEL_3_CARLA
 
 STOCK_FRICTION = 3.5
-"""Of CARLA's tires; here it grips as `GRIP` says."""
+"""tire_friction of CARLA's tires."""
 STOCK_BRAKE = 700.0
 """N m, max_brake_torque of each wheel."""
-GRIP = 0.85
-"""Peak friction of tire on road that the stock tire_friction gives in this stand-in."""
 
 _ORIGIN = (0.0, 0.0, 0.0)
 
@@ -45,8 +43,9 @@ class Car:
         Of the car's origin, at the last three ticks.
     """
 
-    def __init__(self, x: float, y: float, yaw: float) -> None:
-        """At CARLA's x, y (m) and yaw (deg), standing."""
+    def __init__(self, x: float, y: float, yaw: float, grip: float = 0.85) -> None:
+        """At CARLA's x, y (m) and yaw (deg), standing; stock tires have the friction `grip`."""
+        self.grip = grip
         self.physics = stock_physics()
         self.control = [0.0, 0.0, 1.0, False, False, False, 0]
         self.state = dynamics.start_state(x, -y, -math.radians(yaw), 0.0, MODEL_3_CARLA)
@@ -57,7 +56,7 @@ class Car:
     def _look(self, state: np.ndarray, steer: float, pedal: float) -> np.ndarray:
         """Advance a state in place by one step; return the row recorded before it."""
         wheels = self.physics[-2]
-        friction = GRIP * wheels[0][0] / STOCK_FRICTION
+        friction = self.grip * wheels[0][0] / STOCK_FRICTION
         brakes = MODEL_3_CARLA.full_brake * (wheels[0][4] / STOCK_BRAKE)
         car = MODEL_3_CARLA._replace(full_brake=brakes)
         row = np.empty(dynamics.RECORDED)

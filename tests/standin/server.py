@@ -1,10 +1,13 @@
-"""The stand-in as a process: `python -m standin.server --version 0.9.16`.
+"""The stand-in as a process: `python -m standin.server`.
 
-It listens on 127.0.0.1 alone, prints its port when it is ready, and ends when its standard input closes, or
-after `--life` seconds at the latest. At its end it writes what was true to `--log`, as JSON.
+It listens on 127.0.0.1 alone and prints its port. Each line of its standard input is an order, as JSON:
+`{"version": "0.9.16", "faults": {}}` begins a new world, without the clients of the last one;
+`{"log": "FILE"}` writes what was true. It answers each with a line. It ends when its standard input closes, or
+after `--life` seconds at the latest.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import socket
@@ -47,7 +50,8 @@ class Streams:
     def hang_up(self) -> None:
         """Close all connections."""
         for connection in [c for listening in self.connections.values() for c in listening]:
-            connection.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):  # it has gone already
+                connection.shutdown(socket.SHUT_RDWR)
         self.connections.clear()
 
     def _accept(self) -> None:
@@ -92,43 +96,38 @@ def _answer(world: World, lock: threading.Lock, number: int, name: str, args: li
 
 
 class Server:
-    """One stand-in: sockets, threads, and the end."""
+    """One stand-in: sockets, threads, and the world of the moment."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        self.options, self.lock = options, threading.Lock()
+    def __init__(self) -> None:
+        self.lock, self.listener, self.streams = threading.Lock(), _listen(), Streams()
         self.clients: list[socket.socket] = []
-        self.world = World(options.version, Streams(), options.faults, self.lose)
-        self.listener = _listen()
+        self.world = World("0.9.16", self.streams, {}, self.lose)
+
+    def obey(self, order: dict[str, Any]) -> None:
+        """Begin a new world, or write the log of the old one."""
+        if "log" in order:
+            Path(order["log"]).write_text(json.dumps(self.world.log()))
+            return
+        self.lose("hang up")
+        self.world = World(order["version"], self.streams, order["faults"], self.lose)
 
     def lose(self, how: str) -> None:
-        """Lose the connection: `die` with the server itself, or only `hang up`."""
+        """Lose the connections: `die` with the server itself, or only `hang up`."""
         if how == "die":
-            self.end(9)
+            os._exit(9)
         for client in self.clients:
-            client.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):  # it has gone already
+                client.shutdown(socket.SHUT_RDWR)
         self.clients.clear()
-        self.world.streams.hang_up()
+        self.streams.hang_up()
 
-    def end(self, code: int) -> None:
-        """End the process, with what was true in the log."""
-        world = self.world
-        log = {
-            "truth": world.truth,
-            "settings": world.settings,
-            "weather": world.weather,
-            "actors": [actor.blueprint for actor in world.actors.values()],
-            "calls": world.calls,
-            "attributes": world.spawned,
-        }
-        if self.options.log:
-            self.options.log.write_text(json.dumps(log))
-        os._exit(code)
-
-    def watch(self) -> None:
-        """End when nobody holds our standard input any more."""
-        sys.stdin.read()
-        with self.lock:
-            self.end(0)
+    def listen_to_orders(self) -> None:
+        """Obey until nobody holds our standard input any more."""
+        for line in sys.stdin:
+            with self.lock:
+                self.obey(json.loads(line))
+            print("done", flush=True)
+        os._exit(0)
 
     def run_free(self) -> None:
         """Tick by ourselves while no client does."""
@@ -142,26 +141,26 @@ class Server:
         """Serve whoever comes."""
         while True:
             client, _ = self.listener.accept()
-            self.clients.append(client)
-            threading.Thread(target=_serve, args=(client, self.world, self.lock), daemon=True).start()
+            with self.lock:
+                self.clients.append(client)
+                world = self.world
+            threading.Thread(target=_serve, args=(client, world, self.lock), daemon=True).start()
 
 
 def main() -> None:
     """Serve until standard input closes."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--version", default="0.9.16")
-    parser.add_argument("--life", type=float, default=120.0, help="s, after which the process ends by itself")
-    parser.add_argument("--log", type=Path, help="file for what was true")
-    parser.add_argument("--faults", type=json.loads, default={}, help="what goes wrong; see World")
+    parser.add_argument(
+        "--life", type=float, default=1200.0, help="s, after which the process ends by itself"
+    )
     options = parser.parse_args()
     Car(0.0, 0.0, 0.0).tick(0.01)  # compiles, where no cache is there yet
-    server = Server(options)
-    for work in (server.watch, server.run_free, server.accept):
+    server = Server()
+    for work in (server.listen_to_orders, server.run_free, server.accept):
         threading.Thread(target=work, daemon=True).start()
     print(server.listener.getsockname()[1], flush=True)
     time.sleep(options.life)
-    with server.lock:
-        server.end(3)
+    os._exit(3)
 
 
 if __name__ == "__main__":

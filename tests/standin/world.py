@@ -58,8 +58,9 @@ class World:
     streams : Streams
         Where sensor data goes.
     faults : dict
-        What goes wrong: say_version, ignore_settings, ignore_physics, fail_spawn (how often), drop_frame (cue),
-        silent and late ([sensor, from which of its samples on, s]), mirror_gnss, die and hang_up (cue).
+        What goes wrong. say_version; ignore_settings; ignore_physics; mirror_gnss; fail_spawn: how often; silent,
+        late: sensor, which of its samples, and s for the latter; drop_frame, die, hang_up: at which cue
+        since the car was spawned, once; grip: friction of the stock tires.
     lose : callable
         Loses the connection, "die" or "hang up".
     """
@@ -75,9 +76,20 @@ class World:
         self.town = write_town(origin=ORIGIN)
         self.truth: list[list[float]] = []
         self.ticks = 0
-        """Cues from the client."""
+        """Cues from the client since it spawned a car."""
         self.calls: dict[str, int] = {}
         self.spawned: list[dict[str, str]] = []
+
+    def log(self) -> dict[str, Any]:
+        """What was true, for the tests."""
+        return {
+            "truth": self.truth,
+            "settings": self.settings,
+            "weather": self.weather,
+            "actors": [actor.blueprint for actor in self.actors.values()],
+            "calls": self.calls,
+            "attributes": self.spawned,
+        }
 
     # -- what a client asks ------------------------------------------------------------------------
 
@@ -163,7 +175,8 @@ class World:
         actor.noise.seed(int(attributes.get("noise_seed", 0)))
         if blueprint == _CAR:
             (x, y, _), (_, yaw, _) = transform
-            actor.car = Car(x, y, yaw)
+            self.ticks = 0
+            actor.car = Car(x, y, yaw, self.faults.get("grip", 0.85))
         self.actors[number] = actor
         return record
 
@@ -197,13 +210,19 @@ class World:
         self.ticks += 1
         if not self.settings[0]:
             return self.frame
-        if self.ticks == self.faults.get("drop_frame"):
+        if self._strikes("drop_frame"):
             self.advance()
-        for how in ("die", "hang_up"):
-            if self.ticks == self.faults.get(how):
-                self.lose(how.replace("_", " "))
+        for how in ("die", "hang up"):
+            if self._strikes(how.replace(" ", "_")):
+                self.lose(how)
         self.advance()
         return self.frame
+
+    def _strikes(self, fault: str) -> bool:
+        if self.ticks != self.faults.get(fault):
+            return False
+        del self.faults[fault]
+        return True
 
     def advance(self) -> None:
         """One frame further: cars drive, streams get their data."""
