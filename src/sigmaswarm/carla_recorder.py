@@ -230,17 +230,22 @@ class Need(NamedTuple):
     fits: Callable[[Path2D], bool]
 
 
-def find_path(town: Any, need: Need, rng: random.Random, walks: int = 6) -> Path2D:
+WALKS = 4000
+"""Walks after which a map is taken not to have what is looked for."""
+
+
+def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
     """Find a path in a `carla.Map`, a random one of those that fit.
 
-    Walks from all places of the map, in random order: straight on where the need is straight, else with a
-    random choice at each junction.
+    Walks from all places of the map, in random order: straight on where the need is straight, else six times
+    with a random choice at each junction.
     """
     starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
     rng.shuffle(starts)
+    walks = 1 if need.straight else 6
     longest = 0.0
-    for start in starts:
-        for _ in range(1 if need.straight else walks):
+    for start in starts[: WALKS // walks]:
+        for _ in range(walks):
             path = _walk(start, need, rng)
             longest = max(longest, path.length)
             if path.length >= need.length and path.climb < 0.04 and need.fits(path):
@@ -1162,10 +1167,14 @@ def record(options: Options) -> int:
     progress = Progress(len(wanted))
     before: Dict[str, Any] = {}
     lost = 0
+    checked = False
     while wanted or (options.brake_sweep and not journal.friction):
         try:
             with Session(options, before) as session:
                 journal.note(server=session.version, map=session.town.name, geodesy=session.geodesy.report())
+                if not checked:
+                    check_routes(session, wanted)
+                    checked = True
                 if options.brake_sweep and not journal.friction:
                     journal.note(friction=sweep_brakes(session, progress))
                 while wanted:
@@ -1180,6 +1189,13 @@ def record(options: Options) -> int:
                 raise RecorderError(f"{error}; {here}; start the server and repeat with --resume") from None
             progress.say(f"warning: {error}; the server is back, going on")
     return progress.done
+
+
+def check_routes(session: Session, wanted: Sequence[Tuple[str, str, int]]) -> None:
+    """Refuse a map that lacks a route for one of the drives, before any of them."""
+    for maneuver, friction in sorted({(m, ENVIRONMENTS[e].friction) for m, e, _ in wanted}):
+        with session.trouble():
+            plan_maneuver(maneuver, friction, session.town, random.Random(0))
 
 
 def _wait_for(options: Options) -> bool:
