@@ -141,14 +141,13 @@ def test_a_late_sensor_is_waited_for(complete: Path, tmp_path: Path):
     with stand_in(tmp_path, late=["imu", MID_DRIVE, 1.0]) as server:
         done = record(server.port, tmp_path / "late", *BRAKE, "--runs", 1)
     assert done.returncode == 0, done.stderr
-    for folder in (tmp_path / "late", complete):
-        texts = [
-            (folder / "brake-clear-00" / file).read_text() for file in ("imu.csv", "gps.csv", "truth.csv")
-        ]
-        if folder != complete:
-            late = texts
-    assert late[2] == texts[2]
-    assert [t.count("\n") for t in late] == [t.count("\n") for t in texts]
+
+    def text(folder: Path, file: str) -> str:
+        return (folder / "brake-clear-00" / file).read_text()
+
+    assert text(tmp_path / "late", "truth.csv") == text(complete, "truth.csv")
+    for file in ("imu.csv", "gps.csv"):
+        assert text(tmp_path / "late", file).count("\n") == text(complete, file).count("\n")
 
 
 def test_a_lost_connection_is_taken_up_again(tmp_path: Path):
@@ -173,6 +172,23 @@ def test_interrupted(how: signal.Signals, tmp_path: Path):
         said = process.stderr.read()
     check_one_line(said, "interrupted; repeat the command with --resume")
     check_world(server.log)
+
+
+def test_after_a_recorder_was_killed_the_next_one_puts_the_server_in_order(complete: Path, tmp_path: Path):
+    out = tmp_path / "d"
+    shutil.copytree(complete, out)
+    with stand_in(tmp_path) as server:
+        with recording(server.port, out, *BRAKE, "--runs", 2, "--resume") as process:
+            assert process.stderr is not None
+            assert "brake-clear-01" in process.stderr.readline()
+            process.kill()
+        done = record(server.port, out, *BRAKE, "--runs", 1, "--resume")
+        assert done.returncode == 0  # nothing was missing, and the server not asked
+        done = record(server.port, out, *BRAKE, "--runs", 2, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert "settings of a recording that was killed" in done.stderr
+    assert server.log["settings"][:6] == DEFAULTS[:6]
+    assert server.log["actors"] == []
 
 
 def test_what_is_there_is_not_overwritten_nor_mixed(tmp_path: Path):

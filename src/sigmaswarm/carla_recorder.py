@@ -683,6 +683,21 @@ def _line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
+SETTINGS: Dict[str, Any] = {
+    "synchronous_mode": True,
+    "no_rendering_mode": True,
+    "fixed_delta_seconds": TICK,
+    "substepping": True,
+    "max_substep_delta_time": SUBSTEP,
+    "max_substeps": round(TICK / SUBSTEP),
+}
+"""What the server is set to while we record."""
+
+
+def _same(found: Any, wanted: Any) -> bool:
+    return found is not None and abs(found - wanted) < 1e-9
+
+
 class Session:
     """A server made ready, and made as it was before when the `with` block ends, whatever happens in it.
 
@@ -708,8 +723,8 @@ class Session:
             self.town = self.world.get_map()
             self.geodesy = Geodesy.probe(self.carla, self.town)
             settings = self.world.get_settings()
-            if "settings" not in self._before or not self._ours(settings):
-                self._before.update(settings=settings, weather=self.world.get_weather())
+            if not self._before:  # else a lost connection was taken up again, and the world is not as it was
+                self._before.update(settings=self._as_before(settings), weather=self.world.get_weather())
         try:
             with self.trouble():
                 self._apply_settings()
@@ -751,28 +766,27 @@ class Session:
             self.client.load_world(wanted)
             self.client.set_timeout(self.options.timeout)
 
-    def _ours(self, settings: Any) -> bool:
-        return bool(settings.synchronous_mode) and abs((settings.fixed_delta_seconds or 0) - TICK) < 1e-9
+    def _as_before(self, settings: Any) -> Any:
+        """Return the settings to restore: CARLA's own where a recorder that was killed has left ours."""
+        if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
+            return settings
+        print(
+            "warning: the server still has the settings of a recording that was killed; it gets CARLA's defaults",
+            file=sys.stderr,
+        )
+        return self.carla.WorldSettings()
 
     def _apply_settings(self) -> None:
-        wanted = {
-            "synchronous_mode": True,
-            "no_rendering_mode": True,
-            "fixed_delta_seconds": TICK,
-            "substepping": True,
-            "max_substep_delta_time": SUBSTEP,
-            "max_substeps": round(TICK / SUBSTEP),
-        }
         settings = self.world.get_settings()
-        for name, value in wanted.items():
+        for name, value in SETTINGS.items():
             setattr(settings, name, value)
         self.world.apply_settings(settings)
         found = self.world.get_settings()
-        for name, value in wanted.items():
-            got = getattr(found, name)
-            if got is None or abs(got - value) > 1e-9:
+        for name, value in SETTINGS.items():
+            if not _same(getattr(found, name), value):
                 raise RecorderError(
-                    f"the server did not take {name} = {value}, it has {got}; restart it without other clients"
+                    f"the server did not take {name} = {value}, it has {getattr(found, name)}; restart it "
+                    "without other clients"
                 )
 
     def _remove_leftovers(self) -> None:
@@ -943,7 +957,7 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
     physics.wheels = wheels
     physics.steering_curve = [session.carla.Vector2D(0.0, 1.0), session.carla.Vector2D(200.0, 1.0)]
     car.apply_physics_control(physics)
-    session.tick()
+    settle(session, car, SETTLE // 5)
     found = car.get_physics_control()
     for wanted, got in zip(wheels, found.wheels):
         for name in ("tire_friction", "max_brake_torque"):
@@ -1057,9 +1071,9 @@ def place_car(session: Session, path: Path2D) -> Any:
         ) from None
 
 
-def settle(session: Session, car: Any) -> None:
+def settle(session: Session, car: Any, ticks: int = SETTLE) -> None:
     """Let the car come to rest."""
-    for _ in range(SETTLE):
+    for _ in range(ticks):
         car.apply_control(session.carla.VehicleControl(brake=1.0))
         session.tick()
 
