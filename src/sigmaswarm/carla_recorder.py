@@ -650,7 +650,7 @@ def import_carla() -> Any:
     except ImportError as error:
         raise RecorderError(
             f"the CARLA client can't be imported ({error}); pip install carla==VERSION, the server's version: "
-            "0.9.14 needs Python 3.8 at the latest, 0.9.15 3.7 to 3.10, 0.9.16 3.10 to 3.12"
+            "0.9.14 needs Python 3.8, 0.9.15 3.8 to 3.10, 0.9.16 3.10 to 3.12"
         ) from None
 
 
@@ -814,7 +814,7 @@ class Session:
         return actor
 
     def clear(self) -> None:
-        """Remove all actors: sensors stop, then go, then the car; else the server may crash (carla#5812)."""
+        """Remove all actors: sensors stop, then go, then the car; else the server may crash."""
         sensors = [a for a in self.actors if a.type_id.startswith("sensor")]
         for sensor in sensors:
             if sensor.is_listening:
@@ -1114,6 +1114,8 @@ def drive(
         state = _state(session, car, frame)._replace(
             t=t, force=polar(imu.accelerometer), rate=axial(imu.gyroscope)
         )
+        if not all(map(math.isfinite, (*state.force, *state.rate))):
+            raise FailedRun(f"{recording.name}: the IMU gave no finite number at t = {t} s")
         recording.rows.append(state)
         if began is None and driver.way >= plan.start:
             began = t
@@ -1200,7 +1202,7 @@ def record(options: Options) -> int:
             lost += 1
             here = f"{progress.done} drives of this call are complete in {options.out}"
             if lost > 3 or not _wait_for(options):
-                raise RecorderError(f"{error}; {here}; start the server and repeat with --resume") from None
+                raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
             progress.say(f"warning: {error}; the server is back, going on")
     return progress.done
 
@@ -1347,7 +1349,10 @@ def achieved(maneuver: str, recording: Recording, began: float) -> Dict[str, flo
         extreme = max(yaw, key=abs)
         first, second = math.degrees(extreme), math.degrees(yaw[-1] - extreme)
         figures["left_deg"], figures["right_deg"] = max(first, second), min(first, second)
-        figures["peak_lateral_ms2"] = max(abs(row.force[1]) for row in own)
+        tenths = zip(own, own[RATE // 10 :])
+        figures["peak_lateral_ms2"] = max(
+            abs(_wrap(b.heading - a.heading)) * 10 * math.hypot(*a.velocity[:2]) for a, b in tenths
+        )
     elif maneuver == "outages":
         times = [fix[0] for fix in recording.fixes]
         gaps = sorted(zip(times, times[1:]), key=lambda pair: pair[0] - pair[1])[:2]
