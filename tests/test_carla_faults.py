@@ -1,6 +1,8 @@
 """What can go wrong with a server, each on demand: a clear message, the world as it was, nothing lost."""
 
+import dataclasses
 import hashlib
+import json
 import re
 import shutil
 import signal
@@ -11,7 +13,8 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm
-from standin.process import python_with, record, recording, stand_in
+from sigmaswarm.carla_recorder import Options
+from standin.process import record, recording, stand_in
 from standin.world import DEFAULTS
 
 BRAKE = ("--maneuver", "brake", "--environment", "clear", "--timeout", 3, "--patience", 1)
@@ -128,11 +131,15 @@ def test_broken_in_the_second_drive(fault: dict, said: str, complete: Path, tmp_
         assert len(sigmaswarm.read_drive(out / "brake-clear-01").imu) > 1000
 
 
-def test_a_failed_spawn_takes_another_route(tmp_path: Path):
-    with stand_in(tmp_path, fail_spawn=1) as server:
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [("fail_spawn", "can't be spawned"), ("stuck", "got stuck after"), ("astray", "left its route after")],
+)
+def test_a_failed_run_takes_another_route(fault: str, said: str, tmp_path: Path):
+    with stand_in(tmp_path, **{fault: 1}) as server:
         done = record(server.port, tmp_path / "d", *BRAKE, "--runs", 1)
     assert done.returncode == 0, done.stderr
-    assert "trying another route" in done.stderr
+    assert re.search(f"warning: .*{said}.*; trying another route", done.stderr)
     check_world(server.log)
     sigmaswarm.read_drive(tmp_path / "d" / "brake-clear-00")
 
@@ -201,6 +208,12 @@ def test_what_is_there_is_not_overwritten_nor_mixed(tmp_path: Path):
     (out / "recording.json").write_text('{"options": {"seed": 3}}')
     done = record(1, out, *BRAKE, "--resume")
     check_one_line(done.stderr, "made with seed 3, not 0")
+    done = record(1, out, *BRAKE, "--resume", "--seed", 3, "--accel-noise", 0)
+    check_one_line(done.stderr, "made with accel_noise None, not 0.0")
+    figures = dataclasses.replace(Options(out), seed=3).figures()
+    (out / "recording.json").write_text(json.dumps({"options": figures}))
+    done = record(1, out, *BRAKE, "--resume", "--seed", 3, "--brake-sweep")
+    check_one_line(done.stderr, "made without --brake-sweep")
 
 
 @pytest.mark.parametrize(
@@ -218,10 +231,14 @@ def test_mistakes(more: tuple, said: str, tmp_path: Path):
     check_one_line(done.stderr, said)
 
 
-def test_an_unknown_map(tmp_path: Path):
-    python_with("0.9.16")
+def test_maps(tmp_path: Path):
     with stand_in(tmp_path) as server:
-        done = record(server.port, tmp_path / "d", *BRAKE, "--map", "Town99")
-    assert done.returncode == 2
-    check_one_line(done.stderr, "the server has no map 'Town99'; it has Grid")
+        unknown = record(server.port, tmp_path / "d", *BRAKE, "--map", "Town99")
+        unfit = record(
+            server.port, tmp_path / "d", "--maneuver", "brake", "cruise", "--map", "Village", "--timeout", 5
+        )
+    assert (unknown.returncode, unfit.returncode) == (2, 2)
+    check_one_line(unknown.stderr, "the server has no map 'Town99'; it has Grid, Village")
+    check_one_line(unfit.stderr, "the map Carla/Maps/Village/Village has no straight stretch of .*Town04")
+    assert "drive 1" not in unfit.stderr  # it says so before the first drive
     check_world(server.log)

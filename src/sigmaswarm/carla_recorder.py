@@ -50,6 +50,8 @@ GARBAGE = 3
 """Samples after listen() that are nonsense (carla#8970)."""
 STAND = 1.0
 """s, that a drive begins with at standstill."""
+STUCK = 20.0
+"""s without a meter gained, after which a route is given up."""
 GRAVITY = 9.81
 KMH = 1 / 3.6
 METERS_PER_DEGREE = math.pi * 6378137.0 / 180.0
@@ -1096,7 +1098,7 @@ def drive(
     frame = sensors.awake(session.tick)
     recording.first_frame = frame + 1
     state, began = _state(session, car, frame), None
-    limit = 60.0 + 6.0 * plan.length / 5.0  # s
+    furthest, since = 0.0, 0.0  # m and s
     while not driver.arrived:
         x, y = state.place[:2]
         speed = math.hypot(*state.velocity[:2])
@@ -1124,10 +1126,12 @@ def drive(
             recording.fixes.append((t, *session.geodesy.place(fix.latitude, fix.longitude)))
             if len(recording.fixes) == STAND * RATE / GPS_EVERY:
                 check_fixes(recording, session.options.gps_noise)
-        if abs(driver.off) > 4.0 or t > limit:
+        if driver.way > furthest + 1.0:
+            furthest, since = driver.way, t
+        if abs(driver.off) > 4.0 or t - since > STUCK:
+            trouble = "got stuck" if t - since > STUCK else "left its route"
             raise FailedRun(
-                f"{recording.name}: the car {'left its route' if t <= limit else 'got stuck'} after "
-                f"{driver.way:.0f} m, at {x:.0f}, {y:.0f} m east and north"
+                f"{recording.name}: the car {trouble} after {driver.way:.0f} m, at {x:.0f}, {y:.0f} m east and north"
             )
         show(t)
     return sensors
@@ -1427,7 +1431,6 @@ class Journal:
             raise RecorderError(
                 f"{options.out}: holds {there[0]} already; name another folder, or keep what is there with --resume"
             )
-        options.out.mkdir(parents=True, exist_ok=True)
         if self._file.exists():
             self._read(options, there)
 
@@ -1443,6 +1446,10 @@ class Journal:
                     f"{self._file}: the drives there were made with {key} {made.get(key)}, not {value}; name "
                     "another folder, or the same options"
                 )
+        if there and options.brake_sweep and not held.get("friction"):
+            raise RecorderError(
+                f"{self._file}: the drives there were made without --brake-sweep; name another folder, or leave it out"
+            )
         self._held = {**held, "options": options.figures()}
 
     @property
@@ -1462,6 +1469,7 @@ class Journal:
         for key, value in entries.items():
             old = self._held.get(key)
             self._held[key] = {**old, **value} if isinstance(old, dict) and isinstance(value, dict) else value
+        self._file.parent.mkdir(parents=True, exist_ok=True)
         new = self._file.with_suffix(".new")
         new.write_text(json.dumps(self._held, indent=2) + "\n", encoding="utf-8")
         new.replace(self._file)

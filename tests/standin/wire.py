@@ -63,7 +63,9 @@ def actor_state(number: int, place: Vector, rotation: Vector, velocity: Vector, 
     return struct.pack("<IB15f", number, 1, *place, *rotation, *velocity, *rate, 0.0, 0.0, 0.0) + bytes(54)
 
 
-def snapshot(version: str, frame: int, elapsed: float, delta: float, actors: list[bytes]) -> bytes:
+def snapshot(
+    version: str, episode: int, frame: int, elapsed: float, delta: float, actors: list[bytes]
+) -> bytes:
     """The whole world at a frame."""
-    body = struct.pack("<Qdf3iI", 1, elapsed, delta, 0, 0, 0, 0)
+    body = struct.pack("<Qdf3iI", episode, elapsed, delta, 0, 0, 0, 0)
     return header(WORLD[version], frame, elapsed) + body + b"".join(actors)

@@ -13,6 +13,8 @@ from standin.town import write_town
 
 ORIGIN = (49.0, 8.0)
 """deg, of the map."""
+MAPS: dict[str, dict[str, Any]] = {"Grid": {}, "Village": {"tail": 150.0}}
+"""Towns, by what is peculiar to them."""
 DEFAULTS = [False, False, [False], True, 0.01, 10, 0.0, False, 3000.0, 2000.0, True]
 """EpisodeSettings of a server that nobody has touched."""
 GARBAGE = 2
@@ -59,8 +61,8 @@ class World:
         Where sensor data goes.
     faults : dict
         What goes wrong. say_version; ignore_settings; ignore_physics; mirror_gnss; fail_spawn: how often; silent,
-        late: sensor, which of its samples, and s for the latter; drop_frame, die, hang_up: at which cue
-        since the car was spawned, once; grip: friction of the stock tires.
+        late: sensor, which of its samples, and s for the latter; stuck, astray: how many cars; drop_frame, die,
+        hang_up: at which cue since the car was spawned, once; grip: friction of the stock tires.
     lose : callable
         Loses the connection, "die" or "hang up".
     """
@@ -72,8 +74,8 @@ class World:
         self.settings = list(DEFAULTS)
         self.weather = [10.0] + 13 * [0.0]
         self.actors: dict[int, Actor] = {}
-        self.frame, self.elapsed, self.numbers = 100, 5.0, 1
-        self.town = write_town(origin=ORIGIN)
+        self.frame, self.elapsed, self.numbers, self.cars = 100, 5.0, 1, 0
+        self.map, self.episode = "Grid", 1
         self.truth: list[list[float]] = []
         self.ticks = 0
         """Cues from the client since it spawned a car."""
@@ -102,7 +104,7 @@ class World:
         return self.faults.get("say_version", self.version)
 
     def call_get_episode_info(self) -> list[Any]:
-        return [1, [self.streams.token(1)]]
+        return [self.episode, [self.streams.token(1)]]
 
     def call_get_sensor_token(self, stream: int) -> list[bytes]:
         return [self.streams.token(stream)]
@@ -126,19 +128,23 @@ class World:
         self.weather = weather
 
     def call_get_map_info(self) -> list[Any]:
-        return ["Carla/Maps/Grid/Grid", []]
+        return [f"Carla/Maps/{self.map}/{self.map}", []]
 
     def call_get_map_data(self) -> str:
-        return self.town
+        return write_town(**MAPS[self.map], origin=ORIGIN)
 
     def call_get_available_maps(self) -> list[str]:
-        return ["/Game/Carla/Maps/Grid/Grid"]
+        return [f"/Game/Carla/Maps/{name}/{name}" for name in MAPS]
+
+    def call_load_new_episode(self, name: str, *_: Any) -> None:
+        self.map, self.episode = name, self.episode + 1
+        self.actors.clear()
 
     def call_get_required_files(self, folder: str) -> list[str]:
         return []
 
     def call_request_file(self, name: str) -> bytes:
-        return self.town.encode()
+        return self.call_get_map_data().encode()
 
     def call_get_actor_definitions(self) -> list[Any]:
         shift = 1 if self.version == "0.9.16" else 0  # of the attribute types
@@ -175,7 +181,7 @@ class World:
         actor.noise.seed(int(attributes.get("noise_seed", 0)))
         if blueprint == _CAR:
             (x, y, _), (_, yaw, _) = transform
-            self.ticks = 0
+            self.ticks, self.cars = 0, self.cars + 1
             actor.car = Car(x, y, yaw, self.faults.get("grip", 0.85))
         self.actors[number] = actor
         return record
@@ -197,7 +203,10 @@ class World:
 
     def call_apply_control_to_vehicle(self, number: int, control: list[Any]) -> None:
         if number in self.actors:
-            self._car(number).control = control
+            throttle, steer, *rest = control
+            throttle = 0.0 if self.cars <= self.faults.get("stuck", 0) else throttle
+            steer = 0.1 if self.cars <= self.faults.get("astray", 0) else steer
+            self._car(number).control = [throttle, steer, *rest]
 
     def _car(self, number: int) -> Car:
         car = self.actors[number].car
@@ -234,7 +243,7 @@ class World:
                 actor.car.tick(seconds)
                 self.truth.append([self.frame, *actor.car.truth(), *sum(actor.car.felt(), ())])
         states = [self._state(actor) for actor in self.actors.values()]
-        message = wire.snapshot(self.version, self.frame, self.elapsed, seconds, states)
+        message = wire.snapshot(self.version, self.episode, self.frame, self.elapsed, seconds, states)
         self.streams.send(1, message)
         for actor in self.actors.values():
             if actor.parent and self.streams.heard(actor.number):
