@@ -120,6 +120,7 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
         check_truth(drive, was)
         check_sensors(drive, was)
         check_achieved(drive)
+        assert drive.metadata["imu_place"]["ahead_of_rear_axle_m"] == pytest.approx(1.380, abs=1e-3)
         assert drive.metadata["source"] == f"CARLA {version}"
         assert (drive.gps.std_x == NOISE["gps"]).all()
         assert drive.metadata["carla"]["velocity_against_positions_ms"] < 0.01

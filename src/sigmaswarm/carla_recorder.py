@@ -938,7 +938,8 @@ class Recording:
 class Physics(NamedTuple):
     """The car's physics: what counts for driving, and the whole of it for the record."""
 
-    wheelbase: float
+    wheelbase: float  # m
+    ahead: float  # m, of the car's origin, where the IMU is, to the rear axle
     steer: float  # rad, at full lock
     tire_friction: float
     dump: Dict[str, Any]
@@ -968,12 +969,22 @@ def edit_physics(session: Session, car: Any, tire_friction: float | None, share:
                     f"the server did not take {name} = {getattr(wanted, name):g} for a wheel, it has "
                     f"{getattr(got, name):g}; this CARLA's physics can't be edited"
                 )
-    front, rear = ([w.position for w in found.wheels[i : i + 2]] for i in (0, 2))
-    middle = [((a.x + b.x) / 2, (a.y + b.y) / 2) for a, b in (front, rear)]
-    wheelbase = math.hypot(middle[0][0] - middle[1][0], middle[0][1] - middle[1][1]) / 100  # cm
-    wheelbase = wheelbase if 2.0 < wheelbase < 4.0 else 2.875
+    wheelbase, ahead = axles(found.wheels, car.get_transform())
     steer = math.radians(found.wheels[0].max_steer_angle)
-    return Physics(wheelbase, steer, found.wheels[0].tire_friction, plain(found))
+    return Physics(wheelbase, ahead, steer, found.wheels[0].tire_friction, plain(found))
+
+
+def axles(wheels: Sequence[Any], car: Any) -> Tuple[float, float]:
+    """Return the wheelbase, and by how much the car's origin is ahead of the rear axle, m.
+
+    CARLA tells the wheels' places in the world, in cm, front wheels first. Where that makes no car, the real
+    one's measures are returned.
+    """
+    heading, (x, y, _) = heading_of(car.rotation), polar(car.location)
+    places = [polar(wheel.position) for wheel in wheels]
+    along = [(px / 100 - x) * math.cos(heading) + (py / 100 - y) * math.sin(heading) for px, py, _ in places]
+    front, rear = (along[0] + along[1]) / 2, (along[2] + along[3]) / 2
+    return (front - rear, -rear) if 2.0 < front - rear < 4.0 and 0.5 < -rear < 3.0 else (2.875, 1.44)
 
 
 def plain(value: Any) -> Any:
@@ -1061,7 +1072,7 @@ class Sensors:
 def place_car(session: Session, path: Path2D) -> Any:
     """Spawn the car where a path begins; FailedRun where something is in the way."""
     at = path.start.transform
-    location = session.carla.Location(x=at.location.x, y=at.location.y, z=at.location.z + 0.3)
+    location = session.carla.Location(x=at.location.x, y=at.location.y, z=at.location.z + 0.5)
     try:
         return session.spawn(CAR, {}, session.carla.Transform(location, at.rotation))
     except RuntimeError as error:
@@ -1185,9 +1196,19 @@ def record(options: Options) -> int:
     names = [(m, e, r) for m in options.maneuvers for e in options.environments for r in range(options.runs)]
     wanted = [name for name in names if not (options.out / drive_name(*name)).exists()]
     progress = Progress(len(wanted))
+    try:
+        _record(options, journal, wanted, progress)
+    finally:
+        progress.clear()
+    return progress.done
+
+
+def _record(
+    options: Options, journal: Journal, wanted: List[Tuple[str, str, int]], progress: Progress
+) -> None:
+    """Record what is wanted, through as many sessions as it takes."""
+    checked, lost = False, 0
     before: Dict[str, Any] = {}
-    lost = 0
-    checked = False
     while wanted or (options.brake_sweep and not journal.friction):
         try:
             with Session(options, before) as session:
@@ -1208,7 +1229,6 @@ def record(options: Options) -> int:
             if lost > 3 or not _wait_for(options):
                 raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
             progress.say(f"warning: {error}; the server is back, going on")
-    return progress.done
 
 
 def check_routes(session: Session, wanted: Sequence[Tuple[str, str, int]]) -> None:
@@ -1295,6 +1315,7 @@ def describe(
     }
     about["imu_noise"] = {"grade": "carla", "gyro_bias": list(axial(_Vector(*sensors.bias)))}
     about["gps_noise"] = {"grade": "carla", "white_std_m": o.gps_noise}
+    about["imu_place"] = {"ahead_of_rear_axle_m": round(physics.ahead, 4)}
     about["scenario"] = {
         "maneuver": maneuver,
         "environment": environment,
@@ -1414,7 +1435,13 @@ class Progress:
 
     def say(self, text: str) -> None:
         """Say something on a line of its own."""
-        print(("\r\033[K" if self._live else "") + text, file=sys.stderr, flush=True)
+        self.clear()
+        print(text, file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        """Take the line that changes away."""
+        if self._live:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 # -- The files ---------------------------------------------------------------------------------------------
@@ -1649,7 +1676,7 @@ def main(arguments: Sequence[str]) -> int:
         options = options_of(arguments)
         count = record(options)
     except RecorderError as error:
-        print(f"\nsigmaswarm: {error}" if sys.stderr.isatty() else f"sigmaswarm: {error}", file=sys.stderr)
+        print(f"sigmaswarm: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("\nsigmaswarm: interrupted; repeat the command with --resume to go on", file=sys.stderr)

@@ -21,11 +21,8 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 def stock_physics() -> list[Any]:
     """VehiclePhysicsControl as the server sends it: some of the Model 3's figures, and four wheels."""
-    wheels = []
-    for i in range(4):
-        steer = 70.0 if i < 2 else 0.0
-        place = [[149.5, -138.0][i > 1], [-79.0, 79.0][i % 2], 34.0]
-        wheels.append([STOCK_FRICTION, 0.25, steer, 34.0, STOCK_BRAKE, 0.0, 3.0, 17.0, 1000.0, place])
+    steer = (70.0, 70.0, 0.0, 0.0)
+    wheels = [[STOCK_FRICTION, 0.25, s, 34.0, STOCK_BRAKE, 0.0, 3.0, 17.0, 1000.0, 3 * [0.0]] for s in steer]
     curve, steering = [[0.0, 500.0], [15000.0, 100.0]], [[0.0, 1.0], [120.0, 0.5]]
     engine = [curve, 15000.0, 1.0, 0.15, 2.0, 0.35]
     gears = [True, 0.0, 10.0, 4.0, [[9.0, 0.5, 0.65]]]
@@ -75,6 +72,17 @@ class Car:
             self._look(self.state, angle, pedal)
         self.rows = [*self.rows[1:], self._look(self.state.copy(), angle, pedal)]
         self.seconds, self.motion = seconds, motion_at(np.array(self.rows), MODEL_3_CARLA, _ORIGIN)
+
+    def told_physics(self) -> list[Any]:
+        """Its physics, with the wheels where they are in the world, cm."""
+        car, (x, y, yaw) = MODEL_3_CARLA, self.state[:3]
+        along, across = (car.front, car.front, -car.rear, -car.rear), car.track / 2
+        for i, wheel in enumerate(self.physics[-2]):
+            forward, left = along[i], across if i % 2 == 0 else -across
+            east = x + forward * math.cos(yaw) - left * math.sin(yaw)
+            north = y + forward * math.sin(yaw) + left * math.cos(yaw)
+            wheel[-1] = [100 * east, -100 * north, 34.0]
+        return self.physics
 
     def truth(self) -> list[float]:
         """East m, north m, their rates m/s, heading rad: now, in full precision."""

@@ -195,7 +195,7 @@ class World:
         return [self.actors[n].record for n in numbers if n in self.actors]
 
     def call_get_physics_control(self, number: int) -> list[Any]:
-        return self._car(number).physics
+        return self._car(number).told_physics()
 
     def call_apply_physics_control(self, number: int, physics: list[Any]) -> None:
         if not self.faults.get("ignore_physics"):
