@@ -239,6 +239,6 @@ def test_maps(tmp_path: Path):
         )
     assert (unknown.returncode, unfit.returncode) == (2, 2)
     check_one_line(unknown.stderr, "the server has no map 'Town99'; it has Grid, Village")
-    check_one_line(unfit.stderr, "the map Carla/Maps/Village/Village has no straight stretch of .*Town04")
+    check_one_line(unfit.stderr, "the map Carla/Maps/Village/Village has no straight stretch of .*Town06")
     assert "drive 1" not in unfit.stderr  # it says so before the first drive
     check_world(server.log)

@@ -254,7 +254,7 @@ def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
                 return path
     longest_is = f"; the longest straight stretch is {longest:.0f} m" if need.straight else ""
     raise RecorderError(
-        f"the map {town.name} has no {need.what}{longest_is}; load another one, say --map Town04, or leave "
+        f"the map {town.name} has no {need.what}{longest_is}; load another one, say --map Town06, or leave "
         "this maneuver out"
     )
 
@@ -384,8 +384,9 @@ def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> 
     if name == "cruise":
         kmh = rng.uniform(85, 95) if friction > 0.4 else rng.uniform(60, 70)
         speed = kmh * KMH
-        start = 1.1 * speed**2 / 2 / easy + 25.0
-        legs = [Leg(start, speed, easy, easy), Leg(500.0, speed, easy, easy)]
+        push = 1.4 * easy  # straight stretches are rarely long
+        start = 1.1 * speed**2 / 2 / push + 25.0
+        legs = [Leg(start, speed, push, easy), Leg(500.0, speed, push, easy)]
         target = {"distance_m": 500.0, "speed_kmh": round(kmh, 1)}
     elif name == "accelerate":
         warm, speed = (34 if friction > 0.4 else 27) * KMH, 60 * KMH

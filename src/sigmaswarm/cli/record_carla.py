@@ -39,7 +39,7 @@ def record_carla(
     Examples:
 
         sigmaswarm record-carla drives --maneuver brake --environment clear --runs 1
-        sigmaswarm record-carla drives --host 192.168.0.7 --map Town04 --brake-sweep
+        sigmaswarm record-carla drives --host 192.168.0.7 --map Town06 --brake-sweep
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def record_carla(
     seed
         Decides routes, driver and noise.
     map
-        Town to load, say Town04; the one that is there by default.
+        Town to load, say Town06; the one that is there by default.
     accel_noise, gyro_noise
         m/s2 and rad/s, standard deviation of each sample.
     gyro_bias
