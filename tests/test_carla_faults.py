@@ -168,6 +168,15 @@ def test_a_lost_connection_is_taken_up_again(tmp_path: Path):
     assert len(sigmaswarm.read_drive(out / "incomplete" / "brake-clear-00-0").imu) > 200
 
 
+def test_a_connection_that_is_lost_again_and_again_is_given_up(tmp_path: Path):
+    with stand_in(tmp_path, hang_up=200, always=True) as server:
+        done = record(server.port, tmp_path / "d", *BRAKE, "--runs", 1, "--timeout", 1)
+    assert done.returncode == 2
+    assert done.stderr.count("the server is back, going on") == 3
+    check_one_line(done.stderr, "stopped answering: .*0 drives of this call are complete in .*--resume")
+    check_world(server.log)
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted(how: signal.Signals, tmp_path: Path):
     with stand_in(tmp_path) as server, recording(server.port, tmp_path / "d", *BRAKE) as process:

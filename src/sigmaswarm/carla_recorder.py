@@ -29,7 +29,7 @@ import struct
 import sys
 import time
 import zlib
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -844,7 +844,8 @@ class Session:
                 step()
             except RuntimeError as error:
                 failed.append(f"{what} ({_line(error)})")
-        self._before.clear()
+        if not failed:
+            self._before.clear()
         return f"could not restore the server's {', '.join(failed)}; restart it" if failed else ""
 
 
@@ -1228,6 +1229,7 @@ def _record(
             lost += 1
             here = f"{progress.done} drives of this call are complete in {options.out}"
             if lost > 3 or not _wait_for(options):
+                _put_in_order(options, before)
                 raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
             progress.say(f"warning: {error}; the server is back, going on")
 
@@ -1248,6 +1250,13 @@ def _wait_for(options: Options) -> bool:
             return True
         time.sleep(0.2)
     return False
+
+
+def _put_in_order(options: Options, before: Dict[str, Any]) -> None:
+    """Restore a server that we give up on, if it still answers."""
+    if reachable(options.host, options.port, 1.0):
+        with suppress(RecorderError), Session(options, before):
+            pass
 
 
 def drive_name(maneuver: str, environment: str, run: int) -> str:

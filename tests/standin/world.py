@@ -62,7 +62,7 @@ class World:
     faults : dict
         What goes wrong. say_version; ignore_settings; ignore_physics; mirror_gnss; fail_spawn: how often; silent,
         late: sensor, which of its samples, and s for the latter; stuck, astray: how many cars; drop_frame, die,
-        hang_up: at which cue since the car was spawned, once; grip: friction of the stock tires.
+        hang_up: at which cue since the car was spawned, once or `always`; grip: friction of the stock tires.
     lose : callable
         Loses the connection, "die" or "hang up".
     """
@@ -230,7 +230,8 @@ class World:
     def _strikes(self, fault: str) -> bool:
         if self.ticks != self.faults.get(fault):
             return False
-        del self.faults[fault]
+        if not self.faults.get("always"):
+            del self.faults[fault]
         return True
 
     def advance(self) -> None:
