@@ -132,7 +132,10 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
     seeds = [a["noise_seed"] for a in server.log["attributes"] if "noise_seed" in a]
     assert len(set(seeds)) == len(seeds) == 2 * len(maneuvers)
     journal = json.loads((out / "recording.json").read_text())
-    assert journal["physics"]["clear"]["mass"] == 1845.0
+    physics = journal["physics"]["clear"]
+    assert physics["mass"] == 1845.0
+    assert physics["steering_curve"] == [{"x": 0.0, "y": 1.0}, {"x": 200.0, "y": 1.0}]
+    assert [wheel["max_brake_torque"] for wheel in physics["wheels"]] == 4 * [1400.0]
     assert journal["geodesy"]["latitude_grows_south"] == (version == "0.9.16")
 
     tuning = sigmaswarm.tune(drives[1:], objective="truth-pose", particles=8, generations=3)
@@ -145,8 +148,9 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
 
 def test_without_noise_the_sensors_are_the_simulators(tmp_path: Path):
     quiet = ("--accel-noise", 0, "--gyro-noise", 0, "--gyro-bias", 0, "--gps-noise", 0)
-    # The first sample comes late, so that old data lies about when the drive begins.
-    with stand_in(tmp_path, late=["imu", 1, 0.3]) as server:
+    # The first samples are missing, as they may be after listen(), and the next one comes late, so that old
+    # data lies about when the drive begins.
+    with stand_in(tmp_path, deaf=2, late=["imu", 3, 0.3]) as server:
         done = record(
             server.port, tmp_path / "d", "--maneuver", "turns", "--environment", "rain", "--runs", 1, *quiet
         )

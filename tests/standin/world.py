@@ -20,6 +20,24 @@ DEFAULTS = [False, False, [False], True, 0.01, 10, 0.0, False, 3000.0, 2000.0, T
 GARBAGE = 2
 """Inertial samples after listen() that are nonsense (carla-simulator/carla#8970)."""
 
+FAULTS = {
+    "say_version": "what the server says of itself",
+    "ignore_settings": "of a synchronous mode's settings the step is not taken",
+    "ignore_physics": "the car's physics are not taken",
+    "mirror_gnss": "fixes lie on the other side of the map's x axis",
+    "fail_spawn": "how many spawns of a car fail",
+    "stuck": "how many cars do not obey the throttle",
+    "astray": "how many cars do not obey the steering wheel",
+    "grip": "friction of the stock tires, 0.85 if not given",
+    "deaf": "how many samples of each sensor are never sent, at first",
+    "silent": "a sensor, and from which of its samples on it sends no more",
+    "late": "a sensor, which of its samples, and by how many s",
+    "drop_frame": "at which cue since the car was spawned two frames pass",
+    "hang_up": "at which cue since then all connections are closed",
+    "die": "at which cue since then the server dies",
+    "always": "the three before happen each time, not just once",
+}
+
 _CAR = "vehicle.tesla.model3"
 _SENSORS = {
     "sensor.other.imu": [
@@ -60,9 +78,7 @@ class World:
     streams : Streams
         Where sensor data goes.
     faults : dict
-        What goes wrong. say_version; ignore_settings; ignore_physics; mirror_gnss; fail_spawn: how often; silent,
-        late: sensor, which of its samples, and s for the latter; stuck, astray: how many cars; drop_frame, die,
-        hang_up: at which cue since the car was spawned, once or `always`; grip: friction of the stock tires.
+        What goes wrong; see `FAULTS`.
     lose : callable
         Loses the connection, "die" or "hang up".
     """
@@ -70,6 +86,7 @@ class World:
     def __init__(
         self, version: str, streams: Any, faults: dict[str, Any], lose: Callable[[str], None]
     ) -> None:
+        assert faults.keys() <= FAULTS.keys()
         self.version, self.streams, self.faults, self.lose = version, streams, faults, lose
         self.settings = list(DEFAULTS)
         self.weather = [10.0] + 13 * [0.0]
@@ -255,7 +272,7 @@ class World:
         name = actor.blueprint.split(".")[-1]
         silent, since = self.faults.get("silent", ["", 0])
         late, sample, seconds = self.faults.get("late", ["", 0, 0.0])
-        if name == silent and actor.samples >= since:
+        if (name == silent and actor.samples >= since) or actor.samples <= self.faults.get("deaf", 0):
             return
         if name == late and actor.samples == sample:
             threading.Timer(seconds, self.streams.send, (actor.number, message)).start()
