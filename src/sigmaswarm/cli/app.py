@@ -13,6 +13,7 @@ from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.plot import plot
+from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
@@ -37,7 +38,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (doctor, tune, evaluate, run, export, split, simulate, plot, demo):
+for command in (doctor, tune, evaluate, run, export, split, simulate, record_carla, plot, demo):
     app.command(command)
 app.command(import_, name="import")
 

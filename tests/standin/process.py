@@ -1,0 +1,153 @@
+"""The stand-in and the recorder as processes, and which genuine clients there are to test with."""
+
+import atexit
+import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+RECORDER = TESTS.parent / "src" / "sigmaswarm" / "carla_recorder.py"
+PYTHONS = "SIGMASWARM_CARLA_PYTHONS"
+"""Environment variable: interpreters that have other versions of the client, separated like PATH."""
+
+
+@dataclass
+class StandIn:
+    """A stand-in with a world of one test's own; `log` holds what was true once the `with` block has ended."""
+
+    process: subprocess.Popen[str]
+    port: int
+    log: dict[str, Any] = field(default_factory=dict)
+
+
+class _Keeper:
+    """The one server process of a test session, started when it is needed and again after it died."""
+
+    process: subprocess.Popen[str] | None = None
+    port = 0
+
+    def order(self, **order: Any) -> None:
+        """Give an order and wait until it is done."""
+        if self.process is None or self.process.poll() is not None:
+            self._start()
+        assert self.process is not None
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps(order) + "\n")
+        self.process.stdin.flush()
+        assert self.process.stdout.readline() == "done\n"
+
+    def _start(self) -> None:
+        self.end()
+        path = os.pathsep.join([str(TESTS), str(TESTS.parent / "src"), os.environ.get("PYTHONPATH", "")])
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "standin.server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+        assert self.process.stdout is not None
+        self.port = int(self.process.stdout.readline())
+
+    def end(self) -> None:
+        """End the process: it ends by itself when its standard input closes."""
+        if self.process is None:
+            return
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        with suppress(BrokenPipeError):
+            self.process.stdin.close()
+        try:
+            self.process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.process.stdout.close()
+        self.process = None
+
+
+_KEEPER = _Keeper()
+atexit.register(_KEEPER.end)
+
+
+@contextmanager
+def stand_in(folder: Path, version: str = "0.9.16", **faults: Any) -> Iterator[StandIn]:
+    """Serve a new world while the `with` block lasts."""
+    _KEEPER.order(version=version, faults=faults)
+    assert _KEEPER.process is not None
+    running = StandIn(_KEEPER.process, _KEEPER.port)
+    yield running
+    if "die" not in faults:
+        log = folder / "standin.json"
+        _KEEPER.order(log=str(log))
+        running.log.update(json.loads(log.read_text()))
+
+
+@cache
+def _others() -> dict[str, str]:
+    """Interpreters by the version of the client that they have."""
+    named = [p for p in os.environ.get(PYTHONS, "").split(os.pathsep) if p]
+    known = [found for name in ("python3.8", "python3.10") if (found := shutil.which(name))]
+    ask = "import importlib.metadata as m; print(m.version('carla')); import carla"
+    found: dict[str, str] = {}
+    for python in [*named, *known]:
+        done = subprocess.run([python, "-c", ask], capture_output=True, text=True, check=False, timeout=60)
+        if done.returncode == 0:
+            found[done.stdout.strip()] = python
+    return found
+
+
+def python_with(version: str) -> str:
+    """Return an interpreter that has this version of the genuine client, or skip the test."""
+    try:
+        if importlib.metadata.version("carla") == version:
+            return sys.executable
+    except importlib.metadata.PackageNotFoundError:
+        pass
+    if version not in _others():
+        pytest.skip(f"no Python with carla=={version}; name one in {PYTHONS}")
+    return _others()[version]
+
+
+def record(
+    port: int, out: Path, *more: object, version: str = "0.9.16", home: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run the recorder's file with the genuine client to its end."""
+    with recording(port, out, *more, version=version, home=home) as process:
+        said, complained = process.communicate(timeout=150)
+    return subprocess.CompletedProcess(process.args, process.returncode, said, complained)
+
+
+@contextmanager
+def recording(
+    port: int, out: Path, *more: object, version: str = "0.9.16", home: Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """Run the recorder's file with the genuine client."""
+    arguments = [f"--port={port}", f"--out={out}", *map(str, more)]
+    clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    # The client keeps a cache of maps in the home folder.
+    process = subprocess.Popen(
+        [python_with(version), str(RECORDER), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**clean, "HOME": str(home or out.parent)},
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
