@@ -2,12 +2,12 @@
 
     python benchmarks/objectives.py simulated [--model planar8] [--seeds 10]
     python benchmarks/objectives.py real ../shared/drives [--model planar8] [--use lateral] [--seeds 10]
-    python benchmarks/objectives.py best [--model planar8] [--seeds 5]
+    python benchmarks/objectives.py best [--model planar8] [--seeds 3]
 
 simulated: three grades of sensors, 30 town drives of 90 s each; each seed tunes on ten of them and tests on the other
 twenty. real: each KITTI drive held out in turn, tuned on the others; colorado-1 and kingston-1 split in time, 70 to 30.
 best: the tuned filter's error over the lowest that any parameters reach on the test drives themselves, searched with
-36 times the budget. Prints Markdown; medians over the seeds, lowest and highest in brackets.
+four times the budget. Prints Markdown; medians over the seeds, lowest and highest in brackets.
 """
 
 import argparse
@@ -106,7 +106,7 @@ def best(name: str, splits: Sequence[Split], asked: dict, pool: Executor) -> str
     ratios: dict[str, list[float]] = {"truth-rmse": [], "innovation-nll": []}
     for seed, (training, test) in enumerate(splits):
         replayer = Replayer(test, outages=False)
-        searched = tune(test, objective="truth-rmse", particles=60, generations=300, trials=3, seed=seed,
+        searched = tune(test, objective="truth-rmse", particles=30, generations=100, trials=2, seed=seed,
                         executor=pool, **asked)  # fmt: skip
         tuned = {o: tune(training, objective=o, seed=seed, executor=pool, **asked) for o in ratios}
         errors = {o: replayer.scores([t.parameters], pool).position_rmse.mean() for o, t in tuned.items()}

@@ -11,9 +11,10 @@ from sigmaswarm.errors import DriveError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
-    from sigmaswarm.tuning.search import Progress
+    from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
 def read_drives(paths: Sequence[Path]) -> "list[Drive]":
@@ -53,17 +54,23 @@ def _finite(content: Any) -> Any:
 
 
 @contextmanager
-def tuning_progress(title: str) -> "Generator[Callable[[Progress], None]]":
+def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
     """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
-    with progress_bar(title, "generations, best cost {task.fields[cost]}, remaining", cost="-") as show:
+    waiting = "getting ready (a filter is compiled when it is used for the first time: up to a minute)"
+    counted = "generations, best cost {task.fields[cost]}, remaining"
+    with progress_bar(title, counted, waiting, cost="-") as show:
         yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
 
 
 @contextmanager
-def progress_bar(title: str, counted: str, **fields: Any) -> Generator[Callable[..., None]]:
-    """A bar on stderr, with the time that remains; yields the function that moves it: done, total, fields."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def progress_bar(
+    title: str, counted: str, waiting: str = "", **fields: Any
+) -> Generator[Callable[..., None]]:
+    """A bar on stderr, with the time that remains; yields the function that moves it: done, total, fields.
+
+    ``waiting`` says on a terminal what is going on until there is progress.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
     columns = (
         TextColumn("{task.description}"),
@@ -72,37 +79,55 @@ def progress_bar(title: str, counted: str, **fields: Any) -> Generator[Callable[
         TextColumn(counted),
         TimeRemainingColumn(),
     )
-    bar = Progress(*columns, console=Console(stderr=True))
-    task = bar.add_task(title, total=None, **fields)
+    with _late_bar(columns, waiting) as bar:
+        task = bar.add_task(title, total=None, **fields)
 
-    def show(done: int, total: int, **changed: Any) -> None:
-        bar.start()  # not before there is progress: a mistake is to be told in one line
-        bar.update(task, total=total, completed=done, **changed)
+        def show(done: int, total: int, **changed: Any) -> None:
+            bar.start()
+            bar.update(task, total=total, completed=done, **changed)
 
-    try:
         yield show
-    finally:
-        if bar.live.is_started:
-            bar.stop()
 
 
 @contextmanager
 def percent_bar(title: str) -> Generator[Callable[[float], None]]:
     """A bar on stderr, with the time that remains; yields the function that moves it: the share that is done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=Console(stderr=True))
-    task = bar.add_task(title, total=1.0)
+    with _late_bar(columns) as bar:
+        task = bar.add_task(title, total=1.0)
 
-    def show(done: float) -> None:
-        bar.start()  # not before there is progress: a mistake is to be told in one line
-        bar.update(task, completed=done)
+        def show(done: float) -> None:
+            bar.start()
+            bar.update(task, completed=done)
 
-    try:
         yield show
+
+
+@contextmanager
+def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Generator[Progress]":
+    """A bar that shows nothing before there is progress: a mistake is to be told in one line."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    status = console.status(waiting) if waiting and console.is_terminal else None
+
+    class Late(Progress):
+        def start(self) -> None:
+            if status:
+                status.stop()
+            super().start()
+
+    bar = Late(*columns, console=console)
+    if status:
+        status.start()
+    try:
+        yield bar
     finally:
+        if status:
+            status.stop()
         if bar.live.is_started:
             bar.stop()
 
