@@ -6,6 +6,7 @@ from scipy.stats import chi2
 
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations
+from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.consistency import GATE_95, consistency, judged
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
@@ -57,6 +58,7 @@ def test_too_few_fixes_or_a_failed_filter_are_not_judged():
     assert judged(innovations(20, 0)) is None
     drive = make_drive(duration=30.0)
     failing = FilterParameters(0.5, 2.0, 1.0, (-1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 1.0))
+    assert consistency(drive, failing) is None
     evaluation = evaluate(failing, drive)
     assert evaluation.consistency[drive.name] is None
     assert evaluation.to_dict()["consistency"] == {drive.name: None}
@@ -69,4 +71,4 @@ def test_an_evaluation_tells_of_it():
     found = consistency(drive, parameters)
     assert told["mean_nis"] == found.mean_nis
     assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such
-    assert told["mean_nees"] > 0
+    assert told["mean_nees"] == Replayer([drive], outages=False).scores([parameters])[0, 0].mean_nees

@@ -147,3 +147,20 @@ def test_a_rise_of_a_likelihood_is_one_of_errors():
     nll = objective_named("innovation-nll")
     assert nll.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.rise(np.array([np.inf, 0.0]), 0.0).tolist() == [np.inf, 0.0]
+    # whatever the weight, and however many numbers a measurement has
+    for weight in ("0.01", "100"):
+        part = objective_named(f"{weight} innovation-nll")
+        assert part.rise(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
+    assert nll.rise(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
+    assert objective_named("nis + nees").rise(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(0.1)
+    assert objective_named("truth-pose + 0.2 nees").rise(2.2, 2.0) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0, 1.5, math.nan])
+def test_a_share_that_is_none_is_refused(share: float):
+    with pytest.raises(InputError, match="worst = "):
+        worst_mean(np.ones((1, 3)), share)
+
+
+def test_failures_beyond_the_worst_share_are_no_nan():
+    assert worst_mean(np.array([[np.inf, np.inf, 1.0, 2.0]]), 0.25).tolist() == [np.inf]

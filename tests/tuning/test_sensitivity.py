@@ -1,12 +1,13 @@
 """How far parameters can move: against closed forms, and on a filter whose answer is known."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sigmaswarm.tuning.box import Box
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE, sensitivities
+from sigmaswarm.tuning.sensitivity import NOISE_SCALE, Sensitivity, sensitivities
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -56,6 +57,21 @@ def test_a_parameter_at_its_bound_can_still_be_identified():
     (found,) = sensitivities(bowl, bowl.optimum, 1.0, POOL)
     assert found.highest is None
     assert found.lowest == pytest.approx(3.9, abs=0.02)
+    assert found.identified
+
+
+def test_a_search_that_had_not_ended_is_told():
+    bowl = Bowl([0.1, 1.0], [2.0, 0.0], logarithmic=False)
+    slope, level = sensitivities(bowl, np.zeros(2), 1.4, POOL)
+    assert slope.lowest_rise == pytest.approx(1 / 1.4 - 1, abs=0.02)
+    assert level.lowest_rise == 0.0
+
+
+def test_all_noises_together_are_moved_two_decades():
+    tuning = tune(make_drive(duration=30.0), particles=4, generations=2)
+    assert tuning.sensitivities[-1].name == NOISE_SCALE
+    flat = replace(tuning, sensitivities=(Sensitivity(NOISE_SCALE, 1.0, None, None),))
+    assert any("how large all noises are together" in remark for remark in flat.remarks)
 
 
 def test_failures_bound_a_range():

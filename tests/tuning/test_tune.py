@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.split import clip
-from sigmaswarm.errors import AlignmentError, InputError
+from sigmaswarm.errors import AlignmentError, InputError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.simulation import simulate
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
+from sigmaswarm.tuning.sensitivity import Sensitivity
 from sigmaswarm.tuning.space import search_space
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -165,7 +166,7 @@ def test_the_file_holds_all_that_is_needed_to_run_it_again(tmp_path: Path):
     assert FilterParameters.load(tmp_path / "out") == tuning.parameters
     assert table["result"]["cost"] == tuning.cost
     assert table["result"]["touched_bounds"] == tuning.touched_bounds
-    assert set(table["versions"]) == {"sigmaswarm", "python", "numpy", "numba"}
+    assert set(table["versions"]) == {"sigmaswarm", "python", "numpy", "numba", "scipy"}
     assert [d["name"] for d in table["data"]] == ["d0", "d1"]
     assert table["data"][0]["imu_samples"] == len(DRIVES[0].imu)
     assert table["data"][0]["fixes"] == len(DRIVES[0].gps)
@@ -235,7 +236,8 @@ def test_without_truth_the_fixes_are_forecast():
     blind = [replace(d, truth=None) for d in DRIVES]
     assert tune(blind, **SMALL).config.objective == "innovation-nll"
     assert tune(DRIVES, **SMALL).config.objective == "truth-rmse"
-    assert tune([DRIVES[0], blind[1]], **SMALL).config.objective == "innovation-nll"
+    with pytest.warns(SigmaswarmWarning, match="d1 has no truth, so all are tuned with innovation-nll"):
+        assert tune([DRIVES[0], blind[1]], **SMALL).config.objective == "innovation-nll"
     # truth, where there is some, has no part in it
     seen, unseen = (tune(d, objective="innovation-nll + outage-rmse", **SMALL) for d in (DRIVES, blind))
     assert bits(seen) == bits(unseen)
@@ -251,7 +253,11 @@ def test_validation_drives_are_scored_but_choose_nothing():
     assert checked.validation.cost == run_batch(other, [checked.parameters]).costs[0]
     assert checked.validation.gap == pytest.approx(checked.validation.cost / checked.cost - 1)
     assert checked.validation.gap > 0.2
-    assert any("worse than on the training drives" in remark for remark in checked.remarks)
+    assert any("larger than on the training drives" in remark for remark in checked.remarks)
+    small = replace(checked, validation=replace(checked.validation, gap=0.1))
+    assert not any("larger than" in remark for remark in small.remarks)
+    failed = replace(checked, validation=replace(checked.validation, cost=np.inf, gap=np.inf))
+    assert any("failed on at least one validation drive" in remark for remark in failed.remarks)
     assert checked.to_dict()["result"]["validation_drives"] == ["noisy"]
 
 
@@ -278,11 +284,81 @@ def test_every_optimizer_tunes_within_the_same_budget(optimizer: str, tmp_path: 
     assert bits(tune(DRIVES[:1], out=tmp_path, resume=True, **asked)) == bits(tuning)
 
 
-def test_a_coefficient_of_the_swarm_is_refused_for_others():
+def test_a_coefficient_of_the_swarm_is_refused_for_others(tmp_path: Path):
     with pytest.raises(InputError, match="inertia is a coefficient of pso, not of de"):
         tune(DRIVES[:1], optimizer="de", inertia=0.5, **SMALL)
-    with pytest.raises(InputError, match="polish"):
-        tune(DRIVES[:1], polish=30, **SMALL)
+    with pytest.raises(InputError, match=r"polish = 30 must be less than particles x generations = 30"):
+        tune(DRIVES[:1], polish=30, out=tmp_path / "out", **SMALL)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_validation_drive_of_another_rate_is_run_with_the_same_noise_per_second():
+    other = make_drive(duration=25.0, seed=9, imu_rate=50.0, name="slow")
+    tuning = tune(DRIVES[:1], validation=other, **SMALL)
+    assert tuning.parameters.nominal_interval == pytest.approx(0.01)
+    assert tuning.validation.cost == run_batch(other, [tuning.parameters]).costs[0]
+
+
+def test_what_was_tuned_on_validates_nothing():
+    with pytest.raises(InputError, match="d0 is among the training drives, too"):
+        tune(DRIVES, validation=DRIVES[:1], **SMALL)
+    with pytest.raises(InputError, match="got a str"):
+        tune(DRIVES, validation=["drives/x"], **SMALL)
+
+
+def test_validation_may_be_added_to_a_tuning_that_is_done(tmp_path: Path):
+    plain = tune(DRIVES[:1], out=tmp_path, **SMALL)
+    checked = tune(DRIVES[:1], validation=DRIVES[1], out=tmp_path, resume=True, **SMALL)
+    assert bits(checked) == bits(plain)
+    assert "validation_cost" in (tmp_path / "tuning.toml").read_text()
+
+
+def test_what_the_objective_can_not_tell_is_named_once():
+    tuning = tune(DRIVES, **SMALL)
+    free = replace(
+        tuning,
+        touched_bounds=["alpha at its lower bound (0.001)", "q_x at its lower bound (1e-05)"],
+        sensitivities=(
+            Sensitivity("alpha", 0.5, None, None),
+            Sensitivity("q_x", 1e-5, None, 1e-3),
+            Sensitivity("r_x", 1.0, 0.8, 1.2, -0.16),
+        ),
+    )
+    assert free.unidentified == ["alpha"]
+    told = " / ".join(free.remarks)
+    assert "can't tell: alpha;" in told
+    assert "alpha at its lower" not in told
+    assert "q_x at its lower bound" in told
+    assert "moving r_x alone makes the cost 16% better" in told
+
+
+def test_densities_are_those_of_continuous_noise():
+    tuning = tune(DRIVES, **SMALL)
+    p = tuning.parameters
+    told = tuning.to_dict()["densities"]["vx"]
+    assert float(told.split()[0]) == pytest.approx((p.process_noise[2] / p.nominal_interval) ** 0.5, rel=1e-3)
+    assert told.endswith(" m/s/sqrt(s)")
+
+
+def test_patience_leaves_the_polish_to_do(tmp_path: Path):
+    asked = {"particles": 3, "generations": 40, "patience": 3, "polish": 30, "seed": 1}
+    tuning = tune(DRIVES[:1], **asked)
+    (trial,) = tuning.trials
+    stalled = tune(DRIVES[:1], **(asked | {"polish": 0})).trials[0].evaluations
+    assert stalled < 90
+    assert stalled < trial.evaluations <= stalled + 30
+    tune(DRIVES[:1], out=tmp_path, **asked)
+
+    class Stop(Exception):
+        pass
+
+    def stop(progress: Progress):
+        if progress.generation == len(trial.best) - 2:
+            raise Stop
+
+    with pytest.raises(Stop):
+        tune(DRIVES[:1], out=tmp_path / "again", progress=stop, **asked)
+    assert bits(tune(DRIVES[:1], out=tmp_path / "again", resume=True, **asked)) == bits(tuning)
 
 
 def test_the_worst_drives_can_count_alone():

@@ -23,7 +23,8 @@ def evaluate(
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
 
     Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
-    truth only the drift over outages can be told, against the fixes that were hidden.
+    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter
+    knows its own errors.
 
     Examples:
 

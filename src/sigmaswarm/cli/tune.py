@@ -1,5 +1,6 @@
 """`sigmaswarm tune`."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -136,7 +137,9 @@ def tune(
     console = stdout()
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
     if tuning.validation:
-        console.print(f"cost {tuning.validation.cost:.4f} on {len(held_back)} validation drive(s)")
+        gap = tuning.validation.gap
+        gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
+        console.print(f"cost {tuning.validation.cost:.4f} on {len(held_back)} validation drive(s): {gap}")
     for remark in tuning.remarks:
         console.print(f"note: {remark}")
     console.print(f"filter:   {out / 'tuning.toml'}")

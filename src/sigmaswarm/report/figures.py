@@ -68,6 +68,8 @@ def save_evaluation(
 def convergence(tuning: Tuning) -> Figure:
     """Best cost so far and median cost of the swarm against generations (the paper's Fig. 2)."""
     figure, (ax,) = new_figure(6.4, 4.0)
+    lowest = min(float(trial.best.min()) for trial in tuning.trials)
+    scale = "log" if lowest > 0 else "linear"  # a likelihood may be negative
     for i, trial in enumerate(tuning.trials):
         generation = np.arange(1, len(trial.best) + 1)
         first = i == tuning.best_trial
@@ -77,7 +79,7 @@ def convergence(tuning: Tuning) -> Figure:
         finite = np.where(np.isfinite(trial.median), trial.median, np.nan)
         ax.plot(generation, finite, color="#E69F00", lw=1, ls="--", alpha=alpha,
                 label="median of the swarm" if first else None)  # fmt: skip
-    ax.set(xlabel="generation", ylabel=f"cost: {tuning.config.objective}", yscale="log")
+    ax.set(xlabel="generation", ylabel=f"cost: {tuning.config.objective}", yscale=scale)
     for axis_format in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
         axis_format("{x:g}")
     n = len(tuning.trials)

@@ -77,9 +77,12 @@ def consistency(
 
 
 def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consistency | None:
-    """What innovations say; None where some are not finite, or they are too few."""
+    """What innovations say; None where a covariance is none, or they are too few."""
     n = len(innovations.time)
-    if n <= 2 * LAGS or not np.isfinite(innovations.covariance).all():
+    s = innovations.covariance
+    if n <= 2 * LAGS or not (
+        np.isfinite(s).all() and np.all(s[:, 0, 0] > 0) and np.all(np.linalg.det(s) > 0)
+    ):
         return None
     nis = innovations.nis
     band = chi2.ppf([0.025, 0.975], 2 * n) / n

@@ -1,8 +1,8 @@
 """What a tuning is asked for."""
 
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterKind, ModelName
@@ -10,6 +10,8 @@ from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
 from sigmaswarm.tuning.space import Option, Scale
 
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
+SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
+"""The coefficients of the swarm, which no other optimizer has."""
 C = TypeVar("C", bound="SearchConfig")
 
 
@@ -35,23 +37,23 @@ class SearchConfig(BaseModel):
     social: float = ACCELERATION
     zero_velocity_at_bounds: bool = False
     patience: int | None = Field(default=None, ge=1)
-    """Stop a trial after that many generations without a better cost; None: never."""
+    """Stop a trial, but for its polish, after that many generations without a better cost; None: never."""
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.polish >= self.particles * self.generations:
+            raise ValueError(
+                f"polish = {self.polish} must be less than particles x generations = "
+                f"{self.particles * self.generations}"
+            )
+        for name in SWARM if self.optimizer != "pso" else ():
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"{name} is a coefficient of pso, not of {self.optimizer}; leave it out")
+        return self
 
     def optimizer_options(self) -> dict[str, Any]:
-        """What the optimizer is told beside its budget: the swarm's own coefficients.
-
-        Raises
-        ------
-        InputError
-            If a coefficient of the swarm was given for another optimizer.
-        """
-        own = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
-        if self.optimizer == "pso":
-            return {name: getattr(self, name) for name in own}
-        for name in own:
-            if getattr(self, name) != type(self).model_fields[name].default:
-                raise InputError(f"{name} is a coefficient of pso, not of {self.optimizer}; leave it out")
-        return {}
+        """What the optimizer is told beside its budget: the swarm's own coefficients."""
+        return {name: getattr(self, name) for name in SWARM} if self.optimizer == "pso" else {}
 
 
 class TuneConfig(SearchConfig):
@@ -78,5 +80,5 @@ def validated_config(kind: type[C], config: dict[str, Any]) -> C:
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].replace("Input should", "should")
-        raise InputError(f"{name} = {first['input']!r}: {message}") from None
+        message = first["msg"].removeprefix("Value error, ").replace("Input should", "should")
+        raise InputError(f"{name} = {first['input']!r}: {message}" if name else message) from None

@@ -47,6 +47,7 @@ class ModelProblem:
         self._targets = [state_targets(log, model) if truth else None for log in logs]
         self.space = model_box(model, config.scale)
         self.data = [_described(log) for log in logs]
+        self._elements = logs[0].measurements.shape[1]
         self.runner = Runner(model, logs)
 
     def parameters(self, point: Array) -> dict[str, float]:
@@ -67,7 +68,7 @@ class ModelProblem:
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
-        return objective_named(self._config.objective).rise(costs, best)
+        return objective_named(self._config.objective).rise(costs, best, self._elements)
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
         """The same filters and objective on other logs."""

@@ -32,8 +32,10 @@ class Objective:
     per_drive : callable
         Scores to costs of shape (n_sets, n_drives); lower wins.
     needs_truth, needs_outages, needs_forecasts : bool
-    logarithmic : bool
-        The cost is a logarithm: 0.02 more nats per fix stand for errors larger by 1% on each of its two axes.
+    nats : float
+        Weight of the terms that are logarithms: errors larger by 1% on each element of a measurement cost 0.01 of
+        them an element. In a sum with innovation-nll the other terms are counted as if they were nats, too. 0: the
+        cost is positive, and 1% is 1% of it.
     warning : str or None
         What a user should know before trusting the result.
     """
@@ -44,7 +46,7 @@ class Objective:
     needs_truth: bool = False
     needs_outages: bool = False
     needs_forecasts: bool = False
-    logarithmic: bool = False
+    nats: float = 0.0
     warning: str | None = None
 
     def costs(self, scores: Scores, worst: float = 1.0) -> Array:
@@ -52,16 +54,17 @@ class Objective:
 
         ``worst`` is the share of the drives that counts, the worst ones of each set: 1 is the mean over all.
         """
-        with np.errstate(invalid="ignore"):  # a failed set's
-            cost = worst_mean(self.per_drive(scores), worst)
+        cost = worst_mean(self.per_drive(scores), worst)
         return np.where(scores.failed.any(axis=1) | ~np.isfinite(cost), np.inf, cost)
 
-    def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+    def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
+        """How much worse costs are than another: 0.01 is errors that are 1% larger.
+
+        ``elements``: how many numbers a measurement has, each with its error.
+        """
+        costs = np.asarray(costs)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            change = (
-                np.expm1((np.asarray(costs) - best) / 2) if self.logarithmic else np.asarray(costs) / best - 1
-            )
+            change = np.expm1((costs - best) / (elements * self.nats)) if self.nats else costs / best - 1
         return np.where(np.isfinite(costs), change, np.inf)
 
 
@@ -71,11 +74,14 @@ def worst_mean(costs: Array, share: float) -> Array:
     The conditional value at risk of R. T. Rockafellar and S. Uryasev, Optimization of conditional value-at-risk,
     J. Risk 2, 2000, of the row's values, each as likely as the others.
     """
-    count = costs.shape[1]
+    if not 0 < share <= 1:
+        raise InputError(f"worst = {share:g}: a share of the drives lies above 0 and is at most 1")
     if share == 1.0:
         return costs.mean(axis=1)
+    count = costs.shape[1]
     weight = np.clip(share * count - np.arange(count), 0.0, 1.0)
-    return np.sort(costs, axis=1)[:, ::-1] @ weight / weight.sum()
+    used = weight > 0
+    return np.sort(costs, axis=1)[:, ::-1][:, used] @ weight[used] / weight.sum()
 
 
 def _pose(scores: Scores) -> Array:
@@ -110,7 +116,7 @@ OBJECTIVES = {
             "innovation-nll",
             "mean negative log-likelihood of each fix before it is absorbed, nats",
             lambda scores: scores.innovation_nll,
-            logarithmic=True,
+            nats=1.0,
         ),
         Objective(
             "outage-rmse",
@@ -122,14 +128,14 @@ OBJECTIVES = {
             "nis",
             "|ln(mean NIS / 2)|: how far the innovations are from what the filter expects",
             lambda scores: _off(scores.mean_nis),
-            logarithmic=True,
+            nats=1.0,
         ),
         Objective(
             "nees",
             "|ln(mean NEES / 2)|: how far the position error is from what the filter expects",
             lambda scores: _off(scores.mean_nees),
             needs_truth=True,
-            logarithmic=True,
+            nats=1.0,
         ),
         Objective(
             "gps-rmse",
@@ -159,6 +165,7 @@ def objective_named(name: str) -> Objective:
     if len(terms) == 1 and terms[0][0] == 1.0:
         return terms[0][1]
     warnings = [o.warning for _, o in terms if o.warning]
+    in_nats = all(o.nats for _, o in terms) or any(o.name == "innovation-nll" for _, o in terms)
     return Objective(
         name=" + ".join(o.name if w == 1.0 else f"{w:g} {o.name}" for w, o in terms),
         summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
@@ -166,9 +173,7 @@ def objective_named(name: str) -> Objective:
         needs_truth=any(o.needs_truth for _, o in terms),
         needs_outages=any(o.needs_outages for _, o in terms),
         needs_forecasts=any(o.needs_forecasts for _, o in terms),
-        logarithmic=any(
-            o.name == "innovation-nll" for _, o in terms
-        ),  # others may be near zero, it may be below
+        nats=sum(w * o.nats for w, o in terms) if in_nats else 0.0,
         warning=warnings[0] if warnings else None,
     )
 
@@ -177,7 +182,7 @@ def _term(part: str, whole: str) -> tuple[float, Objective]:
     match = _TERM.fullmatch(part)
     if not match or match["name"] not in OBJECTIVES:
         raise InputError(
-            f"no objective is called {part.strip()!r}; choose one of {', '.join(OBJECTIVES)}, "
+            f"no objective is called {part.strip()!r}; choose one of {', '.join(OBJECTIVES)}, auto, "
             "or a sum like 'truth-pose + 0.2 nees'"
         )
     try:

@@ -7,6 +7,7 @@ from typing import Any, Generic
 
 import numba
 import numpy as np
+import scipy
 import tomli_w
 from typing_extensions import TypeVar
 
@@ -16,7 +17,7 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.search import Trial
-from sigmaswarm.tuning.sensitivity import Sensitivity
+from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.tuning.store import write_whole
 
 P = TypeVar("P", default=FilterParameters)
@@ -33,7 +34,7 @@ class Validation:
     cost : float
         The objective on the validation drives.
     gap : float
-        How much worse than on the training drives; 0.1 is 10%.
+        How much larger errors are than on the training drives; 0.1 is 10%.
     drives : tuple of str
     """
 
@@ -96,16 +97,37 @@ class Tuning(Generic[P]):
             for touched in self.touched_bounds
             if touched.split()[0] not in self.unidentified
         ]
-        if self.unidentified:
-            names = ", ".join(self.unidentified)
-            remarks.append(f"the objective can't tell: {names}; any value in the box is as good within 1%")
+        if names := ", ".join(name for name in self.unidentified if name != NOISE_SCALE):
+            remarks.append(
+                f"the objective can't tell: {names}; each alone may have any value in the box within 1% of the cost"
+            )
+        if NOISE_SCALE in self.unidentified:
+            remarks.append(
+                "the objective can't tell how large all noises are together, so don't trust the covariances; "
+                "add innovation-nll or nis to it"
+            )
+        p = self.parameters
+        if isinstance(p, FilterParameters) and p.lateral_noise is p.velocity_noise is None:
+            if "truth-pose" not in self.config.objective:
+                remarks.append(
+                    "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
+                    "for a car add --model planar8 --use lateral standstill gate, or tune with truth-pose"
+                )
+        better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
+        if better is not None and better.lowest_rise < -RISE:
+            remarks.append(
+                f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
+                "search longer, with more trials, or polish"
+            )
         if self.validation is None:
             remarks.append(
                 "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
             )
+        elif not np.isfinite(self.validation.cost):
+            remarks.append("the tuned filter failed on at least one validation drive")
         elif self.validation.gap > LARGE_GAP:
             remarks.append(
-                f"the cost on the validation drives is {self.validation.gap:.0%} worse than on the training drives: "
+                f"errors on the validation drives are {self.validation.gap:.0%} larger than on the training drives: "
                 "tune on more drives, or on drives that are more like those"
             )
         return remarks
@@ -167,4 +189,5 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "numba": numba.__version__,
+        "scipy": scipy.__version__,
     }

@@ -114,7 +114,7 @@ class Search:
     def _generation(self, optimizer: Budgeted, best: list[float]) -> Array:
         """Ask for as many points as there are particles, in one batch or several; their costs. None once stalled."""
         costs = np.empty(0)
-        if self._stalled(best):
+        if self._stalled(best) and not optimizer.settle():
             return costs
         while len(costs) < self.config.particles and len(points := optimizer.ask()):
             told = self.problem.costs(points, self.executor)

@@ -34,12 +34,15 @@ class Sensitivity:
         In the tuned filter; 1 for the factor of all noise variances.
     lowest, highest : float or None
         Where the cost has risen by 1%; None where it has not when the box ends.
+    lowest_rise : float
+        The best that was met on the way, as a share of the cost: below 0, the search had not ended.
     """
 
     name: str
     value: float
     lowest: float | None
     highest: float | None
+    lowest_rise: float = 0.0
 
     @property
     def identified(self) -> bool:
@@ -69,7 +72,8 @@ def sensitivities(
     for way, (falling, rising) in zip(ways, rises, strict=True):
         reached = (_crossing(shares, falling), way.down), (_crossing(shares, rising), way.up)
         lowest, highest = (None if s is None else way.value(point + s * step) for s, step in reached)
-        found.append(Sensitivity(way.name, way.value(point), lowest, highest))
+        least = float(min(falling.min(), rising.min(), 0.0))
+        found.append(Sensitivity(way.name, way.value(point), lowest, highest, least))
     return tuple(found)
 
 

@@ -60,7 +60,7 @@ def tune(
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
 ) -> Tuning[Any]:
-    """Tune a filter on drives with particle swarm optimization.
+    """Tune a filter on drives: a swarm, or another optimizer, searches its parameters.
 
     Parameters
     ----------
@@ -89,13 +89,14 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    problem, settings = _problem(_listed(drives), config)
-    held_back = problem.on(others) if (others := _listed(validation)) else None
+    data, others = _listed(drives), _listed(validation)
+    problem, settings = _problem(data, others, config)
+    held_back = problem.on(others) if others else None
+    if held_back:
+        _check_apart(problem, held_back)
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
         asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
-        if held_back:
-            asked["validation"] = held_back.data
         folder = ResultFolder(Path(out), asked, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())
@@ -107,17 +108,21 @@ def tune(
     return tuning
 
 
-def _problem(data: Sequence[Any], config: dict[str, Any]) -> tuple[Problem[Any], SearchConfig]:
+def _problem(
+    data: Sequence[Any], others: Sequence[Any], config: dict[str, Any]
+) -> tuple[Problem[Any], SearchConfig]:
     """What is minimized: for a model of the user's own on logs, or for a car's on drives."""
     model = config.get("model")
     wanted = Log if isinstance(model, Model) else Drive
-    stray = [type(thing).__name__ for thing in data if not isinstance(thing, wanted)]
+    stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, wanted)]
     if stray:
         raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
     if isinstance(model, Model):
-        settings = _settled(validated_config(ModelTuneConfig, config | {"model": model.identity()}), data)
+        settings = _settled(
+            validated_config(ModelTuneConfig, config | {"model": model.identity()}), [*data, *others]
+        )
         return ModelProblem(data, model, settings), settings
-    settings = _settled(validated_config(TuneConfig, config), data)
+    settings = _settled(validated_config(TuneConfig, config), [*data, *others])
     problem = CarProblem(data, settings)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
@@ -128,8 +133,22 @@ def _settled(config: C, data: Sequence[Drive | Log]) -> C:
     """The configuration with the objective that ``auto`` stands for on this data."""
     if config.objective != "auto":
         return config
-    known = all(one.truth for one in data)
-    return config.model_copy(update={"objective": "truth-rmse" if known else "innovation-nll"})
+    blind = [one.name for one in data if not one.truth]
+    if blind and len(blind) < len(data):
+        warnings.warn(
+            f"{blind[0]} has no truth, so all are tuned with innovation-nll; leave it out, or say --objective",
+            SigmaswarmWarning,
+            stacklevel=4,
+        )
+    return config.model_copy(update={"objective": "innovation-nll" if blind else "truth-rmse"})
+
+
+def _check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
+    """What was tuned on validates nothing."""
+    seen = {entry["sha256"] for entry in problem.data}
+    both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
+    if both:
+        raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
 
 
 def _listed(data: Any) -> list[Any]:

@@ -80,6 +80,14 @@ class Budgeted:
         self._now.tell(np.concatenate([costs, np.full(unpaid, np.inf)]))
         self.spent += len(costs)
 
+    def settle(self) -> bool:
+        """Spend no more on the search of the whole box; whether a polish is left to do, or under way."""
+        if self.local is None:
+            if not self.polish or not np.isfinite(self.global_cost):
+                return False
+            self.budget = min(self.budget, self.spent + self.polish)
+        return self.spent < self.budget
+
     def _local_search(self) -> NelderMead:
         return NelderMead(
             self.low,
@@ -101,7 +109,7 @@ class Budgeted:
             for name, value in optimizer.state().items()
             if name != "rng"
         }
-        return states | {"spent": self.spent, "rng": self.rng.bit_generator.state}
+        return states | {"spent": self.spent, "budget": self.budget, "rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a saved `state`, in an optimizer made with the same arguments."""
@@ -110,7 +118,7 @@ class Budgeted:
             own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
             return own and own | {"rng": state["rng"]}
 
-        self.spent = int(state["spent"])
+        self.spent, self.budget = int(state["spent"]), int(state["budget"])
         self.first.restore(part("first"))
         self.local = None
         if local := part("local"):
