@@ -91,24 +91,8 @@ class Tuning(Generic[P]):
     @property
     def remarks(self) -> list[str]:
         """What a user should know before trusting the result, in sentences."""
-        remarks = [
-            f"{touched}: the optimum may lie outside the box"
-            for touched in self.touched_bounds
-            if touched.split()[0] not in self.unidentified
-        ]
-        if self.unidentified:
-            names = ", ".join(self.unidentified)
-            remarks.append(f"the objective can't tell: {names}; any value in the box is as good within 1%")
-        if self.validation is None:
-            remarks.append(
-                "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
-            )
-        elif self.validation.gap > LARGE_GAP:
-            remarks.append(
-                f"the cost on the validation drives is {self.validation.gap:.0%} worse than on the training drives: "
-                "tune on more drives, or on drives that are more like those"
-            )
-        return remarks
+        gap = None if self.validation is None else self.validation.gap
+        return remarks_on(self.touched_bounds, self.unidentified, gap)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""
@@ -158,6 +142,28 @@ class Tuning(Generic[P]):
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `FilterParameters.load` reads."""
         write_whole(Path(path), tomli_w.dumps(self.to_dict()).encode())
+
+
+def remarks_on(touched_bounds: list[str], unidentified: list[str], gap: float | None) -> list[str]:
+    """What `Tuning.remarks` says; ``gap`` of the validation, None where there was none."""
+    remarks = [
+        f"{touched}: the optimum may lie outside the box"
+        for touched in touched_bounds
+        if touched.split()[0] not in unidentified
+    ]
+    if unidentified:
+        names = ", ".join(unidentified)
+        remarks.append(f"the objective can't tell: {names}; any value in the box is as good within 1%")
+    if gap is None:
+        remarks.append(
+            "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
+        )
+    elif gap > LARGE_GAP:
+        remarks.append(
+            f"the cost on the validation drives is {gap:.0%} worse than on the training drives: "
+            "tune on more drives, or on drives that are more like those"
+        )
+    return remarks
 
 
 def versions() -> dict[str, str]:
