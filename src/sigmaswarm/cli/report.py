@@ -33,19 +33,16 @@ def report(
         Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.errors import InputError
     from sigmaswarm.report.page.folders import read_report
     from sigmaswarm.report.page.html import page
+    from sigmaswarm.report.style import check_file
     from sigmaswarm.tuning.store import write_whole
 
-    file = out or folder / "page.html"
-    if file.suffix not in (".html", ".htm"):
-        raise InputError(f"{file}: can't tell the format; end the name in .html")
-    if file.is_dir():
-        raise InputError(f"{file}: is a folder; name a file")
+    if out is not None:
+        check_file(out, ".html")
     read = read_report(folder)
-    if not file.parent.is_dir():
-        raise InputError(f"{file.parent}: no such folder; make it first")
+    file = out or folder / "page.html"
+    check_file(file, ".html")
     write_whole(file, page(read).encode())
     if json:
         print_json({"out": str(file)})

@@ -72,20 +72,16 @@ def tracks_of(drive: Drive, parameters: FilterParameters, name: str) -> Tracks:
     """Run every method over a drive, and keep what a page shows of it."""
     initial = initial_state(drive)
     gps, truth = drive.gps, drive.truth
-    series: dict[str, dict[str, Array]] = {
-        method: _columns(estimate, truth)
-        for method, estimate in {
-            **estimates(drive, parameters, initial),
-            "imu_only": run_imu_only(drive, initial=initial),
-        }.items()
-    }
+    believed = estimates(drive, parameters, initial)
+    methods = {**believed, "imu_only": run_imu_only(drive, initial=initial)}
+    series = {method: _columns(estimate, truth) for method, estimate in methods.items()}
     series["raw_gps"] = {"time": gps.time, "x": gps.x, "y": gps.y}
     if truth is not None:
         x, y = truth_at(truth, gps.time)
         series["raw_gps"]["position_error"] = np.hypot(gps.x - x, gps.y - y)
         series["truth"] = {"time": truth.time, "x": truth.x, "y": truth.y}
-    innovations = run_innovations(drive, parameters, initial=initial)
-    if np.isfinite(innovations.covariance).all():
+    if believed["tuned"].failure is None:
+        innovations = run_innovations(drive, parameters, initial=initial)
         series["nis"] = {"time": innovations.time, "nis": innovations.nis}
     return Tracks(name, {s: _thinned(series[s]) for s in SERIES if s in series})
 

@@ -42,12 +42,11 @@ def evaluation_report(folder: Path) -> Report:
     seen = frozenset(d.sha256 for d in file.data)
     held_out = [d.sha256 not in seen for d in asked.data]
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
-    flattered = () if all(held_out) else ("some of the drives are ones that the filter was tuned on",)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, held_out, known=bool(seen)), what_was_tuned(file)),
         figures=_figures(scores),
-        remarks=(*flattered, *_without_validation(remarks(file))),
+        remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
         sections=(
             _comparison(scores, asked.outage_length_s),
             Section("Tracks and errors over time", tracks=tracks),
@@ -63,6 +62,26 @@ def evaluation_report(folder: Path) -> Report:
         command=command,
         command_note=note,
     )
+
+
+def _remarks(scores: ScoresFile, held_out: list[bool]) -> list[str]:
+    said = (
+        [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
+    )
+    wrong = [(c.mean_nis, c.nis_band_95) for c in scores.consistency.values() if c]
+    sure = sum(nis > high for nis, (_, high) in wrong)
+    careful = sum(nis < low for nis, (low, _) in wrong)
+    of = f"on {{}} of {len(scores.drives)} drives the filter"
+    if sure:
+        said.append(
+            f"{of.format(sure)} is too sure of itself: its errors are larger than its covariances say"
+        )
+    if careful:
+        said.append(f"{of.format(careful)} is too careful: its errors are smaller than its covariances say")
+    failed = sum(c is None for c in scores.consistency.values())
+    if failed:
+        said.append(f"{of.format(failed)} failed or saw too few fixes to judge its consistency")
+    return said
 
 
 def _without_validation(said: tuple[str, ...]) -> tuple[str, ...]:
@@ -123,17 +142,24 @@ def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
 
 def _comparison(scores: ScoresFile, outage_length: float) -> Section:
     columns = (Column("drive"), Column("method"), *MEASURES.values())
-    rows: list[tuple[Cell, ...]] = []
-    for drive, methods in scores.drives.items():
-        rows += [_row(drive, m, methods[m]) for m in METHODS if m in methods]
+    each = [
+        _row(drive, m, methods[m])
+        for drive, methods in scores.drives.items()
+        for m in METHODS
+        if m in methods
+    ]
+    mean = [_row("mean", m, scores.mean[m]) for m in METHODS if m in scores.mean]
+    tables = [_scores("Each drive", columns, each)]
     if len(scores.drives) > 1:
-        rows += [_row("mean", m, scores.mean[m]) for m in METHODS if m in scores.mean]
-    strong = frozenset(i for i, row in enumerate(rows) if row[1] == METHODS["tuned"])
+        tables.insert(0, _scores("Mean over drives", columns, mean))
     text = (f"Lower is better. An outage lasts {outage_length:g} s. RMSE: root of the mean square error.",)
     charts = tuple(_bars(scores, m, c) for m, c in MEASURES.items())
-    return Section(
-        "Comparison", text, (Table("", columns, tuple(rows), strong),), tuple(c for c in charts if c)
-    )
+    return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
+
+
+def _scores(caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]]) -> Table:
+    strong = frozenset(i for i, row in enumerate(rows) if row[1] == METHODS["tuned"])
+    return Table(caption, columns, tuple(rows), strong)
 
 
 def _row(drive: str, method: str, measures: Measures) -> tuple[Cell, ...]:

@@ -2,9 +2,10 @@
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const el = (id) => document.getElementById(id);
-  const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage"] };
   // A finger that scrolls the page must not zoom: on touch screens the fields "from" and "to" do.
   const TOUCH = matchMedia("(pointer: coarse)").matches;
+  const STILL = { responsive: true, displayModeBar: false };
+  const EXPLORED = { responsive: true, displaylogo: false, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"]] };
   const PAPER_WIDTH = 660; // px of an A4 page between its margins
 
   const axis = (more) => ({ gridcolor: "#e6e8ea", zerolinecolor: "#c4c9ce", linecolor: "#a9b0b7", ...more });
@@ -19,7 +20,7 @@
   function drawCharts() {
     for (const div of document.querySelectorAll("[data-chart]")) {
       const chart = data.charts[Number(div.dataset.chart)];
-      Plotly.newPlot(div, chart.traces, layout(chart.layout), CONFIG);
+      Plotly.newPlot(div, chart.traces, layout(chart.layout), STILL);
     }
   }
 
@@ -104,7 +105,7 @@
       height: 440, showlegend: false, margin: { l: 60 },
       xaxis: { title: { text: "east, m" }, range: x },
       yaxis: { title: { text: "north, m" }, range: y, scaleanchor: "x" },
-    }), CONFIG);
+    }), EXPLORED);
   }
 
   const PANELS = [
@@ -144,14 +145,21 @@
       ...(state.window ? { range: state.window } : { autorange: true }) });
     const gate = { type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: data.gate, y1: data.gate,
       line: { color: "#51585f", width: 1, dash: "dash" } };
-    Plotly.react("errors", errorTraces(), {
+    const traces = errorTraces();
+    Plotly.react("errors", traces, {
       ...layout({ height: 620, showlegend: false, margin: { l: 60 } }),
       xaxis: time,
-      yaxis: side("position, m", [0.68, 1], { type: "log" }),
+      yaxis: side("position, m", [0.68, 1], { type: "log", range: logRange(traces, "y", 0.03, 1) }),
       yaxis2: side("heading, deg", [0.34, 0.64], headingRange()),
-      yaxis3: side("NIS of tuned", [0, 0.3], { type: "log" }),
+      yaxis3: side("NIS of tuned", [0, 0.3], { type: "log", range: logRange(traces, "y3", 0.01, 20) }),
       shapes: state.drive.series.nis ? [gate] : [],
-    }, CONFIG);
+    }, EXPLORED);
+  }
+
+  // From what is small enough to be nothing, up to the largest value drawn: exponents, as plotly.js wants them.
+  function logRange(traces, axisName, low, high) {
+    const values = traces.filter((t) => t.yaxis === axisName).flatMap((t) => t.y);
+    return [low, values.reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
   }
 
   // As far as the tuned filter goes, and 30 degrees at least; a lost heading must not hide a good one.

@@ -183,7 +183,7 @@ def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
     table = Table(
         "Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({file.result.best_trial})
     )
-    chart = Chart("Convergence", tuple(traces), layout)
+    chart = Chart("Cost over generations", tuple(traces), layout)
     return (Section("Convergence", text, (table,) if len(costs) > 1 else (), (chart,)),)
 
 
