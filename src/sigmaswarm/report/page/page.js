@@ -141,7 +141,7 @@
   function drawErrors() {
     const side = (text, domain, more) => axis({ title: { text, font: { size: 12 } }, domain, ...more });
     const origin = state.drive.origin ? ` since t = ${state.drive.origin} s` : "";
-    const time = axis({ title: { text: `time, s${origin}` }, anchor: "y3",
+    const time = axis({ title: { text: `time, s${origin}` }, anchor: "y3", zeroline: false,
       ...(state.window ? { range: state.window } : { autorange: true }) });
     const gate = { type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: data.gate, y1: data.gate,
       line: { color: "#51585f", width: 1, dash: "dash" } };
