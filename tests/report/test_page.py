@@ -443,3 +443,37 @@ def test_it_prints(opened, tmp_path: Path):
         "[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().width)"
     )
     assert 0 < max(widths) <= 680
+
+
+def test_a_study_s_page_says_what_the_study_found(browser, tmp_path: Path):
+    config = pytest.importorskip(
+        "sigmaswarm.study.config", reason="there is no study command in this version"
+    )
+    from sigmaswarm.study.run import run_study
+
+    few = {"runs": 2, "trials": 2, "particles": 3, "generations": 4}
+    asked = config.StudyConfig(maneuvers=("urban",), environments=("clear",), **few)
+    run_study(asked, tmp_path)
+    report = read_report(tmp_path)
+    found = json.loads((tmp_path / "results.json").read_text())
+    wanted = ("honest", "pso-ukf", "position_rmse_m", "all", "all")
+    keys = ("protocol", "method", "measure", "maneuver", "environment")
+    row = next(r for r in found["summary"] if tuple(r[k] for k in keys) == wanted)
+    assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
+    results, comparisons = report.sections[:2]
+    assert len(results.tables) == len(found["measures"])
+    assert ("honest", "PSO-UKF", row["mean"], row["sd"]) in [r[:4] for r in results.tables[0].rows]
+    assert len(comparisons.tables[0].rows) == len(found["comparisons"])
+    assert report.versions["numpy"] == np.__version__
+    command, *_ = app.parse_args(shlex.split(report.command)[1:], exit_on_error=False, print_error=False)
+    assert command.__name__ == "study"
+    (tmp_path / "page.html").write_text(html_page(report))
+    page = Opened(browser, tmp_path / "page.html", 390)
+    assert page.run(
+        "[...document.querySelectorAll('.chart')].every((c) => c.querySelector('.scatterlayer path'))"
+    )
+    assert page.run("document.documentElement.scrollWidth") <= 390
+    assert page.complaints == []
+    (tmp_path / "results.json").write_text("{}")
+    with pytest.raises(InputError, match=r"results.json: config: Field required"):
+        read_report(tmp_path)

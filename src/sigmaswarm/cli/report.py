@@ -15,8 +15,8 @@ def report(
 ) -> None:
     """Make one HTML page of a folder of results: a summary, and the evidence to explore.
 
-    The page needs no network and no other file. The folder is one that `sigmaswarm tune --out` or `sigmaswarm evaluate
-    --out` wrote.
+    The page needs no network and no other file. The folder is one that `sigmaswarm tune`, `sigmaswarm evaluate` or
+    `sigmaswarm study` wrote.
 
     Examples:
 
