@@ -89,7 +89,7 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     initial = initial_state(drive)
     believed = estimates(drive, parameters, initial)
     figure, (whole, close) = new_figure(11, 5.4, 1, 2)
-    x0, y0 = _place_of_sharpest_turn(drive, believed["tuned"])
+    x0, y0 = place_of_sharpest_turn(drive, believed["tuned"])
     for ax in (whole, close):
         ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
         for name, estimate in believed.items():
@@ -187,7 +187,7 @@ def consistency_figure(drive: Drive, parameters: FilterParameters) -> Figure:
     return figure
 
 
-def _place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
+def place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
     """Where the car turns most within 4 s while a filter runs, m east and north."""
     turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * np.diff(drive.imu.time))])
     t = estimate.time
