@@ -17,7 +17,7 @@ from sigmaswarm.filters.run import run_filter
 from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
-COMMANDS = ["tune", "evaluate", "run", "split", "simulate", "plot", "demo"]
+COMMANDS = ["tune", "evaluate", "report", "run", "split", "simulate", "plot", "demo"]
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
 
 
@@ -151,6 +151,18 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     assert all(is_picture(p) for p in Path("e").glob("*.png"))
     assert all(name in ended.out for name in names)
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
+
+
+def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    assert sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4).code == 0
+    ended = sigmaswarm("report", "e")
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out == "wrote e/page.html\n"
+    text = Path("e/page.html").read_text()
+    assert text.startswith("<!doctype html>")
+    assert "An outage lasts 4 s" in text
+    assert json.loads(sigmaswarm("report", "e", "--out", "other.html", "--json").out) == {"out": "other.html"}
+    assert Path("other.html").read_text() == text
 
 
 def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, here: Path):

@@ -14,6 +14,7 @@ from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
+from sigmaswarm.cli.report import report
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
@@ -29,7 +30,8 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
 
     sigmaswarm doctor drives/monday drives/tuesday
     sigmaswarm tune drives/monday drives/tuesday --out tuned --objective truth-pose
-    sigmaswarm evaluate tuned drives/friday
+    sigmaswarm evaluate tuned drives/friday --out evaluation
+    sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
 Another kind of log? `sigmaswarm import LOG --show` looks at it, `sigmaswarm import LOG DRIVE` makes a drive of it.
@@ -38,7 +40,9 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (doctor, tune, evaluate, run, export, split, simulate, record_carla, plot, demo):
+for command in (
+    doctor, tune, evaluate, report, run, export, split, simulate, record_carla, plot, demo,
+):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")
 

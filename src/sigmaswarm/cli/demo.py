@@ -32,6 +32,7 @@ def demo(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, stdout, tuning_progress
     from sigmaswarm.errors import InputError
+    from sigmaswarm.report.evidence import save_evidence
     from sigmaswarm.report.figures import save_evaluation, save_tuning_figures
 
     if out.exists() and not out.is_dir():
@@ -59,6 +60,7 @@ def demo(
     save_tuning_figures(tuning, training, out / "tuning")
     evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
     save_evaluation(evaluation, tuning.parameters, held_out, out / "evaluation")
+    save_evidence(evaluation, out / "tuning", held_out, out / "evaluation")
     if json:
         print_json(evaluation.to_dict())
         return

@@ -39,7 +39,7 @@ def evaluate(
     drives
         Drive folders, or folders that hold drive folders.
     out
-        Folder for scores.csv, scores.json and figures.
+        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
     outage_length
         Seconds without fixes, after which the drift is measured.
     outage_seed
@@ -50,6 +50,7 @@ def evaluate(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout
     from sigmaswarm.errors import InputError
+    from sigmaswarm.report.evidence import save_evidence
     from sigmaswarm.report.figures import save_evaluation
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -58,7 +59,12 @@ def evaluate(
     read = read_drives(drives)
     _warn_of_training_drives(tuning, read)
     result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
-    written = save_evaluation(result, parameters, read, out) if out else []
+    written: list[Path] = []
+    if out:
+        written = save_evaluation(result, parameters, read, out)
+        written += save_evidence(
+            result, tuning, read, out, outage_length=outage_length, outage_seed=outage_seed
+        )
     if json:
         print_json(result.to_dict())
         return

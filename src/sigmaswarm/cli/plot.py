@@ -34,13 +34,13 @@ def plot(
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.report.drive_figure import drive_figure
-    from sigmaswarm.report.style import check_picture, save
+    from sigmaswarm.report.style import check_file, save
 
     if out is not None:
-        check_picture(out)
+        check_file(out)
     read = sigmaswarm.read_drive(drive)
     picture = out or Path(f"{read.name.replace('/', '-')}.png")
-    check_picture(picture)
+    check_file(picture)
     save(drive_figure(read), picture)
     if json:
         print_json({"out": str(picture)})

@@ -1,22 +1,20 @@
 """Figures of a tuning and of an evaluation."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, datasheet
-from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
-from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.filters.run import Estimate, run_innovations
 from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
+from sigmaswarm.report.tracks import errors_of, estimates, three_sigma
 from sigmaswarm.scoring.consistency import GATE_95, judged
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
 from sigmaswarm.tuning.result import Tuning
@@ -91,12 +89,12 @@ def convergence(tuning: Tuning) -> Figure:
 def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
     initial = initial_state(drive)
-    estimates = _estimates(drive, parameters, initial)
+    believed = estimates(drive, parameters, initial)
     figure, (whole, close) = new_figure(11, 5.4, 1, 2)
-    x0, y0 = _place_of_sharpest_turn(drive, estimates["tuned"])
+    x0, y0 = place_of_sharpest_turn(drive, believed["tuned"])
     for ax in (whole, close):
         ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
-        for name, estimate in estimates.items():
+        for name, estimate in believed.items():
             ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
         if drive.truth is not None:  # on top: the tuned filter's line is wider
             ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
@@ -118,24 +116,17 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
 
 def errors(drive: Drive, parameters: FilterParameters) -> Figure:
     """Position and heading error over time, with the tuned filter's own 3-sigma bounds."""
-    estimates = _estimates(drive, parameters, initial_state(drive))
+    believed = estimates(drive, parameters, initial_state(drive))
     figure, (position, heading) = new_figure(9, 6, 2, 1, sharex=True)
-    truth = drive.truth
-    if truth is None:
+    if drive.truth is None:
         raise InputError(f"{drive.name}: has no truth, so there is no error to draw")
-    tuned = estimates["tuned"]
-    std = np.sqrt(np.diagonal(tuned.covariance, axis1=1, axis2=2))
-    radius, sigma = 3 * np.hypot(std[:, 0], std[:, 1]), 3 * np.degrees(std[:, 4])
+    tuned = believed["tuned"]
+    radius, sigma = three_sigma(tuned)
     position.plot(tuned.time, radius, color="0.6", lw=1, label="3 sigma of the tuned UKF")
     heading.fill_between(tuned.time, -sigma, sigma, color="0.9")
-    for name, estimate in estimates.items():
-        x, y, theta = (
-            np.interp(estimate.time, truth.time, column, left=np.nan, right=np.nan)
-            for column in (truth.x, truth.y, np.unwrap(truth.theta))
-        )
-        distance = np.hypot(estimate.mean[:, 0] - x, estimate.mean[:, 1] - y)
+    for name, estimate in believed.items():
+        distance, wrong = errors_of(estimate, drive.truth)
         position.plot(estimate.time, distance, label=LABELS[name], **LOOKS[name])
-        wrong = np.degrees(wrap_angle(estimate.mean[:, THETA] - theta))
         heading.plot(estimate.time, wrong, **LOOKS[name])
     # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
     position.set(ylabel="position error, m", yscale="log", ylim=(0.03, None))
@@ -198,12 +189,7 @@ def consistency_figure(drive: Drive, parameters: FilterParameters) -> Figure:
     return figure
 
 
-def _estimates(drive: Drive, parameters: FilterParameters, initial: InitialState) -> Mapping[str, Estimate]:
-    sets = {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": parameters}
-    return {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
-
-
-def _place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
+def place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
     """Where the car turns most within 4 s while a filter runs, m east and north."""
     turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * np.diff(drive.imu.time))])
     t = estimate.time

@@ -44,10 +44,10 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def check_picture(path: Path) -> None:
-    """Raise `InputError` where `save` could not write, before any work is done."""
-    if path.suffix != ".png":
-        raise InputError(f"{path}: can't tell the format; end the name in .png")
+def check_file(path: Path, suffix: str = ".png") -> None:
+    """Raise `InputError` where no file of that kind can be written, before any work is done."""
+    if path.suffix != suffix:
+        raise InputError(f"{path}: can't tell the format; end the name in {suffix}")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():

@@ -106,13 +106,11 @@ class Tuning(Generic[P]):
                 "the objective can't tell how large all noises are together, so don't trust the covariances; "
                 "add innovation-nll or nis to it"
             )
-        p = self.parameters
-        if isinstance(p, FilterParameters) and p.lateral_noise is p.velocity_noise is None:
-            if "truth-pose" not in self.config.objective:
-                remarks.append(
-                    "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
-                    "for a car add --model planar8 --use lateral standstill gate, or tune with truth-pose"
-                )
+        if self._heading_is_loose():
+            remarks.append(
+                "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
+                "for a car add --model planar8 --use lateral standstill gate, or tune with truth-pose"
+            )
         better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
         if better is not None and better.lowest_rise < -RISE:
             remarks.append(
@@ -132,6 +130,11 @@ class Tuning(Generic[P]):
             )
         return remarks
 
+    def _heading_is_loose(self) -> bool:
+        p = self.parameters
+        held = not isinstance(p, FilterParameters) or p.lateral_noise or p.velocity_noise
+        return not held and "truth-pose" not in self.config.objective
+
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""
         ranges = {
@@ -147,6 +150,7 @@ class Tuning(Generic[P]):
                 **({} if self.validation is None else self.validation.to_dict()),
                 "touched_bounds": self.touched_bounds,
                 "unidentified": self.unidentified,
+                "remarks": self.remarks,
                 "best_trial": self.best_trial,
                 "trial_costs": [trial.cost for trial in self.trials],
                 "evaluations": sum(trial.evaluations for trial in self.trials),

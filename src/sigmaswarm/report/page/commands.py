@@ -1,0 +1,55 @@
+"""The command that repeats a result, from the configuration that was saved with it."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sigmaswarm.tuning.config import TuneConfig
+
+STATED = ("objective", "particles", "generations", "trials", "seed")
+"""Options that the command names even at their defaults."""
+OTHERS = (
+    *("worst", "scale", "model", "kind", "use"),
+    *("optimizer", "polish", "inertia", "zero_velocity_at_bounds", "patience"),
+)
+"""Options that it names where they are not at their defaults."""
+ONLY_IN_PYTHON = ("cognitive", "social", "outage_seed")
+
+
+def tune_command(
+    config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
+) -> tuple[str, str]:
+    """The command of a tuning, and what it can't say; no command for a model of the user's own."""
+    if isinstance(config.get("model"), dict):
+        return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
+    options = {name: config[name] for name in STATED if name in config}
+    options |= {name: config[name] for name in OTHERS if name in config and not _default(name, config[name])}
+    words = ["sigmaswarm", "tune", *drives, "--out", "again"]
+    for name, value in options.items():
+        words += _option(name.replace("_", "-"), value)
+    words += ["--validation", *validation] if validation else []
+    stray = [f"{n} = {config[n]}" for n in ONLY_IN_PYTHON if n in config and not _default(n, config[n])]
+    note = f" It leaves out {', '.join(stray)}, which only Python takes." if stray else ""
+    return shlex.join(words), f"Drives are called by their names: put the ways to your folders instead.{note}"
+
+
+def evaluate_command(drives: Sequence[str], outage_length: float, outage_seed: int) -> tuple[str, str]:
+    """The command of an evaluation, and what it can't say."""
+    words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
+    words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
+    note = (
+        "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
+        "folders instead."
+    )
+    return shlex.join(words), note
+
+
+def _default(name: str, value: Any) -> bool:
+    default = TuneConfig.model_fields[name].default
+    return value is None or (list(value) == list(default) if name == "use" else value == default)
+
+
+def _option(name: str, value: Any) -> list[str]:
+    if value is True:
+        return [f"--{name}"]
+    return [f"--{name}", *map(str, value)] if isinstance(value, list) else [f"--{name}", str(value)]

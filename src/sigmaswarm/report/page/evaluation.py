@@ -1,0 +1,220 @@
+"""The page of an evaluation: what the tuning is worth on drives, against manual filters, raw GPS and IMU only."""
+
+from pathlib import Path
+from typing import Any
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.report.page.commands import evaluate_command
+from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
+from sigmaswarm.report.page.schema import EvaluationFile, Measures, ScoresFile, TuningFile, load
+from sigmaswarm.report.page.tuning import (
+    convergence_section,
+    data_section,
+    filter_name,
+    parameters_section,
+    remarks,
+    shown_config,
+    what_was_tuned,
+)
+from sigmaswarm.report.style import LABELS, LOOKS
+from sigmaswarm.report.tracks import load_tracks
+from sigmaswarm.scoring.evaluation import METHODS
+
+MEASURES = {
+    "position_rmse_m": Column("position RMSE", "m"),
+    "heading_rmse_deg": Column("heading error", "deg"),
+    "outage_drift_m": Column("outage drift", "m"),
+}
+MANUAL = ("defaults", "datasheet")
+
+
+def evaluation_report(folder: Path) -> Report:
+    """Read the folder of a `sigmaswarm evaluate --out`."""
+    scores = load(ScoresFile, folder / "scores.json")
+    asked = load(EvaluationFile, folder / "evaluation.json")
+    file = load(TuningFile, folder / "tuning.toml")
+    tracks = tuple(load_tracks(folder / "tracks.npz"))
+    if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [t.name for t in tracks]:
+        raise InputError(
+            f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
+            "repeat `sigmaswarm evaluate`"
+        )
+    seen = frozenset(d.sha256 for d in file.data)
+    held_out = [d.sha256 not in seen for d in asked.data]
+    command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
+    return Report(
+        title=f"Evaluation of {filter_name(file)}",
+        lead=(_result(scores, held_out, known=bool(seen)), what_was_tuned(file)),
+        figures=_figures(scores),
+        remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
+        sections=(
+            _comparison(scores, asked.outage_length_s),
+            Section("Tracks and errors over time", tracks=tracks),
+            _consistency(scores),
+            parameters_section(file),
+            *convergence_section(file, folder),
+            data_section("Drives of the evaluation", asked.data, seen if seen else None),
+            *((data_section("Drives of the tuning", file.data),) if file.data else ()),
+        ),
+        config=shown_config(file.config)
+        | {"outage_length_s": asked.outage_length_s, "evaluation_outage_seed": asked.outage_seed},
+        versions=asked.versions,
+        command=command,
+        command_note=note,
+    )
+
+
+def _remarks(scores: ScoresFile, held_out: list[bool]) -> list[str]:
+    said = (
+        [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
+    )
+    wrong = [(c.mean_nis, c.nis_band_95) for c in scores.consistency.values() if c]
+    sure = sum(nis > high for nis, (_, high) in wrong)
+    careful = sum(nis < low for nis, (low, _) in wrong)
+    of = f"on {{}} of {len(scores.drives)} drives the filter"
+    if sure:
+        said.append(
+            f"{of.format(sure)} is too sure of itself: its errors are larger than its covariances say"
+        )
+    if careful:
+        said.append(f"{of.format(careful)} is too careful: its errors are smaller than its covariances say")
+    failed = sum(c is None for c in scores.consistency.values())
+    if failed:
+        said.append(f"{of.format(failed)} failed or saw too few fixes to judge its consistency")
+    return said
+
+
+def _without_validation(said: tuple[str, ...]) -> tuple[str, ...]:
+    """An evaluation is what the remark asks for that nothing is known of other drives."""
+    return tuple(remark for remark in said if not remark.startswith("no drives were held back"))
+
+
+def _result(scores: ScoresFile, held_out: list[bool], *, known: bool) -> str:
+    """The result in a sentence: position where truth is known, else the drift over outages."""
+    n = len(held_out)
+    drives = f"{n} drive{'s' if n != 1 else ''}"
+    if known and all(held_out):
+        drives += " that the tuning never saw"
+    elif known:
+        drives += f", {n - sum(held_out)} of them seen by the tuning"
+    for measure, what in (
+        ("position_rmse_m", "is {} m (RMS) from the truth"),
+        ("outage_drift_m", "drifts {} m (RMS) over an outage"),
+    ):
+        tuned = _mean(scores, "tuned", measure)
+        if tuned is not None:
+            rivals = [m for m in (_best_manual(scores, measure), "raw_gps") if m]
+            against = [_against(tuned, other, m) for m in rivals if (other := _mean(scores, m, measure))]
+            said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}"
+            return f"{said}: {', and '.join(against)}." if against else f"{said}."
+    return f"On {drives} nothing can be said of the tuned filter: it failed, or there is no truth."
+
+
+def _against(tuned: float, other: float, method: str) -> str:
+    change = 100 * (other - tuned) / other
+    return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {LABELS[method]} ({other:.3g} m)"
+
+
+def _mean(scores: ScoresFile, method: str, measure: str) -> float | None:
+    return scores.mean.get(method, {}).get(measure)
+
+
+def _best_manual(scores: ScoresFile, measure: str) -> str | None:
+    """The manual filter that a tuning has to beat; None where none can be scored."""
+    values = {m: v for m in MANUAL if (v := _mean(scores, m, measure)) is not None}
+    return min(values, key=values.__getitem__) if values else None
+
+
+def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
+    figures: list[Figure] = []
+    for measure, column in MEASURES.items():
+        tuned, rival = _mean(scores, "tuned", measure), _best_manual(scores, measure)
+        if tuned is None:
+            continue
+        note = f"{LABELS[rival]}: {_mean(scores, rival, measure):.3g} {column.unit}" if rival else ""
+        figures.append(Figure(column.title, f"{tuned:.3g} {column.unit}", note))
+    judged = [c for c in scores.consistency.values() if c]
+    if judged:
+        nis = sum(c.mean_nis for c in judged) / len(judged)
+        figures.append(Figure("mean NIS", f"{nis:.3g}", "2 where the filter knows its errors"))
+    return tuple(figures)
+
+
+def _comparison(scores: ScoresFile, outage_length: float) -> Section:
+    columns = (Column("drive"), Column("method"), *MEASURES.values())
+    each = [
+        _row(drive, m, methods[m])
+        for drive, methods in scores.drives.items()
+        for m in METHODS
+        if m in methods
+    ]
+    mean = [_row("mean", m, scores.mean[m]) for m in METHODS if m in scores.mean]
+    tables = [_scores("Each drive", columns, each)]
+    if len(scores.drives) > 1:
+        tables.insert(0, _scores("Mean over drives", columns, mean))
+    text = (f"Lower is better. An outage lasts {outage_length:g} s. RMSE: root of the mean square error.",)
+    charts = tuple(_bars(scores, m, c) for m, c in MEASURES.items())
+    return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
+
+
+def _scores(caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]]) -> Table:
+    strong = frozenset(i for i, row in enumerate(rows) if row[1] == METHODS["tuned"])
+    return Table(caption, columns, tuple(rows), strong)
+
+
+def _row(drive: str, method: str, measures: Measures) -> tuple[Cell, ...]:
+    return (drive, METHODS[method], *(measures.get(m) for m in MEASURES))
+
+
+def _bars(scores: ScoresFile, measure: str, column: Column) -> Chart | None:
+    """Means over the drives; the scale is logarithmic. None where no method has the measure."""
+    values = {m: v for m in reversed(METHODS) if (v := _mean(scores, m, measure))}
+    if not values:
+        return None
+    trace: dict[str, Any] = {
+        "type": "bar",
+        "orientation": "h",
+        "x": list(values.values()),
+        "y": [LABELS[m] for m in values],
+        "text": [f"{v:.3g}" for v in values.values()],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "marker": {"color": [LOOKS[m]["color"] for m in values]},
+        "showlegend": False,
+    }
+    layout = {
+        "xaxis": {"type": "log", "title": {"text": f"{column.title}, {column.unit}"}, "dtick": 1},
+        "yaxis": {"automargin": True},
+        "height": 230,
+        "margin": {"r": 56},
+    }
+    return Chart(f"{column.title}, mean over drives", (trace,), layout)
+
+
+def _consistency(scores: ScoresFile) -> Section:
+    titles = ("drive", "fixes", "mean NIS", "consistent from", "to", "inside 95% gate", "mean NEES")
+    columns = [*map(Column, titles), Column("correlation to the next fix"), Column("p of whiteness")]
+    columns[5] = Column("inside 95% gate", "%")
+    rows: list[tuple[Cell, ...]] = []
+    for drive, c in scores.consistency.items():
+        if c is None:
+            rows.append((drive, *([None] * 8)))
+            continue
+        inside = 100 * c.share_inside_95_gate
+        rows.append(
+            (
+                drive,
+                c.n_fixes,
+                c.mean_nis,
+                *c.nis_band_95,
+                inside,
+                c.mean_nees,
+                c.autocorrelation[0],
+                c.white_p,
+            )
+        )
+    text = (
+        "Does the tuned filter know its own errors? NIS and NEES average 2 where it does; above 2 it is too sure of "
+        "itself, below too careful. Innovations of a consistent filter are white: no correlation from fix to fix.",
+    )
+    return Section("Consistency", text, (Table("", tuple(columns), tuple(rows)),))

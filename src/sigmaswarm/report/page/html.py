@@ -1,0 +1,159 @@
+"""A report as one HTML file that needs nothing else: no network, no other file."""
+
+import json
+import math
+from collections.abc import Iterator
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import numpy as np
+
+import sigmaswarm
+from sigmaswarm.report.page.record import Cell, Column, Report, Section, Table
+from sigmaswarm.report.style import LABELS, LOOKS
+from sigmaswarm.report.tracks import Tracks
+from sigmaswarm.scoring.consistency import GATE_95
+
+_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
+"""plotly.js' names of matplotlib's line styles."""
+
+
+def page(report: Report) -> str:
+    """The whole page.
+
+    Every text of the report is escaped, and the page's policy forbids any request, so that neither a drive's name nor
+    anything else can reach out of it.
+    """
+    from plotly.offline import get_plotlyjs
+
+    assets = files("sigmaswarm.report.page")
+    charts = [chart for section in report.sections for chart in section.charts]
+    data = {
+        "charts": [{"traces": list(c.traces), "layout": c.layout} for c in charts],
+        "tracks": [_tracks(t) for section in report.sections for t in section.tracks],
+        "looks": {m: {"label": LABELS[m], **_look(look)} for m, look in LOOKS.items()},
+        "gate": GATE_95,
+    }
+    numbers = iter(range(len(charts)))
+    return Template(assets.joinpath("page.html").read_text(encoding="utf-8")).substitute(
+        title=escape(report.title),
+        lead="".join(f"<p>{escape(sentence)}</p>" for sentence in report.lead),
+        figures="".join(
+            f"<div><dt>{escape(f.label)}</dt><dd>{escape(f.value)}<small>{escape(f.note)}</small></dd></div>"
+            for f in report.figures
+        ),
+        remarks=_remarks(report),
+        sections="".join(_section(section, numbers) for section in report.sections),
+        repeat=_repeat(report),
+        version=escape(sigmaswarm.__version__),
+        style=assets.joinpath("page.css").read_text(encoding="utf-8"),
+        plotly=get_plotlyjs(),
+        script=assets.joinpath("page.js").read_text(encoding="utf-8"),
+        data=_json(data),
+    )
+
+
+def _json(content: Any) -> str:
+    """JSON that can stand inside a script element: no text in it can end the element."""
+    return json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _look(look: dict[str, Any]) -> dict[str, Any]:
+    return {"color": look["color"], "dash": _DASHES[look["ls"]], "width": max(look["lw"], 1.2)}
+
+
+def _tracks(tracks: Tracks) -> dict[str, Any]:
+    """Numbers to the millimetre and millisecond; large time stamps from the drive's beginning."""
+    first = min(float(columns["time"][0]) for columns in tracks.series.values())
+    origin = first if abs(first) > 1000 else 0.0
+    series = {
+        name: {
+            column: _rounded(values - origin if column == "time" else values)
+            for column, values in columns.items()
+        }
+        for name, columns in tracks.series.items()
+    }
+    return {"name": tracks.name, "origin": origin, "series": series}
+
+
+def _rounded(values: np.ndarray[Any, Any]) -> list[float | None]:
+    return [v if math.isfinite(v) else None for v in np.round(values.astype(np.float64), 3).tolist()]
+
+
+def _remarks(report: Report) -> str:
+    if not report.remarks:
+        return ""
+    items = "".join(f"<li>{escape(remark)}</li>" for remark in report.remarks)
+    return f'<aside><h2>Before you trust it</h2><ul id="remarks">{items}</ul></aside>'
+
+
+def _section(section: Section, numbers: Iterator[int]) -> str:
+    parts = [f"<section><h2>{escape(section.title)}</h2>"]
+    parts += [f"<p>{escape(text)}</p>" for text in section.text]
+    parts += [_table(table) for table in section.tables]
+    charts = [
+        f'<figure><figcaption>{escape(c.title)}</figcaption><div class="chart" data-chart="{next(numbers)}" role="img" '
+        f'aria-label="{escape(c.title)}"></div></figure>'
+        for c in section.charts
+    ]
+    parts += [f'<div class="charts">{"".join(charts)}</div>'] if charts else []
+    if section.tracks:
+        parts.append(files("sigmaswarm.report.page").joinpath("tracks.html").read_text(encoding="utf-8"))
+    return "".join([*parts, "</section>"])
+
+
+def _table(table: Table) -> str:
+    head = "".join(_head(column) for column in table.columns)
+    strong = [' class="strong"' if i in table.strong else "" for i in range(len(table.rows))]
+    rows = zip(strong, table.rows, strict=True)
+    body = "".join(f"<tr{look}>{''.join(map(_cell, row))}</tr>" for look, row in rows)
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    return (
+        f'<div class="wide" tabindex="0" role="region" aria-label="table"><table class="sortable">{caption}'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def _head(column: Column) -> str:
+    unit = f", {escape(column.unit)}" if column.unit else ""
+    return f'<th scope="col"><button type="button">{escape(column.title)}{unit}</button></th>'
+
+
+def _cell(cell: Cell) -> str:
+    """Numbers to four digits; all of them in the attribute that the table is sorted by."""
+    if isinstance(cell, str):
+        return f"<td>{escape(cell)}</td>"
+    if cell is None or not math.isfinite(cell):
+        return '<td class="number">–</td>'
+    shown = str(int(cell)) if cell == int(cell) and abs(cell) < 1e9 else f"{cell:.4g}"
+    return f'<td class="number" data-value="{cell!r}">{shown}</td>'
+
+
+def _repeat(report: Report) -> str:
+    """How to get the same result again: the command, the configuration, the versions."""
+    command = ""
+    if report.command:
+        command = (
+            f'<div class="command"><pre><code id="command">{escape(report.command)}</code></pre>'
+            '<button type="button" id="copy">Copy</button></div>'
+        )
+    note = f"<p>{escape(report.command_note)}</p>" if report.command_note else ""
+    return command + note + _pairs("Configuration", report.config) + _pairs("Versions", report.versions)
+
+
+def _pairs(title: str, pairs: Any) -> str:
+    rows = "".join(
+        f"<tr><th scope='row'>{escape(str(key))}</th><td>{escape(_plain(value))}</td></tr>"
+        for key, value in pairs.items()
+    )
+    return (
+        f"<h3>{title}</h3><div class='wide'><table class='pairs'><tbody>{rows}</tbody></table></div>"
+        if rows
+        else ""
+    )
+
+
+def _plain(value: Any) -> str:
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)  # pyright: ignore

@@ -1,0 +1,276 @@
+"use strict";
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const el = (id) => document.getElementById(id);
+  // A finger that scrolls the page must not zoom: on touch screens the fields "from" and "to" do.
+  const TOUCH = matchMedia("(pointer: coarse)").matches;
+  const STILL = { responsive: true, displayModeBar: false };
+  const EXPLORED = { responsive: true, displaylogo: false, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"]] };
+  const PAPER_WIDTH = 660; // px of an A4 page between its margins
+
+  const axis = (more) => ({ gridcolor: "#e6e8ea", zerolinecolor: "#c4c9ce", linecolor: "#a9b0b7", ...more });
+  const layout = (more) => ({
+    font: { family: "system-ui, sans-serif", size: 13, color: "#1c2024" },
+    paper_bgcolor: "#fff", plot_bgcolor: "#fff", hovermode: "closest", dragmode: TOUCH ? false : "zoom",
+    legend: { orientation: "h", y: -0.25 }, height: 360, ...more,
+    margin: { l: 56, r: 12, t: 12, b: 44, ...more.margin },
+    xaxis: axis(more.xaxis), yaxis: axis(more.yaxis),
+  });
+
+  function drawCharts() {
+    for (const div of document.querySelectorAll("[data-chart]")) {
+      const chart = data.charts[Number(div.dataset.chart)];
+      Plotly.newPlot(div, chart.traces, layout(chart.layout), STILL);
+    }
+  }
+
+  // ---- tables ----
+
+  function sortBy(table, column, header) {
+    const descending = header.getAttribute("aria-sort") === "ascending";
+    for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
+    header.setAttribute("aria-sort", descending ? "descending" : "ascending");
+    const key = (row) => {
+      const cell = row.cells[column];
+      if (cell.dataset.value !== undefined) return Number(cell.dataset.value);
+      return cell.classList.contains("number") ? null : cell.textContent;
+    };
+    const compare = (a, b) => {
+      if (a === null || b === null) return (a === null) - (b === null); // what can't be said comes last
+      if (typeof a !== typeof b) return typeof a === "number" ? -1 : 1;
+      const order = typeof a === "number" ? a - b : a.localeCompare(b, "en", { numeric: true });
+      return descending ? -order : order;
+    };
+    const body = table.tBodies[0];
+    body.append(...[...body.rows].sort((a, b) => compare(key(a), key(b))));
+  }
+
+  function makeSortable() {
+    for (const table of document.querySelectorAll("table.sortable")) {
+      [...table.tHead.rows[0].cells].forEach((header, column) => {
+        if ([...table.tBodies[0].rows].some((r) => r.cells[column].dataset.value)) header.classList.add("number");
+        header.firstElementChild.addEventListener("click", () => sortBy(table, column, header));
+      });
+    }
+  }
+
+  // ---- tracks and errors ----
+
+  const SHOWN_FIRST = ["truth", "tuned", "raw_gps", "datasheet"];
+  const DRAWN = ["raw_gps", "imu_only", "defaults", "datasheet", "tuned", "truth"]; // the last one on top
+  const state = { drive: null, window: null };
+
+  const shown = (name) => el(`method-${name}`)?.checked && state.drive.series[name];
+  const inWindow = (t) => !state.window || (t >= state.window[0] && t <= state.window[1]);
+  const style = (name) => {
+    const look = data.looks[name];
+    return name === "raw_gps"
+      ? { mode: "markers", marker: { color: look.color, size: 5, opacity: 0.7 } }
+      : { mode: "lines", line: { color: look.color, dash: look.dash, width: look.width } };
+  };
+
+  function pathTrace(name) {
+    const s = state.drive.series[name];
+    const kept = s.time.map((_, i) => i).filter((i) => inWindow(s.time[i]));
+    const pick = (column) => kept.map((i) => column[i]);
+    return {
+      x: pick(s.x), y: pick(s.y), customdata: pick(s.time), name: data.looks[name].label, ...style(name),
+      hovertemplate: "%{x:.1f} m, %{y:.1f} m at %{customdata:.1f} s",
+    };
+  }
+
+  // The frame holds what is near the car: a method that runs away must not set the scale.
+  function frame() {
+    const ends = (column) => {
+      let [low, high] = [Infinity, -Infinity];
+      for (const name of ["truth", "raw_gps"]) {
+        const s = state.drive.series[name];
+        (s?.time ?? []).forEach((t, i) => {
+          if (inWindow(t) && s[column][i] !== null) [low, high] = [Math.min(low, s[column][i]), Math.max(high, s[column][i])];
+        });
+      }
+      return [low, high];
+    };
+    const [x, y] = [ends("x"), ends("y")];
+    if (!Number.isFinite(x[0])) return [undefined, undefined];
+    const margin = Math.max(0.08 * Math.max(x[1] - x[0], y[1] - y[0]), 1);
+    return [x, y].map(([low, high]) => [low - margin, high + margin]);
+  }
+
+  function drawMap() {
+    const [x, y] = frame();
+    const moment = { x: [], y: [], name: "this moment", mode: "markers", hoverinfo: "skip",
+      marker: { color: "#fff", size: 11, line: { color: "#1c2024", width: 2.5 } } };
+    Plotly.react("map", [...DRAWN.filter(shown).map(pathTrace), moment], layout({
+      height: 440, showlegend: false, margin: { l: 60 },
+      xaxis: { title: { text: "east, m" }, range: x },
+      yaxis: { title: { text: "north, m" }, range: y, scaleanchor: "x" },
+    }), EXPLORED);
+  }
+
+  const PANELS = [
+    { axis: "y", column: "position_error", sigma: "position_3sigma" },
+    { axis: "y2", column: "heading_error", sigma: "heading_3sigma" },
+  ];
+
+  function errorTraces() {
+    const traces = [];
+    for (const panel of PANELS) {
+      const s = state.drive.series[el("sigma").value];
+      const line = { mode: "lines", yaxis: panel.axis, hoverinfo: "skip", line: { color: "#8a9199", width: 1 } };
+      if (s?.[panel.sigma]) {
+        traces.push({ ...line, x: s.time, y: s[panel.sigma], name: "3 sigma" });
+        if (panel.axis === "y2") {
+          traces.push({ ...line, x: s.time, y: s[panel.sigma].map((v) => (v === null ? v : -v)), name: "-3 sigma",
+            fill: "tonexty", fillcolor: "rgba(138,145,153,.18)" });
+        }
+      }
+      for (const name of DRAWN.filter((n) => shown(n)?.[panel.column])) {
+        traces.push({ x: state.drive.series[name].time, y: state.drive.series[name][panel.column],
+          yaxis: panel.axis, name: data.looks[name].label, ...style(name) });
+      }
+    }
+    const nis = state.drive.series.nis;
+    if (nis) {
+      traces.push({ x: nis.time, y: nis.nis, yaxis: "y3", name: "NIS", mode: "markers",
+        marker: { color: data.looks.tuned.color, size: 4 } });
+    }
+    return traces;
+  }
+
+  function drawErrors() {
+    const side = (text, domain, more) => axis({ title: { text, font: { size: 12 } }, domain, ...more });
+    const origin = state.drive.origin ? ` since t = ${state.drive.origin} s` : "";
+    const time = axis({ title: { text: `time, s${origin}` }, anchor: "y3", zeroline: false,
+      ...(state.window ? { range: state.window } : { autorange: true }) });
+    const gate = { type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: data.gate, y1: data.gate,
+      line: { color: "#51585f", width: 1, dash: "dash" } };
+    const traces = errorTraces();
+    Plotly.react("errors", traces, {
+      ...layout({ height: 620, showlegend: false, margin: { l: 60 } }),
+      xaxis: time,
+      yaxis: side("position, m", [0.68, 1], { type: "log", range: logRange(traces, "y", 0.03, 1) }),
+      yaxis2: side("heading, deg", [0.34, 0.64], headingRange()),
+      yaxis3: side("NIS of tuned", [0, 0.3], { type: "log", range: logRange(traces, "y3", 0.01, 20) }),
+      shapes: state.drive.series.nis ? [gate] : [],
+    }, EXPLORED);
+  }
+
+  // From what is small enough to be nothing, up to the largest value drawn: exponents, as plotly.js wants them.
+  function logRange(traces, axisName, low, high) {
+    const values = traces.filter((t) => t.yaxis === axisName).flatMap((t) => t.y);
+    return [low, values.reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
+  }
+
+  // As far as the tuned filter goes, and 30 degrees at least; a lost heading must not hide a good one.
+  function headingRange() {
+    const s = state.drive.series.tuned;
+    const values = [...(s?.heading_error ?? [])].filter((v) => v !== null).map(Math.abs);
+    const most = Math.min(180, 1.2 * values.reduce((a, b) => Math.max(a, b), 4));
+    return { range: [-most, most] };
+  }
+
+  function setWindow(wanted) {
+    state.window = wanted;
+    const [low, high] = wanted ?? wholeTime();
+    [el("from").value, el("to").value] = [low, high].map((v) => v.toFixed(2));
+  }
+
+  function wholeTime() {
+    const times = Object.values(state.drive.series).map((s) => s.time);
+    return [Math.min(...times.map((t) => t[0])), Math.max(...times.map((t) => t[t.length - 1]))];
+  }
+
+  function draw() {
+    drawMap();
+    drawErrors();
+  }
+
+  function showMoment(t) {
+    const name = ["tuned", "truth", "raw_gps"].find((n) => state.drive.series[n]);
+    const s = state.drive.series[name];
+    const at = s.time.findIndex((v) => v >= t);
+    const last = el("map").data.length - 1;
+    Plotly.restyle("map", at < 0 ? { x: [[]], y: [[]] } : { x: [[s.x[at]]], y: [[s.y[at]]] }, [last]);
+  }
+
+  function chooseDrive() {
+    state.drive = data.tracks[Number(el("drive").value)];
+    for (const name of DRAWN) el(`method-${name}`).disabled = !state.drive.series[name];
+    setWindow(null);
+    draw();
+  }
+
+  const option = (value, text) => Object.assign(document.createElement("option"), { value, textContent: text });
+
+  function makeControls() {
+    data.tracks.forEach((drive, i) => el("drive").append(option(i, drive.name)));
+    for (const name of ["tuned", "defaults", "datasheet"]) el("sigma").append(option(name, data.looks[name].label));
+    el("sigma").append(option("", "none"));
+    for (const name of [...DRAWN].reverse()) {
+      const look = data.looks[name];
+      const box = Object.assign(document.createElement("input"),
+        { type: "checkbox", id: `method-${name}`, checked: SHOWN_FIRST.includes(name) });
+      const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
+      swatch.style.borderTop = `3px ${look.dash === "solid" ? "solid" : look.dash === "dash" ? "dashed" : "dotted"} ${look.color}`;
+      const label = document.createElement("label");
+      label.append(box, swatch, look.label);
+      el("methods").append(label);
+    }
+    el("drive").addEventListener("change", chooseDrive);
+    el("sigma").addEventListener("change", drawErrors);
+    el("methods").addEventListener("change", draw);
+    el("whole").addEventListener("click", () => { setWindow(null); draw(); });
+    el("window").addEventListener("change", () => {
+      const [low, high] = [Number(el("from").value), Number(el("to").value)];
+      if (low < high) { setWindow([low, high]); draw(); }
+    });
+  }
+
+  function linkTime() {
+    el("errors").on("plotly_relayout", (change) => {
+      const low = change["xaxis.range[0]"], high = change["xaxis.range[1]"];
+      if (low !== undefined) setWindow([low, high]);
+      else if (change["xaxis.autorange"]) setWindow(null);
+      else return;
+      drawMap();
+    });
+    el("errors").on("plotly_hover", (event) => showMoment(event.points[0].x));
+    el("errors").on("plotly_unhover", () => showMoment(Infinity));
+  }
+
+  // ---- the command, and paper ----
+
+  async function copyCommand() {
+    const text = el("command").textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch { // an old browser, or one that forbids it to files
+      const area = Object.assign(document.createElement("textarea"), { value: text });
+      document.body.append(area);
+      area.select();
+      document.execCommand("copy");
+      area.remove();
+    }
+    el("copy").textContent = "Copied";
+    setTimeout(() => { el("copy").textContent = "Copy"; }, 2000);
+  }
+
+  function fitPaper() {
+    const print = matchMedia("print");
+    const plots = () => [...document.querySelectorAll(".js-plotly-plot")];
+    const fit = () => plots().forEach((p) => Plotly.relayout(p, { width: Math.min(PAPER_WIDTH, p.clientWidth) }));
+    const back = () => plots().forEach((p) => Plotly.relayout(p, { width: null, autosize: true }));
+    print.addEventListener("change", () => (print.matches ? fit() : back()));
+  }
+
+  makeSortable();
+  drawCharts();
+  if (data.tracks.length) {
+    makeControls();
+    chooseDrive();
+    linkTime();
+  }
+  el("copy")?.addEventListener("click", copyCommand);
+  fitPaper();
+})();

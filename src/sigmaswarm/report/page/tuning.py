@@ -1,0 +1,217 @@
+"""The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.report.page.commands import tune_command
+from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
+from sigmaswarm.report.page.schema import Data, End, TuningFile, load
+from sigmaswarm.tuning.sensitivity import NOISE_SCALE
+
+BEST, MEDIAN = "#0072B2", "#E69F00"
+"""The colors of `figures.convergence`."""
+
+
+def tuning_report(folder: Path) -> Report:
+    """Read the folder of a `sigmaswarm tune`."""
+    file = load(TuningFile, folder / "tuning.toml")
+    result = file.result
+    if result is None:
+        raise InputError(
+            f"{folder / 'tuning.toml'}: has no [result] table; give the folder of a `sigmaswarm tune`"
+        )
+    figures = [Figure("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
+    if result.validation_cost is not None and result.validation_gap is not None:
+        figures.append(
+            Figure("cost on held-out drives", f"{result.validation_cost:.4g}", _gap(result.validation_gap))
+        )
+    figures.append(Figure("candidates tried", f"{result.evaluations}", f"{result.failures} of them failed"))
+    command, note = tune_command(file.config, [d.name for d in file.data], result.validation_drives)
+    return Report(
+        title=f"Tuning of {filter_name(file)}",
+        lead=(what_was_tuned(file), _held_out(file)),
+        figures=tuple(figures),
+        remarks=remarks(file),
+        sections=(
+            parameters_section(file),
+            *convergence_section(file, folder),
+            data_section("Drives", file.data),
+        ),
+        config=shown_config(file.config),
+        versions=file.versions,
+        command=command,
+        command_note=note,
+    )
+
+
+def filter_name(file: TuningFile) -> str:
+    """Model and kind, for a title."""
+    model = file.config.get("model", file.filter.get("model", "a filter"))
+    if isinstance(model, dict):
+        return str(model.get("name", "a model of your own"))  # pyright: ignore
+    return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
+
+
+def what_was_tuned(file: TuningFile) -> str:
+    """The filter, the drives and the objective, in a sentence."""
+    if file.result is None:
+        return f"The filter is {filter_name(file)}; its file does not say how it was tuned."
+    length = sum(d.duration_s or 0 for d in file.data)
+    on = f"{len(file.data)} drive{'s' if len(file.data) != 1 else ''}" + (
+        f" ({length / 60:.1f} min)" if length else ""
+    )
+    meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
+    return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
+
+
+def _held_out(file: TuningFile) -> str:
+    result = file.result
+    if result is None or result.validation_cost is None or result.validation_gap is None:
+        return "Of other drives nothing is known yet; `sigmaswarm evaluate` tells what the filter is worth there."
+    n = len(result.validation_drives)
+    return (
+        f"On {n} drive{'s' if n != 1 else ''} held back from the search its cost is {result.validation_cost:.4g}, "
+        f"{_gap(result.validation_gap)}; on the training drives it is {result.cost:.4g}."
+    )
+
+
+def _gap(gap: float) -> str:
+    return f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
+
+
+def remarks(file: TuningFile) -> tuple[str, ...]:
+    """What a reader should know before trusting the tuning."""
+    r = file.result
+    return () if r is None else tuple(r.remarks)
+
+
+def parameters_section(file: TuningFile) -> Section:
+    """Every parameter with its unit, how far it can move, and what is to be said of it."""
+    ranges = file.within_1_percent_of_the_cost
+    touched = {t.split()[0]: t.split(" ", 1)[-1] for t in (file.result.touched_bounds if file.result else ())}
+    rows: list[tuple[Cell, ...]] = []
+    for name, value, unit, density in _parameters(file):
+        low, high = ranges.get(name, (None, None))
+        free = (low, high) == ("-", "-")
+        remark = "any value in the box is as good" if free else touched.get(name, "")
+        rows.append((name, value, unit, _end(low), _end(high), density, remark))
+    if NOISE_SCALE in ranges:
+        low, high = ranges[NOISE_SCALE]
+        rows.append((NOISE_SCALE, 1.0, "", _end(low), _end(high), "", "together, one factor"))
+    titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
+    text = (
+        ("From and to: where the cost has risen by 1%, all other parameters left alone.",) if ranges else ()
+    )
+    return Section("Parameters", text, (Table("", tuple(map(Column, titles)), tuple(rows)),))
+
+
+def _end(end: End | None) -> Cell:
+    return "the box's end" if end == "-" else end
+
+
+_SCALARS_OF: dict[str, tuple[str, ...]] = {
+    "measurement_noise": ("r_x", "r_y"),
+    "bias_std": ("accel_bias_std", "gyro_bias_std"),
+}
+"""What the search calls the entries of a list; those of process_noise are q and the state."""
+
+
+def _parameters(file: TuningFile) -> Iterator[tuple[str, Cell, str, str]]:
+    """Name in the search, value, unit and density of every number of the filter."""
+    states = file.units.get("states", [])
+    for field, value in file.filter.items():
+        unit = file.units.get(field, "")
+        if not isinstance(value, list):
+            yield field, value, unit if isinstance(unit, str) else "", ""
+            continue
+        names = [f"q_{s}" for s in states] if field == "process_noise" else _SCALARS_OF.get(field, ())
+        for i, entry in enumerate(value):
+            name = names[i] if i < len(names) else f"{field}[{i}]"
+            one = unit if isinstance(unit, str) else unit[i] if i < len(unit) else ""
+            yield (
+                name,
+                entry,
+                one,
+                file.densities.get(name.removeprefix("q_"), "") if name.startswith("q_") else "",
+            )
+
+
+def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
+    """Best and median cost over generations, every trial; nothing where the folder has no history."""
+    path = folder / "convergence.csv"
+    if not path.exists() or file.result is None:
+        return ()
+    numbers: dict[str, pl.DataType] = {
+        "trial": pl.Int64(),
+        "generation": pl.Int64(),
+        "best_cost": pl.Float64(),
+        "median_cost": pl.Float64(),
+    }
+    try:
+        history = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
+    except (pl.exceptions.PolarsError, OSError):
+        raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
+    traces: list[dict[str, Any]] = []
+    for (trial,), rows in history.group_by("trial", maintain_order=True):
+        best = trial == file.result.best_trial
+        for column, label, color, dash in (
+            ("best_cost", "best so far", BEST, "solid"),
+            ("median_cost", "median of the swarm", MEDIAN, "dash"),
+        ):
+            traces.append(
+                {
+                    "x": rows["generation"].to_list(),
+                    "y": [v if v is not None and abs(v) < float("inf") else None for v in rows[column]],
+                    "name": f"{label}, trial {trial}",
+                    "line": {"color": color, "dash": dash, "width": 2 if best else 1},
+                    "opacity": 1.0 if best else 0.35,
+                    "showlegend": best,
+                }
+            )
+    layout = {
+        "xaxis": {"title": {"text": "generation"}},
+        "yaxis": {"title": {"text": f"cost: {file.result.objective}"}, "type": _axis(traces)},
+    }
+    costs = file.result.trial_costs
+    text = (f"The best of {len(costs)} trials is drawn strong.",) if len(costs) > 1 else ()
+    rows = tuple((float(i), cost) for i, cost in enumerate(costs))
+    table = Table(
+        "Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({file.result.best_trial})
+    )
+    chart = Chart("Cost over generations", tuple(traces), layout)
+    return (Section("Convergence", text, (table,) if len(costs) > 1 else (), (chart,)),)
+
+
+def _axis(traces: list[dict[str, Any]]) -> str:
+    """Logarithmic where it can be: a likelihood's cost may be negative."""
+    return "log" if all(v is None or v > 0 for t in traces for v in t["y"]) else "linear"
+
+
+def data_section(title: str, data: list[Data], seen: frozenset[str] | None = None) -> Section:
+    """The drives; with ``seen``, fingerprints of the training drives, whether each was held out."""
+    columns = [
+        Column("drive"),
+        Column("length", "s"),
+        Column("IMU samples"),
+        Column("fixes"),
+        Column("truth"),
+    ]
+    columns += [] if seen is None else [Column("held out")]
+    rows: list[tuple[Cell, ...]] = []
+    for d in data:
+        known = "" if d.has_truth is None else "yes" if d.has_truth else "no"
+        row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, known)
+        rows.append(row if seen is None else (*row, "no: tuned on it" if d.sha256 in seen else "yes"))
+    return Section(title, (), (Table("", tuple(columns), tuple(rows)),))
+
+
+def shown_config(config: dict[str, Any]) -> dict[str, Any]:
+    """The configuration; of a model of the user's own its name and fingerprint."""
+    model = config.get("model")
+    if isinstance(model, dict):
+        return config | {"model": {k: model[k] for k in ("name", "sha256") if k in model}}
+    return config

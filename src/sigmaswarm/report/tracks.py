@@ -1,0 +1,142 @@
+"""Tracks and errors over time of every method on a drive, thinned, as one file that pages are made of.
+
+`tracks.npz` holds, for drive number ``i`` in ``names`` and each series in `SERIES`, one array a column, called
+``i/series/column``. Same result, same bytes: nothing in it tells when it was written.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Array, Drive, Truth
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.scoring.evaluation import METHODS
+from sigmaswarm.scoring.score import truth_at
+
+Columns = Mapping[str, NDArray[np.floating[Any]]]
+SERIES = ("truth", *METHODS, "nis")
+MOST_POINTS = 1500
+"""Of a series; more than a screen has columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """What every method said on one drive.
+
+    Attributes
+    ----------
+    name : str
+        Of the drive.
+    series : mapping of str to mapping of str to ndarray, shape (n,)
+        ``truth`` and the methods of `METHODS` have time (s), x, y (m); methods also position_error (m), filters
+        heading_error (deg), and those with a covariance position_3sigma (m) and heading_3sigma (deg). ``nis`` has
+        the time and NIS of the tuned filter's fixes. Errors are NaN where truth is not known.
+    """
+
+    name: str
+    series: Mapping[str, Columns]
+
+
+def estimates(drive: Drive, parameters: FilterParameters, initial: InitialState) -> Mapping[str, Estimate]:
+    """The tuned filter and the manual ones, from the same start; the tuned one last, to be drawn on top."""
+    sets = {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": parameters}
+    return {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
+
+
+def errors_of(estimate: Estimate, truth: Truth) -> tuple[Array, Array]:
+    """Distance from the truth (m) and heading error (deg) at the estimate's times; NaN where truth is not known."""
+    x, y = truth_at(truth, estimate.time)
+    theta = np.interp(estimate.time, truth.time, np.unwrap(truth.theta), left=np.nan, right=np.nan)
+    distance = np.hypot(estimate.mean[:, 0] - x, estimate.mean[:, 1] - y)
+    return distance, np.degrees(wrap_angle(estimate.mean[:, THETA] - theta))
+
+
+def three_sigma(estimate: Estimate) -> tuple[Array, Array]:
+    """What a filter thinks of its own errors: 3-sigma radius of the position (m) and of the heading (deg)."""
+    std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    return 3 * np.hypot(std[:, 0], std[:, 1]), 3 * np.degrees(std[:, THETA])
+
+
+def tracks_of(drive: Drive, parameters: FilterParameters, name: str) -> Tracks:
+    """Run every method over a drive, and keep what a page shows of it."""
+    initial = initial_state(drive)
+    gps, truth = drive.gps, drive.truth
+    believed = estimates(drive, parameters, initial)
+    methods = {**believed, "imu_only": run_imu_only(drive, initial=initial)}
+    series = {method: _columns(estimate, truth) for method, estimate in methods.items()}
+    series["raw_gps"] = {"time": gps.time, "x": gps.x, "y": gps.y}
+    if truth is not None:
+        x, y = truth_at(truth, gps.time)
+        series["raw_gps"]["position_error"] = np.hypot(gps.x - x, gps.y - y)
+        series["truth"] = {"time": truth.time, "x": truth.x, "y": truth.y}
+    if believed["tuned"].failure is None:
+        innovations = run_innovations(drive, parameters, initial=initial)
+        series["nis"] = {"time": innovations.time, "nis": innovations.nis}
+    return Tracks(name, {s: _thinned(series[s]) for s in SERIES if s in series})
+
+
+def _columns(estimate: Estimate, truth: Truth | None) -> dict[str, Array]:
+    columns = {"time": estimate.time, "x": estimate.mean[:, 0], "y": estimate.mean[:, 1]}
+    if truth is not None:
+        columns["position_error"], columns["heading_error"] = errors_of(estimate, truth)
+    if len(estimate.covariance):
+        columns["position_3sigma"], columns["heading_3sigma"] = three_sigma(estimate)
+    return columns
+
+
+def _thinned(columns: Mapping[str, Array]) -> Columns:
+    """At most `MOST_POINTS` rows, float32 but for the time; no peak of the error, or of the NIS, gets lost."""
+    n = len(columns["time"])
+    kept = np.arange(n)
+    if n > MOST_POINTS:
+        matters = columns.get("position_error", columns.get("nis", np.arange(n, dtype=float)))
+        matters = np.nan_to_num(matters, nan=0.0)
+        parts = np.array_split(kept[1:-1], MOST_POINTS // 2 - 1)
+        ends = [part[[matters[part].argmin(), matters[part].argmax()]] for part in parts]
+        kept = np.unique([0, n - 1, *np.concatenate(ends)])
+    return {name: v[kept] if name == "time" else v[kept].astype(np.float32) for name, v in columns.items()}
+
+
+def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
+    """Write tracks.npz."""
+    arrays = {
+        f"{i}/{series}/{column}": values
+        for i, one in enumerate(tracks)
+        for series, columns in one.series.items()
+        for column, values in columns.items()
+    }
+    np.savez_compressed(path, allow_pickle=False, names=np.array([t.name for t in tracks]), **arrays)
+    return path
+
+
+def load_tracks(path: Path) -> list[Tracks]:
+    """Read what `save_tracks` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read.
+    """
+    try:
+        # opened here, since np.load leaves a damaged file open
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            names = [str(name) for name in file["names"]]
+            series: list[dict[str, dict[str, Array]]] = [{} for _ in names]
+            for key in file.files:
+                if key != "names":
+                    number, of, column = key.split("/")
+                    series[int(number)].setdefault(of, {})[column] = np.asarray(file[key], np.float64)
+    except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
+        raise InputError(f"{path}: not readable; repeat `sigmaswarm evaluate`") from None
+    return [Tracks(name, s) for name, s in zip(names, series, strict=True)]

@@ -1,0 +1,473 @@
+"""The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.cli.app import app
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter, run_innovations
+from sigmaswarm.report.evidence import save_evidence
+from sigmaswarm.report.figures import save_tuning_figures
+from sigmaswarm.report.page.commands import tune_command
+from sigmaswarm.report.page.folders import read_report
+from sigmaswarm.report.page.html import page as html_page
+from sigmaswarm.report.tracks import MOST_POINTS, load_tracks, save_tracks, tracks_of
+from sigmaswarm.scoring.evaluation import METHODS, Evaluation, evaluate
+from sigmaswarm.tuning.tune import tune
+from support import make_drive
+
+NASTY = '<img src=x onerror="alert(1)"></script><script>alert(2)</script> & \'Fri"day\''
+MONDAY = make_drive(duration=30.0, seed=1, name="monday")
+NASTY_DRIVE = make_drive(duration=40.0, seed=2, name=NASTY)
+TUESDAY = make_drive(duration=30.0, seed=3, name="tuesday")
+BLIND = make_drive(duration=30.0, seed=4, name="blind", truth=False)
+CHROMIUM = next(
+    (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
+)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evaluation]:
+    """A tuning with validation, its evaluation on two drives, and what it found."""
+    root = tmp_path_factory.mktemp("page")
+    tuned, out = root / "tuned", root / "evaluation"
+    tuning = tune(MONDAY, validation=TUESDAY, particles=4, generations=5, trials=2, out=tuned)
+    save_tuning_figures(tuning, [MONDAY], tuned)
+    drives = [NASTY_DRIVE, TUESDAY]
+    found = evaluate(tuning.parameters, drives)
+    save(found, tuned, drives, out)
+    return tuned, out, found
+
+
+def save(found: Evaluation, tuned: Path, drives: Sequence[Drive], out: Path) -> None:
+    """As `sigmaswarm evaluate --out`, without the pictures."""
+    out.mkdir()
+    (out / "scores.json").write_text(json.dumps(found.to_dict()))
+    save_evidence(found, tuned, drives, out)
+
+
+@pytest.fixture
+def copy(tmp_path: Path, folders: tuple[Path, Path, Evaluation]) -> Path:
+    return Path(shutil.copytree(folders[1], tmp_path / "copy"))
+
+
+# ---- tracks.npz ----
+
+
+def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
+    parameters = FilterParameters.load(folders[0])
+    (read,) = load_tracks(save_tracks([tracks_of(MONDAY, parameters, "m")], tmp_path / "tracks.npz"))
+    assert read.name == "m"
+    assert set(read.series) == {"truth", *METHODS, "nis"}
+    estimate, tuned = run_filter(MONDAY, parameters), read.series["tuned"]
+    at = np.searchsorted(estimate.time, tuned["time"])
+    np.testing.assert_array_equal(estimate.time[at], tuned["time"])
+    np.testing.assert_allclose(tuned["x"], estimate.mean[at, 0], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(tuned["y"], estimate.mean[at, 1], rtol=1e-6, atol=1e-6)
+    true = np.searchsorted(MONDAY.truth.time, tuned["time"])
+    distance = np.hypot(
+        estimate.mean[at, 0] - MONDAY.truth.x[true], estimate.mean[at, 1] - MONDAY.truth.y[true]
+    )
+    np.testing.assert_allclose(tuned["position_error"], distance, rtol=1e-5, atol=1e-6)
+    sigma = 3 * np.sqrt(estimate.covariance[at, 0, 0] + estimate.covariance[at, 1, 1])
+    np.testing.assert_allclose(tuned["position_3sigma"], sigma, rtol=1e-6)
+    heading = 3 * np.degrees(np.sqrt(estimate.covariance[at, 4, 4]))
+    np.testing.assert_allclose(tuned["heading_3sigma"], heading, rtol=1e-6)
+    np.testing.assert_allclose(read.series["nis"]["nis"], run_innovations(MONDAY, parameters).nis, rtol=1e-5)
+    assert tuned["time"][0] > initial_state(MONDAY).time
+
+
+def test_thinning_keeps_ends_and_peaks(folders: tuple[Path, Path, Evaluation]):
+    parameters = FilterParameters.load(folders[0])
+    estimate = run_filter(MONDAY, parameters)
+    tuned = tracks_of(MONDAY, parameters, "m").series["tuned"]
+    assert len(estimate.time) > MOST_POINTS >= len(tuned["time"]) > MOST_POINTS / 2
+    assert tuned["time"][[0, -1]].tolist() == estimate.time[[0, -1]].tolist()
+    at = np.searchsorted(MONDAY.truth.time, estimate.time)
+    distance = np.hypot(estimate.mean[:, 0] - MONDAY.truth.x[at], estimate.mean[:, 1] - MONDAY.truth.y[at])
+    assert tuned["position_error"].max() == pytest.approx(distance.max(), rel=1e-6)
+
+
+def test_tracks_without_truth_and_of_a_failing_filter(tmp_path: Path):
+    broken = FilterParameters(0.3, 2.0, 0.0, (1.0, 1.0, -5.0, 1.0, 1.0), (1.0, 1.0))
+    tracks = tracks_of(BLIND, broken, "b")
+    assert "truth" not in tracks.series
+    assert "position_error" not in tracks.series["tuned"]
+    assert "position_3sigma" in tracks.series["tuned"]
+    assert "nis" not in tracks.series
+    save_tracks([tracks], tmp_path / "t.npz")
+
+
+def test_same_bytes_twice(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
+    tuned, out, found = folders
+    again = tmp_path / "again"
+    again.mkdir()
+    save_evidence(found, tuned, [NASTY_DRIVE, TUESDAY], again)
+    for name in ("tracks.npz", "evaluation.json", "tuning.toml", "convergence.csv"):
+        assert (again / name).read_bytes() == (out / name).read_bytes(), name
+    assert html_page(read_report(out)) == html_page(read_report(out))
+
+
+# ---- what the page says ----
+
+
+def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[Path, Path, Evaluation]):
+    _, out, found = folders
+    report = read_report(out)
+    said = report.lead[0]
+    assert "On 2 drives that the tuning never saw" in said
+    assert f"{found.mean('tuned', 'position_rmse_m'):.3g} m (RMS)" in said
+    best = min(("defaults", "datasheet"), key=lambda m: found.mean(m, "position_rmse_m") or np.inf)
+    for rival in (best, "raw_gps"):
+        better = found.improvement(rival)
+        assert f"{abs(better):.0f}% {'less' if better >= 0 else 'MORE'} than {METHODS[rival]}" in said
+    table = next(s for s in report.sections if s.title == "Comparison").tables[1]
+    assert len(table.rows) == 2 * len(METHODS)
+    assert table.rows[0] == (
+        NASTY,
+        "tuned UKF",
+        *(found.value(NASTY, "tuned", c) for c in found.to_dict()["mean"]["tuned"]),
+    )
+
+
+def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, Path, Evaluation]):
+    tuned, _, _ = folders
+    file = tomllib.loads((tuned / "tuning.toml").read_text())
+    report = read_report(tuned)
+    rows = {row[0]: row for row in report.sections[0].tables[0].rows}
+    assert rows["q_vx"][1:3] == (file["filter"]["process_noise"][2], "m2/s2 per nominal IMU step")
+    assert rows["r_y"][1:3] == (file["filter"]["measurement_noise"][1], "m2")
+    for name, ends in file["within_1_percent_of_the_cost"].items():
+        assert list(rows[name][3:5]) == ["the box's end" if e == "-" else e for e in ends]
+    for touched in file["result"]["touched_bounds"]:
+        name = touched.split()[0]
+        assert any(name in remark for remark in report.remarks)
+    assert f"{file['result']['validation_cost']:.4g}" in report.lead[1]
+    chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
+    assert len(chart.traces) == 4
+
+
+def test_drives_that_were_tuned_on_are_not_called_held_out(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
+):
+    tuned, _, _ = folders
+    parameters = FilterParameters.load(tuned)
+    found = evaluate(parameters, [MONDAY, BLIND])
+    out = tmp_path / "e"
+    save(found, tuned, [MONDAY, BLIND], out)
+    report = read_report(out)
+    assert "On 2 drives, 1 of them seen by the tuning" in report.lead[0]
+    assert any("tuned on" in remark for remark in report.remarks)
+    assert (
+        "NaN" not in html_page(report).rsplit("</script>", 3)[0].split('id="data">')[1].split("</script>")[0]
+    )
+
+
+def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluation]):
+    tuned, out, _ = folders
+    command, bound, _ = app.parse_args(
+        shlex.split(read_report(tuned).command)[1:], exit_on_error=False, print_error=False
+    )
+    assert command.__name__ == "tune"
+    config = tomllib.loads((tuned / "tuning.toml").read_text())["config"]
+    for option in ("objective", "particles", "generations", "trials", "seed"):
+        assert bound.arguments[option] == config[option]
+    assert [str(d) for d in bound.arguments["validation"]] == ["tuesday"]
+    command, bound, _ = app.parse_args(
+        shlex.split(read_report(out).command)[1:], exit_on_error=False, print_error=False
+    )
+    assert command.__name__ == "evaluate"
+    assert [str(d) for d in bound.arguments["drives"]] == [NASTY, "tuesday"]
+
+
+def test_a_command_names_every_option_that_is_not_at_its_default():
+    asked = {"objective": "truth-pose", "model": "planar8", "use": ["lateral", "gate"], "patience": 7, "inertia": 0.6,
+             "zero_velocity_at_bounds": True, "scale": "linear", "polish": 50, "cognitive": 1.7}  # fmt: skip
+    line, note = tune_command(asked, ["a b"], [])
+    _, bound, _ = app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
+    said = {k: v for k, v in bound.arguments.items() if k in asked}
+    assert said == {k: v for k, v in asked.items() if k != "cognitive"}
+    assert "cognitive = 1.7" in note
+    assert tune_command({"model": {"name": "mine"}}, [], [])[0] == ""
+
+
+def test_nothing_of_a_drive_s_name_gets_out_of_its_text(folders: tuple[Path, Path, Evaluation]):
+    text = html_page(read_report(folders[1]))
+    assert "<img" not in text
+    assert "<script>alert" not in text
+    assert text.count("</html>") == 1
+    assert not re.search(r'(?:src|href)="(?!data:,)', text.split("<script", 1)[0])
+
+
+# ---- folders that are none ----
+
+Edit = Callable[[Path], object]
+MISTAKES: dict[str, tuple[Edit, str]] = {
+    "no scores": (lambda f: (f / "scores.json").write_text("{"), "scores.json: not readable"),
+    "foreign scores": (
+        lambda f: (f / "scores.json").write_text('{"a": 1}'),
+        "scores.json: drives: Field required",
+    ),
+    "a list": (lambda f: (f / "scores.json").write_text("[1]"), "scores.json: the file:"),
+    "a word for a number": (
+        lambda f: (f / "tuning.toml").write_text(
+            '[filter]\nalpha = 1\n[result]\ncost = "x"\nobjective = "o"'
+        ),
+        "tuning.toml: result.cost: Input should be a valid number",
+    ),
+    "no evaluation.json": (lambda f: (f / "evaluation.json").unlink(), "evaluation.json: no such file"),
+    "damaged tracks": (lambda f: (f / "tracks.npz").write_bytes(b"PK\3\4"), "tracks.npz: not readable"),
+    "no tracks": (lambda f: (f / "tracks.npz").unlink(), "tracks.npz: not readable"),
+    "other tracks": (
+        lambda f: save_tracks(load_tracks(f / "tracks.npz")[:1], f / "tracks.npz"),
+        "are not of the same drives",
+    ),
+    "binary": (lambda f: (f / "tuning.toml").write_bytes(b"\xff\xfe\0"), "tuning.toml: not readable"),
+    "no history": (
+        lambda f: (f / "convergence.csv").write_text("a,b\n1,2\n"),
+        "convergence.csv: not readable",
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
+    edit, said = MISTAKES[mistake]
+    edit(copy)
+    with pytest.raises(InputError, match=re.escape(said)) as caught:
+        html_page(read_report(copy))
+    assert str(caught.value).startswith(str(copy))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_of_something_else(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
+    with pytest.raises(InputError, match="holds no results"):
+        read_report(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        read_report(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="is a file"):
+        read_report(folders[0] / "tuning.toml")
+    (tmp_path / "config.json").write_text("{}")
+    (tmp_path / "checkpoint-000.npz").write_bytes(b"")
+    with pytest.raises(InputError, match="not finished"):
+        read_report(tmp_path)
+    (tmp_path / "tuning.toml").write_text("[filter]\nalpha = 1.0\n")
+    with pytest.raises(InputError, match=re.escape("no [result] table")):
+        read_report(tmp_path)
+
+
+# ---- in a browser ----
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: the page is not opened (apt-get install chromium)")
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed (dependency group test)"
+    )
+    with sync_api.sync_playwright() as playwright:
+        sandbox = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's own sandbox does not run as root
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=sandbox)
+        yield opened
+        opened.close()
+
+
+@pytest.fixture(scope="module")
+def files(
+    tmp_path_factory: pytest.TempPathFactory, folders: tuple[Path, Path, Evaluation]
+) -> dict[str, Path]:
+    """The pages, alone in a folder."""
+    root = tmp_path_factory.mktemp("pages")
+    for name, folder in zip(("tuning", "evaluation"), folders[:2], strict=True):
+        (root / f"{name}.html").write_text(html_page(read_report(folder)))
+    return {name: root / f"{name}.html" for name in ("tuning", "evaluation")}
+
+
+class Opened:
+    """A page in the browser, with everything that it complained of or asked for."""
+
+    def __init__(self, browser, file: Path, width: int) -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": 900})
+        self.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(f"{message.type}: {message.text}"))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("dialog", lambda dialog: self.complaints.append(f"dialog: {dialog.message}"))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(file.as_uri())
+
+    def run(self, script: str):
+        return self.page.evaluate(script)
+
+    def settle(self) -> None:
+        """Until two frames have been drawn."""
+        self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def east(self) -> list[float]:
+        """What the map shows of the tuned filter."""
+        return self.run("document.getElementById('map').data.find((t) => t.name === 'tuned UKF').x")
+
+
+@pytest.fixture(scope="module")
+def pages(browser, files: dict[str, Path]) -> dict[tuple[str, int], Opened]:
+    """Every page is opened once, at each width: 5 MB take a second or two."""
+    return {(name, width): Opened(browser, files[name], width) for name in files for width in (390, 1280)}
+
+
+@pytest.fixture
+def opened(pages: dict[tuple[str, int], Opened]) -> Iterator[Callable[..., Opened]]:
+    """Look at a page; in the end none may have complained, nor asked for anything but itself."""
+    yield lambda name, width=1280: pages[name, width]
+    for one in pages.values():
+        assert one.complaints == []
+        assert len(one.requests) == 1
+        assert one.requests[0].startswith("file:")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize(("name", "plots"), [("tuning", 1), ("evaluation", 6)])
+def test_every_plot_is_drawn_and_fits_the_screen(opened, name: str, plots: int, width: int):
+    page = opened(name, width)
+    drawn = page.run(
+        "[...document.querySelectorAll('.chart')].map((c) => c.querySelectorAll("
+        "'.scatterlayer path.js-line, .scatterlayer path.point, .barlayer path').length)"
+    )
+    assert len(drawn) == plots
+    assert min(drawn) > 0
+    assert page.run("document.documentElement.scrollWidth") <= width
+    widest = page.run(
+        "Math.max(...[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().right))"
+    )
+    assert widest <= width
+
+
+def test_drives_and_methods_can_be_chosen(opened):
+    page = opened("evaluation")
+    page.page.select_option("#drive", index=0)
+    assert page.run("[...document.getElementById('drive').options].map((o) => o.text)") == [NASTY, "tuesday"]
+    before = page.east()
+    page.page.select_option("#drive", label="tuesday")
+    after = page.east()
+    assert after != before
+    names = "new Set(document.getElementById('{}').data.map((t) => t.name))"
+    for figure in ("map", "errors"):
+        assert page.run(f"[...{names.format(figure)}].includes('IMU only')") is False
+    page.page.check("#method-imu_only")
+    page.page.uncheck("#method-raw_gps")
+    for figure in ("map", "errors"):
+        assert page.run(f"[...{names.format(figure)}].includes('IMU only')") is True
+        assert page.run(f"[...{names.format(figure)}].includes('raw GPS')") is False
+    page.page.select_option("#sigma", label="none")
+    assert page.run(f"[...{names.format('errors')}].includes('3 sigma')") is False
+
+
+def test_zooming_in_time_moves_all_panels_and_the_track(opened):
+    page = opened("evaluation")
+    page.page.select_option("#drive", index=0)
+    whole = page.east()
+    plot = page.page.locator("#errors .nsewdrag").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    middle = box["y"] + box["height"] / 2
+    page.page.mouse.move(box["x"] + 0.4 * box["width"], middle)
+    page.page.mouse.down()
+    page.page.mouse.move(box["x"] + 0.6 * box["width"], middle, steps=8)
+    page.page.mouse.up()
+    page.settle()
+    low, high = page.run("document.getElementById('errors').layout.xaxis.range")
+    assert 0 < low < high < 40
+    shown = [float(page.page.input_value(f"#{end}")) for end in ("from", "to")]
+    assert shown == pytest.approx([low, high], abs=0.01)
+    times = page.run("document.getElementById('map').data.find((t) => t.name === 'tuned UKF').customdata")
+    assert 0 < len(times) < len(whole)
+    assert low <= min(times) < low + 0.5 and high - 0.5 < max(times) <= high
+    assert page.run("new Set(document.getElementById('errors').data.map((t) => t.xaxis ?? 'x')).size") == 1
+    page.page.click("#whole")
+    assert page.east() == whole
+    page.page.fill("#from", "10")
+    page.page.fill("#to", "12")
+    page.page.keyboard.press("Tab")
+    page.settle()
+    assert page.run("document.getElementById('errors').layout.xaxis.range") == [10, 12]
+    assert 0 < len(page.east()) < len(whole) / 4
+
+
+def test_tables_sort_by_number_and_back(opened):
+    page = opened("evaluation")
+    table = page.page.locator("table.sortable").nth(1)
+    head = table.locator("th").nth(3)
+    column = "(t) => [...t.tBodies[0].rows].map((r) => r.cells[3].dataset.value ?? null)"
+    head.locator("button").click()
+    values = table.evaluate(column)
+    known = [float(v) for v in values if v is not None]
+    assert known == sorted(known)
+    assert len(known) == 8
+    assert values[len(known) :] == [None, None]
+    assert head.get_attribute("aria-sort") == "ascending"
+    head.locator("button").click()
+    values = table.evaluate(column)
+    assert [float(v) for v in values if v is not None] == known[::-1]
+    assert values[-2:] == [None, None]
+    assert head.get_attribute("aria-sort") == "descending"
+
+
+def test_the_command_is_copied(opened, folders: tuple[Path, Path, Evaluation]):
+    page = opened("tuning")
+    page.page.click("#copy")
+    page.page.wait_for_function("document.getElementById('copy').textContent === 'Copied'")
+    assert page.run("navigator.clipboard.readText()") == read_report(folders[0]).command
+
+
+def test_it_prints(opened, tmp_path: Path):
+    page = opened("evaluation")
+    page.page.pdf(path=tmp_path / "page.pdf", format="A4")
+    assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
+    page.page.emulate_media(media="print")
+    page.settle()
+    widths = page.run(
+        "[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().width)"
+    )
+    assert 0 < max(widths) <= 680
+
+
+def test_a_study_s_page_says_what_the_study_found(tmp_path: Path):
+    config = pytest.importorskip(
+        "sigmaswarm.study.config", reason="there is no study command in this version"
+    )
+    from sigmaswarm.study.run import run_study
+
+    few = {"runs": 2, "trials": 2, "particles": 3, "generations": 4}
+    asked = config.StudyConfig(maneuvers=("urban",), environments=("clear",), **few)
+    run_study(asked, tmp_path)
+    report = read_report(tmp_path)
+    found = json.loads((tmp_path / "results.json").read_text())
+    wanted = ("honest", "pso-ukf", "position_rmse_m", "all", "all")
+    keys = ("protocol", "method", "measure", "maneuver", "environment")
+    row = next(r for r in found["summary"] if tuple(r[k] for k in keys) == wanted)
+    assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
+    results, comparisons = report.sections[:2]
+    assert len(results.tables) == len(found["measures"])
+    assert ("honest", "PSO-UKF", row["mean"], row["sd"]) in [r[:4] for r in results.tables[0].rows]
+    assert len(comparisons.tables[0].rows) == len(found["comparisons"])
+    assert report.versions["numpy"] == np.__version__
+    command, *_ = app.parse_args(shlex.split(report.command)[1:], exit_on_error=False, print_error=False)
+    assert command.__name__ == "study"
+    assert html_page(report).count("data-chart=") == 4 + 2
+    (tmp_path / "results.json").write_text("{}")
+    with pytest.raises(InputError, match=r"results.json: config: Field required"):
+        read_report(tmp_path)
