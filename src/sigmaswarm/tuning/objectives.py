@@ -52,9 +52,12 @@ class Objective:
 
         ``worst`` is the share of the drives that counts, the worst ones of each set: 1 is the mean over all.
         """
-        with np.errstate(invalid="ignore"):  # a failed set's
-            cost = worst_mean(self.per_drive(scores), worst)
-        return np.where(scores.failed.any(axis=1) | ~np.isfinite(cost), np.inf, cost)
+        return mean_cost(self.each(scores), worst)
+
+    def each(self, scores: Scores) -> Array:
+        """Cost of each set on each drive, shape (n_sets, n_drives); ``inf`` where it failed or can't be scored."""
+        costs = self.per_drive(scores)
+        return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
@@ -63,6 +66,13 @@ class Objective:
                 np.expm1((np.asarray(costs) - best) / 2) if self.logarithmic else np.asarray(costs) / best - 1
             )
         return np.where(np.isfinite(costs), change, np.inf)
+
+
+def mean_cost(each: Array, worst: float = 1.0) -> Array:
+    """Cost of each set, shape (n,), of its costs on each drive, shape (n, m); ``inf`` if it failed on any."""
+    with np.errstate(invalid="ignore"):  # a failed set's
+        cost = worst_mean(each, worst)
+    return np.where(np.isfinite(cost), cost, np.inf)
 
 
 def worst_mean(costs: Array, share: float) -> Array:

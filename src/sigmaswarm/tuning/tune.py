@@ -16,6 +16,7 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters, ModelName
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, Validation, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
@@ -34,6 +35,7 @@ def tune(
     model: ModelName = ...,
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -46,6 +48,7 @@ def tune(
     validation: Sequence[Log] | Log = ...,
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -56,6 +59,7 @@ def tune(
     validation: Sequence[Drive] | Sequence[Log] | Drive | Log = (),
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -73,6 +77,9 @@ def tune(
         A folder for results; every generation is saved in it, so that a killed run can be resumed.
     resume : bool
         Go on with what ``out`` holds. The result has the same bits as that of an uninterrupted run.
+    paper : bool
+        The paper's setting, `PAPER`: a swarm of 30 x 50 on a linear scale, gps-rmse, planar5. Options that contradict
+        it are refused.
     executor : concurrent.futures.Executor, optional
         Shares the work; threads on all cores by default. The result's bits do not depend on it.
     progress : callable, optional
@@ -89,7 +96,7 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    problem, settings = _problem(_listed(drives), config)
+    problem, settings = _problem(_listed(drives), papers_config(config) if paper else config)
     held_back = problem.on(others) if (others := _listed(validation)) else None
     folder = None
     if out is not None:  # made only once nothing is left that the user could have got wrong
@@ -126,10 +133,14 @@ def _problem(data: Sequence[Any], config: dict[str, Any]) -> tuple[Problem[Any],
 
 def _settled(config: C, data: Sequence[Drive | Log]) -> C:
     """The configuration with the objective that ``auto`` stands for on this data."""
-    if config.objective != "auto":
-        return config
-    known = all(one.truth for one in data)
-    return config.model_copy(update={"objective": "truth-rmse" if known else "innovation-nll"})
+    return config.model_copy(update={"objective": objective_for(data, config.objective)})
+
+
+def objective_for(data: Sequence[Drive | Log], asked: str) -> str:
+    """The objective that is asked for; for ``auto`` the one that suits the data."""
+    if asked != "auto":
+        return asked
+    return "truth-rmse" if all(one.truth for one in data) else "innovation-nll"
 
 
 def _listed(data: Any) -> list[Any]:
@@ -165,4 +176,5 @@ def _chosen(
         data=problem.data,
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
+        steps_per_set=int(problem.steps.sum()),
     )
