@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 from cyclopts import App, CycloptsError
 
 import sigmaswarm
+from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
@@ -37,7 +38,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (doctor, tune, evaluate, run, export, split, simulate, plot, demo):
+for command in (doctor, tune, compare, evaluate, run, export, split, simulate, plot, demo):
     app.command(command)
 app.command(import_, name="import")
 
@@ -53,7 +54,9 @@ def main() -> NoReturn:
         sys.exit(2)
     except KeyboardInterrupt:
         saved = (
-            "; repeat the command with --resume to go on" if {"tune", "simulate"} & set(sys.argv[1:2]) else ""
+            "; repeat the command with --resume to go on"
+            if {"tune", "compare", "simulate"} & set(sys.argv[1:2])
+            else ""
         )
         print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)
         sys.exit(130)
