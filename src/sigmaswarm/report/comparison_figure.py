@@ -33,7 +33,8 @@ def comparison_figure(comparison: Comparison) -> Figure:
     """Cost against evaluations, with quartiles, and every run's last cost beside its held-out one."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     figure, (course, end) = new_figure(12, max(4.2, 1.6 + 0.28 * len(comparison.contenders)), 1, 2)
-    for i, contender in enumerate(comparison.contenders):
+    rows_of = comparison.frame.iter_rows(named=True)
+    for i, (contender, row) in enumerate(zip(comparison.contenders, rows_of, strict=True)):
         rows = comparison.curves.filter(
             (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
         )
@@ -43,6 +44,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
                 rows[n].to_numpy() for n in ("full_evaluations", "median", "quartile_1", "quartile_3")
             )
         )
+        over = spent > comparison.budget * (row["steps_share"] + 0.01)  # raced, or with nothing left to try
+        middle[over] = np.nan
+        low[over] = high[over] = np.nan
         color, dash = COLORS[i % len(COLORS)], DASHES[i // len(COLORS) % len(DASHES)]
         course.fill_between(spent, low, high, color=color, alpha=0.12, lw=0)
         course.plot(spent, middle, color=color, ls=dash, lw=1.6, label=contender.label)
@@ -55,7 +59,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
     end.set(xlabel=MEASURES[last])
     end.set_title("Every run, and the medians", loc="left")
     figure.legend(
-        *course.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=6, loc="outside lower center"
+        *course.get_legend_handles_labels(), frameon=False, fontsize=8, ncols=4, loc="outside lower center"
     )
     return figure
 

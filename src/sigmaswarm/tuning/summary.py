@@ -169,10 +169,13 @@ class Comparison:
         rows = list[dict[str, Any]]()
         for contender in self.contenders:
             reached = np.array([self._reached(run, grid) for run in self.runs[contender.label]])
-            quartiles = np.quantile(reached, [0.25, 0.5, 0.75], axis=0, method="nearest")
-            for spent, (low, middle, high) in zip(grid.tolist(), quartiles.T.tolist(), strict=True):
-                row = {"optimizer": contender.name, "scale": contender.scale, "full_evaluations": spent}
-                rows.append({**row, "median": middle, "quartile_1": low, "quartile_3": high})
+            low, high = np.quantile(
+                reached, [0.25, 0.75], axis=0, method="nearest"
+            )  # inf can't be interpolated
+            columns = (grid, np.median(reached, axis=0), low, high)
+            names = ("full_evaluations", "median", "quartile_1", "quartile_3")
+            who = {"optimizer": contender.name, "scale": contender.scale}
+            rows += [who | dict(zip(names, row, strict=True)) for row in np.transpose(columns).tolist()]
         return pl.DataFrame(rows)
 
     def _reached(self, run: Run, grid: Array) -> Array:
