@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
 from sigmaswarm.report.comparison_figure import save_comparison
+from sigmaswarm.tuning.summary import MEASURES
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 BASE = ("pso", "de", "cma-es")
@@ -81,26 +82,41 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
         yield model, found
 
 
-def table(found: dict[str, Comparison]) -> str:
-    """One row a contender; for each model the training cost, and what the filter is worth on held-out drives."""
-    titles = ["optimizer", "scale"]
-    for model in found:
-        titles += [f"{model}: training cost", "held-out RMSE, m", "heading, deg"]
+def table(found: dict[str, Comparison], objective: str) -> str:
+    """One row a contender; for each model what it reached in training, and on held-out drives."""
+    measures = ["cost", "held_out_rmse", "held_out_heading"]
+    if objective != "truth-rmse":
+        measures[1:] = ["held_out_cost", "held_out_rmse"]
+    titles = ["optimizer", "scale", *(f"{model}: {MEASURES[m]}" for model in found for m in measures)]
     lines = [titles, ["---"] * len(titles)]
-    frames = [comparison.frame.to_dicts() for comparison in found.values()]
-    for rows in zip(*frames, strict=True):
-        line = [f"`{rows[0]['optimizer']}`", rows[0]["scale"]]
-        for row in rows:
-            line += [cell(row, "cost"), cell(row, "held_out_rmse"), cell(row, "held_out_heading", test=False)]
-        lines.append(line)
+    for rows in zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True):
+        cells = [cell(row, m) for row in rows for m in measures]
+        lines.append([f"`{rows[0]['optimizer']}`", rows[0]["scale"], *cells])
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def cell(row: dict, measure: str, test: bool = True) -> str:
-    """Median; worst; whether it differs from the first row's: + better, - worse (p < 0.05 after Holm)."""
-    text = f"{row[f'{measure}_median']:.3f}; {row[f'{measure}_worst']:.3f}"
+def cell(row: dict, measure: str) -> str:
+    """Median; worst run; a star where it differs from the first row's (p < 0.05 after Holm)."""
     p = row[f"{measure}_p"]
-    return text + (" \\*" if test and p is not None and p < 0.05 else "")
+    digits = 2 if measure == "held_out_heading" else 3
+    star = " \\*" if p is not None and p < 0.05 else ""
+    return f"{row[f'{measure}_median']:.{digits}f}; {row[f'{measure}_worst']:.{digits}f}{star}"
+
+
+def raced(found: dict[str, Comparison]) -> str:
+    """What racing costs and saves, against the same optimizer without it."""
+    lines = [["model", "optimizer", "filter steps", "held-out RMSE: median", "worst run"], ["---"] * 5]
+    for model, comparison in found.items():
+        rows = {row["optimizer"]: row for row in comparison.frame.to_dicts()}
+        for name, row in rows.items():
+            plain = rows.get(name.removesuffix(":racing=true"))
+            if plain is None or plain is row:
+                continue
+            changes = (
+                row[f"held_out_rmse_{k}"] / plain[f"held_out_rmse_{k}"] - 1 for k in ("median", "worst")
+            )
+            lines.append([model, f"`{name}`", f"{row['steps_share']:.0%}", *(f"{c:+.1%}" for c in changes)])
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) if len(lines) > 2 else ""
 
 
 def write(section: str, text: str) -> None:
@@ -124,9 +140,10 @@ def main() -> None:
     for case, setting in cases(options.drives).items():
         if options.only and case not in options.only:
             continue
-        text = table(dict(comparisons(case, setting, options.out, options.seeds)))
+        found = dict(comparisons(case, setting, options.out, options.seeds))
         if options.write:
-            write(case, f"{text}\n\n{options.seeds} seeds.")
+            parts = [table(found, setting[1]), f"{options.seeds} seeds.", raced(found)]
+            write(case, "\n\n".join(part for part in parts if part))
 
 
 if __name__ == "__main__":
