@@ -1,14 +1,13 @@
 """How good the optimizers are, and how good by others, written into docs/optimizers.md.
 
-    python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals|filter]
+    python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals]
 
-Needs the dependency group test. Takes some minutes.
+Needs the dependency group test. Takes some minutes. What the optimizers are worth on filters: compare_optimizers.py.
 """
 
 import argparse
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,15 +18,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from oracles.landscapes import HIGH, LANDSCAPES, LOW, ellipsoid_at_bounds
 from oracles.rival_optimizers import RIVALS
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.simulation.scenarios import simulate
-from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, create_optimizer
-from sigmaswarm.tuning.space import search_space
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 POPULATION = 30
-TUNING_BUDGET, TUNING_SEEDS = 1500, 10
 POLISH = 300
 PACKAGES = ("numpy", "scipy", "cma", "cmaes", "pymoo")
 Cost = Callable[[np.ndarray], np.ndarray]
@@ -87,32 +81,6 @@ def against_each_other(budget: int, seeds: int) -> str:
     return table(["optimizer", *landscapes], rows)
 
 
-def on_a_filter() -> str:
-    drives = [simulate("urban", run=run, duration=60, gps="white-1m") for run in range(2)]
-    objective = objective_named("truth-pose")
-    rows = []
-    with ThreadPoolExecutor() as pool:
-        replayer = Replayer(drives, outages=objective.needs_outages)
-        for name in OPTIMIZERS:
-            if name == "nelder-mead":
-                continue  # a local search: it shows in the polish
-            cells = []
-            for model in ("planar5", "planar8"):
-                space = search_space(model, "log10", float(np.median([d.nominal_interval for d in drives])))
-
-                def cost(points: np.ndarray, space=space) -> np.ndarray:
-                    return objective.costs(replayer.scores(space.decode(points), pool))
-
-                for polish in (0, POLISH):
-                    costs = found(name, cost, space.low, space.high, TUNING_BUDGET, TUNING_SEEDS, polish)
-                    quartiles = np.percentile(costs, [25, 50, 75])
-                    cells.append("{1:.3f} ({0:.3f} to {2:.3f})".format(*quartiles))
-            rows.append([f"`{name}`", *cells])
-            print(rows[-1], flush=True)
-    heads = [f"{model}{polished}" for model in ("planar5", "planar8") for polished in ("", ", polished")]
-    return table(["optimizer", *heads], rows)
-
-
 def write(section: str, text: str) -> None:
     begin, end = f"<!-- written by benchmarks/optimizers.py: {section} -->", "<!-- end -->"
     before, rest = PAGE.read_text().split(begin)
@@ -124,14 +92,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--budget", type=int, default=3000)
-    parser.add_argument("--only", choices=["each other", "rivals", "filter"])
+    parser.add_argument("--only", choices=["each other", "rivals"])
     options = parser.parse_args()
     versions = ", ".join(f"{package} {version(package)}" for package in PACKAGES)
     note = f"{options.seeds} seeds, {options.budget} evaluations, {POPULATION} a batch; {versions}."
     sections = {
         "each other": lambda: against_each_other(options.budget, options.seeds),
         "rivals": lambda: f"{against_rivals(options.budget, options.seeds)}\n\n{note}",
-        "filter": on_a_filter,
     }
     for section, text in sections.items():
         if options.only in (None, section):

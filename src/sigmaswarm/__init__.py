@@ -55,8 +55,10 @@ if TYPE_CHECKING:
     from sigmaswarm.simulation.conditions import simulate_many
     from sigmaswarm.simulation.scenarios import simulate
     from sigmaswarm.tuning.batch import BatchResult, run_batch
+    from sigmaswarm.tuning.comparison import compare
     from sigmaswarm.tuning.config import TuneConfig
     from sigmaswarm.tuning.result import Tuning
+    from sigmaswarm.tuning.summary import Comparison
     from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
@@ -83,7 +85,9 @@ _HOMES = {
     "simulation.conditions": ("simulate_many",),
     "simulation.scenarios": ("simulate",),
     "tuning.batch": ("BatchResult", "run_batch"),
+    "tuning.comparison": ("compare",),
     "tuning.config": ("TuneConfig",),
+    "tuning.summary": ("Comparison",),
     "tuning.result": ("Tuning",),
     "tuning.tune": ("tune",),
 }
@@ -92,6 +96,7 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "AlignmentError",
     "BatchResult",
+    "Comparison",
     "Consistency",
     "Diagnosis",
     "Drive",
@@ -120,6 +125,7 @@ __all__ = [
     "Tuning",
     "UnscentedKalmanFilter",
     "clip",
+    "compare",
     "consistency",
     "datasheet",
     "diagnose",

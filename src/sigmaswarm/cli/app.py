@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 from cyclopts import App, CycloptsError
 
 import sigmaswarm
+from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
@@ -41,7 +42,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, evaluate, report, run, export, split, simulate, record_carla, plot, demo,
+    doctor, tune, compare, evaluate, report, run, export, split, simulate, record_carla, plot, demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")
@@ -58,7 +59,9 @@ def main() -> NoReturn:
         sys.exit(2)
     except KeyboardInterrupt:
         saved = (
-            "; repeat the command with --resume to go on" if {"tune", "simulate"} & set(sys.argv[1:2]) else ""
+            "; repeat the command with --resume to go on"
+            if {"tune", "compare", "simulate"} & set(sys.argv[1:2])
+            else ""
         )
         print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)
         sys.exit(130)

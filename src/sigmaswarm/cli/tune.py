@@ -7,27 +7,39 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter, validators
 
 
+def default(value: str) -> Parameter:
+    """What the help says of an option that is left out: `--paper` must know which ones were given."""
+    return Parameter(show_default=lambda _: value)
+
+
 def tune(
     drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
     /,
     *,
     out: Path,
     validation: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
-    objective: str = "auto",
-    worst: float = 1.0,
-    scale: Literal["log10", "linear"] = "log10",
-    particles: int = 30,
-    generations: int = 50,
+    objective: Annotated[str | None, default("auto")] = None,
+    worst: Annotated[float | None, default("1.0")] = None,
+    scale: Annotated[Literal["log10", "linear"] | None, default("log10")] = None,
+    particles: Annotated[int | None, default("30")] = None,
+    generations: Annotated[int | None, default("50")] = None,
     trials: int = 1,
     seed: int = 0,
-    model: Literal["planar5", "planar8"] = "planar5",
-    kind: Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] = "ukf",
+    model: Annotated[Literal["planar5", "planar8"] | None, default("planar5")] = None,
+    kind: Annotated[
+        Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] | None, default("ukf")
+    ] = None,
     use: Annotated[
         list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
         Parameter(consume_multiple=True, negative=()),
     ] = None,
-    optimizer: Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] = "pso",
-    polish: int = 0,
+    optimizer: Annotated[
+        Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] | None,
+        default("pso"),
+    ] = None,
+    polish: Annotated[int | None, default("0")] = None,
+    racing: Annotated[bool, Parameter(negative=())] = False,
+    paper: Annotated[bool, Parameter(negative=())] = False,
     inertia: float | None = None,
     zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
     patience: int | None = None,
@@ -46,6 +58,8 @@ def tune(
         sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
         sigmaswarm tune drives/training --out tuned --validation drives/monday --objective innovation-nll
         sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
+        sigmaswarm tune drives/training --out tuned --racing
+        sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume
 
     Parameters
@@ -87,6 +101,11 @@ def tune(
         covariance matrix adaptation. nelder-mead, random, sobol: to compare with.
     polish
         How many of the particles x generations evaluations a Nelder-Mead search from the best point may have.
+    racing
+        Try each generation on one drive first, its better half on two, and so on: fewer filter steps, with a part of
+        the drives deciding who goes on. With one drive it changes nothing.
+    paper
+        The paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Options that contradict it are refused.
     inertia
         The swarm's w; 0.7298 by default.
     zero_velocity_at_bounds
@@ -106,7 +125,7 @@ def tune(
     from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
     from sigmaswarm.report.figures import save_tuning_figures
 
-    config: dict[str, Any] = {
+    asked = {
         "objective": objective,
         "worst": worst,
         "scale": scale,
@@ -116,19 +135,27 @@ def tune(
         "seed": seed,
         "model": model,
         "kind": kind,
-        "use": tuple(use or ()),
+        "use": tuple(use) if use else None,
         "optimizer": optimizer,
         "polish": polish,
-        "zero_velocity_at_bounds": zero_velocity_at_bounds,
+        "racing": racing or None,
+        "inertia": inertia,
+        "zero_velocity_at_bounds": zero_velocity_at_bounds or None,
         "patience": patience,
     }
-    if inertia is not None:
-        config["inertia"] = inertia
+    config: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     read = read_drives(drives)
     held_back = read_drives(validation or [])
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
-            read, validation=held_back, out=out, resume=resume, executor=pool, progress=progress, **config
+            read,
+            validation=held_back,
+            out=out,
+            resume=resume,
+            paper=paper,
+            executor=pool,
+            progress=progress,
+            **config,
         )
     pictures = save_tuning_figures(tuning, read, out)
     if json:
@@ -136,6 +163,9 @@ def tune(
         return
     console = stdout()
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
+    if racing:
+        share = tuning.steps / tuning.full_steps
+        console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
     if tuning.validation:
         gap = tuning.validation.gap
         gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"

@@ -95,22 +95,35 @@ class Replayer:
         return [int(p.replay.timeline.hides.sum()) for p in self._passes if p.scores is _forecast_scores]
 
     @cached_property
-    def steps_per_set(self) -> int:
-        """Filter steps that one parameter set costs, over all passes."""
-        return sum(len(p.replay.timeline.dt) for p in self._passes)
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
+        counts = np.zeros(len(self.drives), dtype=np.int64)
+        for p in self._passes:
+            counts[p.drive] += len(p.replay.timeline.dt)
+        return counts
 
-    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Score the sets; the result has the same bits whatever the executor and its number of workers."""
-        shape = (len(parameter_sets), len(self.drives))
+    def scores(
+        self,
+        parameter_sets: Sequence[FilterParameters],
+        executor: Executor | None = None,
+        *,
+        only: Sequence[int] | None = None,
+    ) -> Scores:
+        """Score the sets; the result has the same bits whatever the executor and its number of workers.
+
+        ``only`` names the drives that are run, by their numbers; the scores have one column for each of them.
+        """
+        drives = list(range(len(self.drives)) if only is None else only)
+        passes = [p for p in self._passes if p.drive in drives]
+        shape = (len(parameter_sets), len(drives))
         columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
         failed = np.zeros(shape, dtype=np.bool_)
-        results = (
-            self._run([p.replay for p in self._passes], parameter_sets, executor) if parameter_sets else []
-        )
-        for p, sums in zip(self._passes, results, strict=bool(parameter_sets)):
+        results = self._run([p.replay for p in passes], parameter_sets, executor) if parameter_sets else []
+        for p, sums in zip(passes, results, strict=bool(parameter_sets)):
+            column = drives.index(p.drive)
             for name, values in p.scores(p.replay, sums).items():
-                columns[name][:, p.drive] = values
-            failed[:, p.drive] |= sums.failed
+                columns[name][:, column] = values
+            failed[:, column] |= sums.failed
         return Scores(**columns, failed=failed)
 
     @staticmethod

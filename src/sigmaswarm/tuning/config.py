@@ -32,6 +32,8 @@ class SearchConfig(BaseModel):
     optimizer: OptimizerName = "pso"
     polish: int = Field(default=0, ge=0)
     """Evaluations, of particles x generations, that are kept for a Nelder-Mead search from the best point."""
+    racing: bool = False
+    """Try each generation on one drive first, its better half on two, and so on: see `racing`."""
     inertia: float = INERTIA
     cognitive: float = ACCELERATION
     social: float = ACCELERATION

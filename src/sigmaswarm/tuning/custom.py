@@ -15,7 +15,7 @@ from sigmaswarm.filters.custom.run import Runner
 from sigmaswarm.scoring.custom import state_targets
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import ModelTuneConfig
-from sigmaswarm.tuning.objectives import objective_named, worst_mean
+from sigmaswarm.tuning.objectives import mean_cost, objective_named
 from sigmaswarm.tuning.space import SCALING, Scale
 
 MODEL_OBJECTIVES = {
@@ -49,6 +49,7 @@ class ModelProblem:
         self.data = [_described(log) for log in logs]
         self._elements = logs[0].measurements.shape[1]
         self.runner = Runner(model, logs)
+        self.steps = np.array([len(steps.dt) for steps in self.runner.steps], dtype=np.int64)
 
     def parameters(self, point: Array) -> dict[str, float]:
         """Parameters by name at a point, shape (d,), in search coordinates."""
@@ -56,15 +57,22 @@ class ModelProblem:
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d): the mean over the logs that count."""
+        return self.mean(self.each(points, range(len(self.data)), executor))
+
+    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+        """The costs on some of the logs, shape (n, len(drives))."""
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError(
                 "functions of your own can't be sent to other processes; use a ThreadPoolExecutor"
             )
         sets = [self._named(row) for row in self.space.values(points)]
-        jobs = [(parameters, i) for parameters in sets for i in range(len(self.data))]
+        jobs = [(parameters, i) for parameters in sets for i in drives]
         each = np.array(list(executor.map(self._cost, *zip(*jobs, strict=True))))
-        cost = worst_mean(each.reshape(len(points), len(self.data)), self._config.worst)
-        return np.where(np.isfinite(cost), cost, np.inf)
+        return each.reshape(len(points), len(drives))
+
+    def mean(self, each: Array) -> Array:
+        """The costs, shape (n,), of the costs on each log that was tried, shape (n, k)."""
+        return mean_cost(each, self._config.worst)
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""

@@ -54,8 +54,12 @@ class Objective:
 
         ``worst`` is the share of the drives that counts, the worst ones of each set: 1 is the mean over all.
         """
-        cost = worst_mean(self.per_drive(scores), worst)
-        return np.where(scores.failed.any(axis=1) | ~np.isfinite(cost), np.inf, cost)
+        return mean_cost(self.each(scores), worst)
+
+    def each(self, scores: Scores) -> Array:
+        """Cost of each set on each drive, shape (n_sets, n_drives); ``inf`` where it failed or can't be scored."""
+        costs = self.per_drive(scores)
+        return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
         """How much worse costs are than another: 0.01 is errors that are 1% larger.
@@ -66,6 +70,13 @@ class Objective:
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
             change = np.expm1((costs - best) / (elements * self.nats)) if self.nats else costs / best - 1
         return np.where(np.isfinite(costs), change, np.inf)
+
+
+def mean_cost(each: Array, worst: float = 1.0) -> Array:
+    """Cost of each set, shape (n,), of its costs on each drive, shape (n, m); ``inf`` if it failed on any."""
+    with np.errstate(invalid="ignore"):  # a failed set's
+        cost = worst_mean(each, worst)
+    return np.where(np.isfinite(cost), cost, np.inf)
 
 
 def worst_mean(costs: Array, share: float) -> Array:

@@ -5,6 +5,7 @@ from concurrent.futures import Executor
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
@@ -13,7 +14,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.objectives import Objective, objective_named
+from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -24,6 +25,8 @@ class Problem(Protocol[P]):
 
     data: list[dict[str, Any]]
     """Name, length and fingerprint of each drive."""
+    steps: NDArray[np.int64]
+    """Filter steps that one parameter set costs on each drive, shape (m,)."""
 
     @property
     def space(self) -> Box:
@@ -36,6 +39,14 @@ class Problem(Protocol[P]):
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
+        ...
+
+    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+        """The costs on some of the drives, shape (n, len(drives))."""
+        ...
+
+    def mean(self, each: Array) -> Array:
+        """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -61,6 +72,7 @@ class CarProblem:
     objective: Objective
     space: SearchSpace
     data: list[dict[str, Any]]
+    steps: NDArray[np.int64]
 
     def __init__(self, drives: Sequence[Drive], config: TuneConfig, space: SearchSpace | None = None) -> None:
         self.objective = objective_named(config.objective)
@@ -72,6 +84,7 @@ class CarProblem:
         )
         self.data = [described(drive) for drive in drives]
         self.replayer = replayer_for(self.objective, drives, config.outage_seed)
+        self.steps = self.replayer.steps
         self._config = config
 
     def parameters(self, point: Array) -> FilterParameters:
@@ -80,9 +93,15 @@ class CarProblem:
 
     def costs(self, points: Array, executor: Executor) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.objective.costs(
-            self.replayer.scores(self.space.decode(points), executor), self._config.worst
-        )
+        return self.mean(self.each(points, range(len(self.data)), executor))
+
+    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+        """The costs on some of the drives, shape (n, len(drives))."""
+        return self.objective.each(self.replayer.scores(self.space.decode(points), executor, only=drives))
+
+    def mean(self, each: Array) -> Array:
+        """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
+        return mean_cost(each, self._config.worst)
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""

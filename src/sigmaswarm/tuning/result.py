@@ -72,6 +72,8 @@ class Tuning(Generic[P]):
         How far each parameter can move before the cost rises by 1%.
     validation : Validation or None
         What the objective says on drives that were held back from the search.
+    steps_per_set : int
+        Filter steps that one parameter set takes on all drives.
     """
 
     parameters: P
@@ -83,6 +85,17 @@ class Tuning(Generic[P]):
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
+    steps_per_set: int = 0
+
+    @property
+    def steps(self) -> int:
+        """Filter steps that the search took."""
+        return sum(int(trial.steps[-1]) for trial in self.trials)
+
+    @property
+    def full_steps(self) -> int:
+        """Filter steps that as many evaluations take on all drives: more than `steps` if they were raced."""
+        return self.steps_per_set * sum(trial.evaluations for trial in self.trials)
 
     @property
     def unidentified(self) -> list[str]:
@@ -155,6 +168,8 @@ class Tuning(Generic[P]):
                 "trial_costs": [trial.cost for trial in self.trials],
                 "evaluations": sum(trial.evaluations for trial in self.trials),
                 "failures": sum(trial.failures for trial in self.trials),
+                "filter_steps": self.steps,
+                "filter_steps_without_racing": self.full_steps,
             },
             "within_1_percent_of_the_cost": ranges,
             "config": self.config.model_dump(mode="json", exclude_none=True),

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.racing import Raced, race
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
 
@@ -40,6 +42,8 @@ class Trial:
         Lowest cost so far after each generation: after as many evaluations as there are particles.
     median : ndarray, shape (generations,)
         Median cost of each generation.
+    steps : ndarray of int, shape (generations,)
+        Filter steps spent after each generation.
     evaluations, failures : int
         Parameter sets tried, and how many of them failed or could not be scored.
     """
@@ -48,6 +52,7 @@ class Trial:
     point: Array
     best: Array
     median: Array
+    steps: NDArray[np.int64]
     evaluations: int
     failures: int
 
@@ -80,23 +85,21 @@ class Search:
         done = self.folder.finished(number) if self.folder else None
         if done:
             result, history = done
-            return Trial(
-                result["cost"], history["point"], history["best"], history["median"], *result["counts"]
-            )
+            return Trial(cost=result["cost"], **history, **result["counts"])
         optimizer = self._optimizer(number)
-        best, median, failures = self._resumed(number, optimizer)
-        while len(costs := self._generation(optimizer, best)):
-            best.append(optimizer.global_cost)
-            median.append(float(np.median(costs)))
-            failures += int(np.isinf(costs).sum())
-            self._save(number, optimizer, best, median, failures)
-            self._report(number, best)
-        counts = (optimizer.spent, failures)
-        trial = Trial(optimizer.global_cost, optimizer.global_best, np.array(best), np.array(median), *counts)
+        past = self._resumed(number, optimizer)
+        while len((told := self._generation(number, optimizer, past)).costs):
+            past.best.append(optimizer.global_cost)
+            past.median.append(float(np.median(told.costs)))
+            past.steps.append(told.steps + (past.steps[-1] if past.steps else 0))
+            past.failures += told.failures
+            self._save(number, optimizer, past)
+            self._report(number, past.best)
+        history: dict[str, Any] = {"point": optimizer.global_best, **past.arrays()}
+        counts: dict[str, Any] = {"evaluations": optimizer.spent, "failures": past.failures}
         if self.folder:
-            history = {"point": trial.point, "best": trial.best, "median": trial.median}
-            self.folder.finish(number, {"cost": trial.cost, "counts": list(counts)}, history)
-        return trial
+            self.folder.finish(number, {"cost": optimizer.global_cost, "counts": counts}, history)
+        return Trial(cost=optimizer.global_cost, **history, **counts)
 
     def _optimizer(self, number: int) -> Budgeted:
         c = self.config
@@ -111,40 +114,48 @@ class Search:
             **c.optimizer_options(),
         )
 
-    def _generation(self, optimizer: Budgeted, best: list[float]) -> Array:
-        """Ask for as many points as there are particles, in one batch or several; their costs. None once stalled."""
-        costs = np.empty(0)
-        if self._stalled(best) and not optimizer.settle():
-            return costs
-        while len(costs) < self.config.particles and len(points := optimizer.ask()):
-            told = self.problem.costs(points, self.executor)
-            optimizer.tell(told)
-            costs = np.concatenate([costs, told])
-        return costs
+    def _generation(self, number: int, optimizer: Budgeted, past: "_Past") -> Raced:
+        """Ask for as many points as there are particles, in one batch or several. Nothing told once stalled."""
+        told = Raced(np.empty(0), 0, 0)
+        if self._stalled(past.best) and not optimizer.settle():
+            return told
+        while len(told.costs) < self.config.particles and len(points := optimizer.ask()):
+            batch = self._told(number, optimizer.spent, points)
+            optimizer.tell(batch.costs)
+            told += batch
+        return told
+
+    def _told(self, number: int, spent: int, points: Array) -> Raced:
+        """What is told of a batch: its costs on all drives, or those of a race over them."""
+        if not self.config.racing:
+            costs = self.problem.costs(points, self.executor)
+            return Raced(costs, len(points) * int(self.problem.steps.sum()), int(np.isinf(costs).sum()))
+        chance = np.random.SeedSequence(self.config.seed, spawn_key=(number, spent))
+        order = np.random.default_rng(chance).permutation(len(self.problem.steps))
+        return race(self.problem, points, order, self.executor)
 
     def _stalled(self, best: list[float]) -> bool:
         patience = self.config.patience
         return patience is not None and len(best) > patience and best[-1] >= best[-1 - patience]
 
-    def _save(
-        self, number: int, optimizer: Budgeted, best: list[float], median: list[float], failures: int
-    ) -> None:
+    def _save(self, number: int, optimizer: Budgeted, past: "_Past") -> None:
         if not self.folder:
             return
         state = optimizer.state()
-        notes = {"rng": state.pop("rng"), "failures": failures}
-        save_checkpoint(self.folder.checkpoint(number), state | {"best": best, "median": median}, notes)
+        notes = {"rng": state.pop("rng"), "failures": past.failures}
+        save_checkpoint(self.folder.checkpoint(number), state | past.arrays(), notes)
 
-    def _resumed(self, number: int, optimizer: Budgeted) -> tuple[list[float], list[float], int]:
+    def _resumed(self, number: int, optimizer: Budgeted) -> "_Past":
         """Put the optimizer where its checkpoint left it; the history so far."""
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if checkpoint is None or saved is None:
-            return [], [], 0
+            return _Past([], [], [], 0)
         arrays, notes = saved
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
-            return arrays["best"].tolist(), arrays["median"].tolist(), int(notes["failures"])
+            best, median, steps = (arrays[name].tolist() for name in ("best", "median", "steps"))
+            return _Past(best, median, steps, int(notes["failures"]))
         except (KeyError, TypeError, ValueError):
             raise unreadable(checkpoint) from None
 
@@ -153,3 +164,18 @@ class Search:
             per_trial = self.config.generations
             done = number * per_trial + len(best)
             self.progress(Progress(number, len(best), done, self.config.trials * per_trial, best[-1]))
+
+
+@dataclass
+class _Past:
+    """What a trial has told so far, a generation at a time."""
+
+    best: list[float]
+    median: list[float]
+    steps: list[int]
+    failures: int
+
+    def arrays(self) -> dict[str, Any]:
+        """Best and median cost, and steps spent, after each generation."""
+        steps = np.array(self.steps, dtype=np.int64)
+        return {"best": np.array(self.best), "median": np.array(self.median), "steps": steps}

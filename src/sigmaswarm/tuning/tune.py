@@ -16,6 +16,7 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters, ModelName
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, Validation, versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
@@ -34,6 +35,7 @@ def tune(
     model: ModelName = ...,
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -46,6 +48,7 @@ def tune(
     validation: Sequence[Log] | Log = ...,
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -56,6 +59,7 @@ def tune(
     validation: Sequence[Drive] | Sequence[Log] | Drive | Log = (),
     out: str | Path | None = None,
     resume: bool = False,
+    paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
@@ -73,6 +77,9 @@ def tune(
         A folder for results; every generation is saved in it, so that a killed run can be resumed.
     resume : bool
         Go on with what ``out`` holds. The result has the same bits as that of an uninterrupted run.
+    paper : bool
+        The paper's setting, `PAPER`: a swarm of 30 x 50 on a linear scale, gps-rmse, planar5. Options that contradict
+        it are refused.
     executor : concurrent.futures.Executor, optional
         Shares the work; threads on all cores by default. The result's bits do not depend on it.
     progress : callable, optional
@@ -90,7 +97,7 @@ def tune(
         If a drive never moves far enough to start a filter.
     """
     data, others = _listed(drives), _listed(validation)
-    problem, settings = _problem(data, others, config)
+    problem, settings = _problem(data, others, papers_config(config) if paper else config)
     held_back = problem.on(others) if others else None
     if held_back:
         _check_apart(problem, held_back)
@@ -131,16 +138,21 @@ def _problem(
 
 def _settled(config: C, data: Sequence[Drive | Log]) -> C:
     """The configuration with the objective that ``auto`` stands for on this data."""
-    if config.objective != "auto":
-        return config
+    return config.model_copy(update={"objective": objective_for(data, config.objective)})
+
+
+def objective_for(data: Sequence[Drive | Log], asked: str) -> str:
+    """The objective that is asked for; for ``auto`` the one that suits the data."""
+    if asked != "auto":
+        return asked
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
             f"{blind[0]} has no truth, so all are tuned with innovation-nll; leave it out, or say --objective",
             SigmaswarmWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
-    return config.model_copy(update={"objective": "innovation-nll" if blind else "truth-rmse"})
+    return "innovation-nll" if blind else "truth-rmse"
 
 
 def _check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
@@ -184,4 +196,5 @@ def _chosen(
         data=problem.data,
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
+        steps_per_set=int(problem.steps.sum()),
     )

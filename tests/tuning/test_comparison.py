@@ -1,0 +1,223 @@
+"""`compare`: each run is a tuning, resumed to the same bytes, and the statistics are those of the textbooks."""
+
+import itertools
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.report.comparison_figure import save_comparison
+from sigmaswarm.tuning.batch import run_batch
+from sigmaswarm.tuning.comparison import compare
+from sigmaswarm.tuning.paired import holm, median_interval, wilcoxon
+from sigmaswarm.tuning.summary import Comparison
+from sigmaswarm.tuning.tune import tune
+from support import make_drive
+
+DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(2)]
+HELD_OUT = [make_drive(duration=15.0, seed=7, name="other")]
+RIVALS = ("pso", "random", "pso:particles=4,generations=3,trials=2", "de:racing=true")
+OPTIONS = {"optimizers": RIVALS, "seeds": 3, "test": HELD_OUT, "particles": 8, "generations": 3}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "times.csv")
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> tuple[Comparison, Path]:
+    folder = tmp_path_factory.mktemp("whole")
+    comparison = compare(DRIVES, out=folder, workers=1, scales=("log10", "linear"), **OPTIONS)
+    save_comparison(comparison, folder)
+    return comparison, folder
+
+
+def test_each_run_is_a_tuning(whole):
+    comparison, _ = whole
+    tuning = tune(DRIVES, particles=8, generations=3, seed=2, scale="linear")
+    run = comparison.runs["pso, linear"][2]
+    assert run.cost == tuning.cost
+    assert run.held_out_cost == run_batch(HELD_OUT, [tuning.parameters]).costs[0]
+    assert run.history_best == tuple(tuning.trials[0].best)
+    assert run.history_evaluations == (8, 16, 24)
+    steps = comparison.steps_per_set
+    assert run.history_steps == (8 * steps, 16 * steps, 24 * steps)
+    trials = tune(DRIVES, particles=4, generations=3, trials=2, seed=1)
+    run = comparison.runs[f"{RIVALS[2]}, log10"][1]
+    assert run.cost == run.history_best[-1] == trials.cost
+    assert run.history_evaluations == (4, 8, 12, 16, 20, 24)
+    raced = tune(DRIVES, optimizer="de", particles=8, generations=3, seed=0, racing=True)
+    assert comparison.runs["de:racing=true, log10"][0].history_steps[-1] == raced.steps < raced.full_steps
+
+
+def test_the_number_of_threads_changes_no_byte(whole, tmp_path: Path):
+    comparison = compare(DRIVES, out=tmp_path, workers=4, scales=("log10", "linear"), **OPTIONS)
+    save_comparison(comparison, tmp_path)
+    assert contents(tmp_path) == contents(whole[1])
+    assert {p.name for p in tmp_path.iterdir()} == {
+        *("config.json", "runs", "times.csv", "comparison.md", "comparison.png"),
+        *("comparison.csv", "runs.csv", "curves.csv"),
+    }
+    lines = (tmp_path / "times.csv").read_text().splitlines()
+    assert lines[0] == "optimizer,scale,seed,cpu_seconds"
+    assert len(lines) == 1 + 2 * 4 * 3
+
+
+def test_interrupted_after_any_run_it_ends_in_the_same_bytes(whole, tmp_path: Path):
+    for stop_at in (1, 9):
+
+        def stop(done: int, total: int, stop_at=stop_at):
+            assert total == 24
+            if done == stop_at:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            compare(
+                *(DRIVES,), out=tmp_path, resume=True, progress=stop, scales=("log10", "linear"), **OPTIONS
+            )
+    comparison = compare(DRIVES, out=tmp_path, resume=True, scales=("log10", "linear"), **OPTIONS)
+    save_comparison(comparison, tmp_path)
+    assert contents(tmp_path) == contents(whole[1])
+
+
+def test_killed_within_a_run_it_ends_in_the_same_bytes(tmp_path: Path):
+    for drive in DRIVES:
+        write_drive(drive, tmp_path / drive.name)
+    program = (
+        "import sys; from sigmaswarm import compare, read_drive; folder = sys.argv[1];"
+        "drives = [read_drive(f'{folder}/d{i}') for i in range(2)];"
+        "compare(drives, optimizers=('pso', 'random'), seeds=1, generations=100, particles=4, out=f'{folder}/killed')"
+    )
+    run = subprocess.Popen([sys.executable, "-c", program, tmp_path], stderr=subprocess.DEVNULL)
+    runs = tmp_path / "killed" / "runs"
+    while not list(runs.glob("*/checkpoint-000.npz")):
+        assert run.poll() is None, "it ended before it could be killed"
+        time.sleep(0.002)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    assert list(runs.glob("*/checkpoint-000.npz"))
+    asked = {"optimizers": ("pso", "random"), "seeds": 1, "generations": 100, "particles": 4}
+    drives = [read_drive(tmp_path / f"d{i}") for i in range(2)]
+    compare(drives, out=tmp_path / "killed", resume=True, **asked)
+    compare(drives, out=tmp_path / "whole", **asked)
+    assert "runs/pso-log10-000/run.json" in contents(tmp_path / "whole")
+    assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
+
+
+def test_the_tables_say_what_the_runs_were(whole):
+    comparison, folder = whole
+    row = comparison.frame.row(1, named=True)
+    assert (row["optimizer"], row["scale"], row["seeds"]) == ("random", "log10", 3)
+    costs = [run.cost for run in comparison.runs["random, log10"]]
+    assert row["cost_median"] == np.median(costs)
+    assert (row["cost_low"], row["cost_high"], row["cost_worst"]) == (min(costs), max(costs), max(costs))
+    assert comparison.frame["cost_p"][0] is None
+    raw = [
+        wilcoxon(comparison.values(c.label, "cost"), comparison.values("pso, log10", "cost"))
+        for c in comparison.contenders[1:]
+    ]
+    assert comparison.frame["cost_p"].to_list()[1:] == holm(np.array(raw)).tolist()
+    assert "3 seeds, 24 evaluations each" in (folder / "comparison.md").read_text()
+    assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 24
+
+
+def test_the_curves_are_a_naive_count(whole):
+    comparison, _ = whole
+    label, at = "pso, log10", 50  # after half of 24 evaluations one generation of 8 is over
+    rows = comparison.curves.filter(comparison.curves["optimizer"] == "pso")
+    row = rows.row(at - 1, named=True)
+    assert row["full_evaluations"] == 12
+    assert row["median"] == np.median([run.history_best[0] for run in comparison.runs[label]])
+    last = rows.row(99, named=True)
+    assert last["median"] == np.median([run.cost for run in comparison.runs[label]])
+    assert rows.row(0, named=True)["median"] == np.inf
+
+
+# --- Statistics ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [1, 3, 5, 6, 10, 20, 37])
+def test_the_interval_covers_the_median_and_no_narrower_one_does(n: int):
+    low, high = median_interval(np.random.default_rng(n).permutation(n).astype(float))
+    cut = int(low)
+    assert high == n - 1 - cut
+    assert 1 - 2 * binom.cdf(cut - 1, n, 0.5) >= 0.95 or cut == 0
+    assert 1 - 2 * binom.cdf(cut, n, 0.5) < 0.95
+
+
+@given(st.lists(st.integers(-50, 50), min_size=2, max_size=9, unique_by=abs).filter(lambda v: 0 not in v))
+def test_the_paired_test_against_all_signs(differences: list[int]):
+    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
+    total = sum(r for r, d in zip(ranks, differences, strict=True) if d > 0)
+    sums = [sum(r for r, s in zip(ranks, signs, strict=True) if s) for signs in
+            itertools.product((0, 1), repeat=len(ranks))]  # fmt: skip
+    extreme = min(np.mean(np.array(sums) <= total), np.mean(np.array(sums) >= total))
+    ours = np.array(differences, float)
+    assert wilcoxon(ours, np.zeros(len(ours))) == pytest.approx(min(1.0, 2 * extreme))
+
+
+def test_the_paired_test_with_ties_and_failures():
+    assert wilcoxon(np.ones(5), np.ones(5)) == 1.0
+    failing = np.array([np.inf] * 10)
+    assert wilcoxon(failing, np.arange(10.0)) < 0.01
+    assert wilcoxon(failing, failing) == 1.0
+
+
+def test_holm_as_in_the_textbook():
+    assert holm(np.array([0.01, 0.04, 0.03, 0.005])).tolist() == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm(np.array([0.9, 0.8])).tolist() == [1.0, 1.0]
+    assert holm(np.array([])).tolist() == []
+
+
+# --- Mistakes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"optimizers": ["pso", "ants"]}, "no optimizer is called 'ants'; choose from pso"),
+        ({"optimizers": []}, "at least one optimizer"),
+        ({"optimizers": ["pso", "pso"]}, "named twice"),
+        ({"optimizers": ["pso", "pso:particles=9"]}, "27 evaluations"),
+        ({"optimizers": ["pso:wings=2"]}, "'wings=2' is no setting"),
+        ({"optimizers": ["pso:polish"]}, "'polish' is no setting"),
+        ({"optimizers": ["pso:polish=many"]}, "polish = 'many'"),
+        ({"optimizers": ["pso:polish=24"]}, "polish = 24 must be less"),
+        ({"optimizers": ["de:inertia=0.5"]}, "inertia is a coefficient of pso"),
+        ({"scales": ["cubic"]}, "cubic"),
+        ({"seeds": 0}, "seeds = 0"),
+        ({"seed": 3}, "use seeds instead"),
+        ({"objective": "rmse"}, "'rmse'"),
+    ],
+    ids=str,
+)
+def test_a_mistake_is_named_before_any_work(change: dict, said: str, tmp_path: Path):
+    with pytest.raises(InputError) as caught:
+        compare(DRIVES, out=tmp_path / "out", **(OPTIONS | change))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_another_comparison_is_not_gone_on_with(whole, tmp_path: Path):
+    shutil.copytree(whole[1], tmp_path / "out")
+    asked = {**OPTIONS, "scales": ("log10", "linear"), "out": tmp_path / "out"}
+    with pytest.raises(InputError, match="add --resume"):
+        compare(DRIVES, **asked)
+    with pytest.raises(InputError, match="seeds = 3, now asked for seeds = 4"):
+        compare(DRIVES, resume=True, **(asked | {"seeds": 4}))
+    (tmp_path / "out/runs/random-log10-001/run.json").write_text("{")
+    with pytest.raises(InputError, match=r"run\.json: not a readable result; delete it"):
+        compare(DRIVES, resume=True, **asked)
