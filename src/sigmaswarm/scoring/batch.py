@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from copy import copy
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.filters.batch import Replay, Sums, run_replay
+from sigmaswarm.filters.batch import Replay, Sums, pack, run_replay
 from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.score import Score
@@ -84,6 +85,18 @@ class Replayer:
                     _Pass(i, forecast_replay(drive, start, seed=outage_seed), _forecast_scores)
                 )
 
+    def subset(self, drives: Sequence[int]) -> "Replayer":
+        """A replayer of some of the drives, by index, without making anything ready again."""
+        part = copy(self)
+        part.__dict__.pop("steps_per_set", None)
+        part.drives = tuple(self.drives[i] for i in drives)
+        part.initial = tuple(self.initial[i] for i in drives)
+        by_drive: dict[int, list[_Pass]] = {}
+        for p in self._passes:
+            by_drive.setdefault(p.drive, []).append(p)
+        part._passes = [replace(p, drive=at) for at, i in enumerate(drives) for p in by_drive[i]]
+        return part
+
     @property
     def truth_moments(self) -> list[int]:
         """How many moments of truth each drive is scored at."""
@@ -118,7 +131,7 @@ class Replayer:
         replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters], executor: Executor | None
     ) -> list[Sums]:
         """Every replay by every set, in chunks of lanes so that all workers have something to do."""
-        chunks = [parameter_sets[i : i + LANES] for i in range(0, len(parameter_sets), LANES)]
+        chunks = [pack(parameter_sets[i : i + LANES]) for i in range(0, len(parameter_sets), LANES)]
         jobs = [(replay, chunk) for replay in replays for chunk in chunks]
         done = list((executor.map if executor else map)(run_replay, *zip(*jobs, strict=True))) if jobs else []
         n = len(chunks)

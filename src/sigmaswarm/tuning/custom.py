@@ -53,7 +53,7 @@ class ModelProblem:
         """Parameters by name at a point, shape (d,), in search coordinates."""
         return self._named(self.space.values(point))
 
-    def costs(self, points: Array, executor: Executor) -> Array:
+    def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d): the mean over the logs that count."""
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError(
@@ -61,7 +61,7 @@ class ModelProblem:
             )
         sets = [self._named(row) for row in self.space.values(points)]
         jobs = [(parameters, i) for parameters in sets for i in range(len(self.data))]
-        each = np.array(list(executor.map(self._cost, *zip(*jobs, strict=True))))
+        each = np.array(list((executor.map if executor else map)(self._cost, *zip(*jobs, strict=True))))
         cost = worst_mean(each.reshape(len(points), len(self.data)), self._config.worst)
         return np.where(np.isfinite(cost), cost, np.inf)
 

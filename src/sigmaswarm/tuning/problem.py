@@ -19,23 +19,27 @@ from sigmaswarm.tuning.space import SearchSpace, search_space
 P = TypeVar("P", covariant=True)
 
 
-class Problem(Protocol[P]):
-    """What `tune` needs to know of a filter, its data and its objective."""
-
-    data: list[dict[str, Any]]
-    """Name, length and fingerprint of each drive."""
+class Landscape(Protocol):
+    """What a search needs: a box, and the costs of points in it."""
 
     @property
     def space(self) -> Box:
         """The box that is searched."""
         ...
 
-    def parameters(self, point: Array) -> P:
-        """The filter at a point, shape (d,), in search coordinates."""
+    def costs(self, points: Array, executor: Executor | None) -> Array:
+        """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
         ...
 
-    def costs(self, points: Array, executor: Executor) -> Array:
-        """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
+
+class Problem(Landscape, Protocol[P]):
+    """What `tune` needs to know of a filter, its data and its objective."""
+
+    data: list[dict[str, Any]]
+    """Name, length and fingerprint of each drive."""
+
+    def parameters(self, point: Array) -> P:
+        """The filter at a point, shape (d,), in search coordinates."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -78,7 +82,7 @@ class CarProblem:
         """The filter at a point, shape (d,), in search coordinates."""
         return self.space.decode(point[np.newaxis])[0]
 
-    def costs(self, points: Array, executor: Executor) -> Array:
+    def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
         return self.objective.costs(
             self.replayer.scores(self.space.decode(points), executor), self._config.worst

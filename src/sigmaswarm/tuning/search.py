@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
-from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.problem import Landscape
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
 
@@ -59,10 +58,10 @@ class Search:
     Attributes
     ----------
     config : SearchConfig
-    problem : Problem
+    problem : Landscape
         What is minimized.
-    executor : concurrent.futures.Executor
-        Shares the work.
+    executor : concurrent.futures.Executor or None
+        Shares the work of a generation; None: nobody does.
     folder : ResultFolder or None
         Where every generation is saved.
     progress : callable or None
@@ -70,8 +69,8 @@ class Search:
     """
 
     config: SearchConfig
-    problem: Problem[Any]
-    executor: Executor
+    problem: Landscape
+    executor: Executor | None
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None
 
