@@ -16,6 +16,7 @@ from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
+from sigmaswarm.cli.study import study
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 
@@ -37,7 +38,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
-for command in (doctor, tune, evaluate, run, export, split, simulate, plot, demo):
+for command in (doctor, tune, evaluate, run, export, split, simulate, plot, study, demo):
     app.command(command)
 app.command(import_, name="import")
 
@@ -53,7 +54,9 @@ def main() -> NoReturn:
         sys.exit(2)
     except KeyboardInterrupt:
         saved = (
-            "; repeat the command with --resume to go on" if {"tune", "simulate"} & set(sys.argv[1:2]) else ""
+            "; repeat the command with --resume to go on"
+            if {"tune", "simulate", "study"} & set(sys.argv[1:2])
+            else ""
         )
         print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)
         sys.exit(130)

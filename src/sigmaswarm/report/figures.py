@@ -91,7 +91,7 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     initial = initial_state(drive)
     estimates = _estimates(drive, parameters, initial)
     figure, (whole, close) = new_figure(11, 5.4, 1, 2)
-    x0, y0 = _place_of_sharpest_turn(drive, estimates["tuned"])
+    x0, y0 = place_of_sharpest_turn(drive, estimates["tuned"])
     for ax in (whole, close):
         ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
         for name, estimate in estimates.items():
@@ -201,7 +201,7 @@ def _estimates(drive: Drive, parameters: FilterParameters, initial: InitialState
     return {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
 
 
-def _place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
+def place_of_sharpest_turn(drive: Drive, estimate: Estimate) -> Array:
     """Where the car turns most within 4 s while a filter runs, m east and north."""
     turned = np.concatenate([[0.0], np.cumsum(drive.imu.gz[1:] * np.diff(drive.imu.time))])
     t = estimate.time

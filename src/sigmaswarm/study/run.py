@@ -6,7 +6,10 @@ The folder of a study holds
     trials/              a folder for each protocol and tuned method (`tuning/store.py` says what is in it)
     results.json         see `results.py`
     scores.csv           one row per protocol, trial, method, held-out drive and measure
-    timings.json         how long it took and how fast the filters are: the only file that differs between two runs
+    tables/              Markdown, LaTeX, CSV; runtime.* is of timings.json
+    best/                a parameter file of the best trial of each tuning
+    timings.json         how long it took and how fast the filters are: it and tables/runtime.*
+                         alone differ between two runs
 """
 
 import threading
@@ -21,11 +24,13 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.study.config import StudyConfig, read_config
-from sigmaswarm.study.design import Design, Task, make_design
+from sigmaswarm.study.design import ALL, Design, Task, make_design
 from sigmaswarm.study.results import Results, write_results
 from sigmaswarm.study.scores import score_all
+from sigmaswarm.study.tables import write_tables
 from sigmaswarm.study.timings import Clock, write_timings
 from sigmaswarm.tuning.objectives import Objective, objective_named
 from sigmaswarm.tuning.result import versions
@@ -58,13 +63,24 @@ class Study:
     folder : Path
     design : Design
     trials : mapping of Task to Trial
+    parameters : mapping of Task to FilterParameters
+    best : mapping of str to FilterParameters
+        Of the best trial of each of the folders in trials/, also saved as best/<name>.toml.
     results : Results
     """
 
     folder: Path
     design: Design
     trials: dict[Task, Trial]
+    parameters: dict[Task, FilterParameters]
+    best: dict[str, FilterParameters]
     results: Results
+
+    def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
+        """Name and parameters of the best tuning that stands for a drive, given by its index."""
+        group = self.design.strata[drive] if self.design.config.per_condition else ALL
+        name = f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
+        return name, self.best[name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +166,23 @@ def run_study(
         results = write_results(out, design, trials, points, touched, scores)
     clock.lap("scoring")
     write_timings(out, design, clock)
-    return Study(out, design, trials, results)
+    write_tables(out, results)
+    best = _write_best(out, trials, points)
+    return Study(out, design, trials, points, best, results)
+
+
+def _write_best(
+    out: Path, trials: dict[Task, Trial], points: dict[Task, FilterParameters]
+) -> dict[str, FilterParameters]:
+    """A parameter file of the best trial of each tuning, by the training cost alone."""
+    best: dict[str, Task] = {}
+    for task, trial in trials.items():
+        if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
+            best[task.folder] = task
+    (out / "best").mkdir(exist_ok=True)
+    for name, task in best.items():
+        points[task].save(out / "best" / f"{name}.toml")
+    return {name: points[task] for name, task in best.items()}
 
 
 def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
