@@ -34,7 +34,7 @@ class Summary:
     mean, sd : over trials, of the mean over each trial's held-out drives
     trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
     drive_interval : corrected resampled t: for drives that were never seen
-    bootstrap_interval : of the mean over drives, resampled within conditions
+    bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
     n_trials, n_drives : how many of each the figures rest on
     """
 
@@ -92,13 +92,12 @@ def summarize(
     """Mean, spread and intervals of a measure; ``test_per_train`` is the ratio of the split's sizes."""
     each, drives = trial_means(values), drive_means(values)
     each, known = each[~np.isnan(each)], ~np.isnan(drives)
-    resampled = bootstrap(np.mean, [drives[known]], [s for s, k in zip(strata, known, strict=True) if k], rng)
     return Summary(
         mean=float(np.mean(each)) if len(each) else math.nan,
         sd=_sd(each),
         trial_interval=trial_interval(each),
         drive_interval=corrected_interval(each, test_per_train),
-        bootstrap_interval=resampled,
+        bootstrap_interval=crossed_bootstrap(values, strata, rng),
         n_trials=len(each),
         n_drives=int(known.sum()),
     )
@@ -136,14 +135,48 @@ def bootstrap(
 
     ``statistic`` takes the columns, shape (..., n), and ``axis=-1``.
     """
-    groups = [np.flatnonzero(np.array(strata) == name) for name in dict.fromkeys(strata)]
-    if not groups or len(columns[0]) < 2 or not all(np.isfinite(column).all() for column in columns):
+    if len(columns[0]) < 2 or not all(np.isfinite(column).all() for column in columns):
         return math.nan, math.nan
+    index = _resampled(strata, rng)
+    return _middle(statistic(*(c[index] for c in columns), axis=-1))
+
+
+def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
+    """Percentile interval of the mean over drives, with drives and trials resampled independently of each other.
+
+    A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007. What the choice of drives leaves open
+    and what the optimizer does are both in it, each with its own number of repetitions.
+    """
+    known = ~np.isnan(values)
+    kept, trials = known.any(axis=0), known.any(axis=1)
+    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
+        return math.nan, math.nan
+    inside = np.ix_(trials, kept)
+    known, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
+    n = len(filled)
+    weight = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(np.float64)
+    count = weight @ known  # 0 where none of the drawn trials held the drive back
+    with np.errstate(invalid="ignore"):
+        means = (weight @ filled) / count
+    index = _resampled([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
+    return _middle(_mean_known(np.take_along_axis(means, index, axis=1), axis=1))
+
+
+def _resampled(strata: Sequence[str], rng: np.random.Generator) -> NDArray[np.intp]:
+    """Indices drawn with replacement within each stratum, shape (RESAMPLES, n); strata of one are thrown together."""
+    names = np.array(strata)
+    groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
     if max(len(group) for group in groups) < 2:
-        groups = [np.arange(len(columns[0]))]
-    drawn = [group[rng.integers(0, len(group), (RESAMPLES, len(group)))] for group in groups]
-    index = np.concatenate(drawn, axis=1)
-    low, high = np.quantile(statistic(*(c[index] for c in columns), axis=-1), [0.025, 0.975])
+        groups = [np.arange(len(names))]
+    return np.concatenate([g[rng.integers(0, len(g), (RESAMPLES, len(g)))] for g in groups], axis=1)
+
+
+def _middle(values: Array) -> Interval:
+    """The middle 95% of bootstrapped values."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return math.nan, math.nan
+    low, high = np.quantile(values, [0.025, 0.975])
     return float(low), float(high)
 
 

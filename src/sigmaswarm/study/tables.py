@@ -145,7 +145,8 @@ def table_2(results: Results) -> Table:
         ),
         tuple(rows),
         "The interval over trials (as in the paper) says what optimizer and split leave open; it covers the mean of "
-        "new drives only about half of the time. The corrected resampled t interval is made for those.",
+        "new drives only about half of the time. The other two are made for those; the corrected t is too wide "
+        "where the optimizer's luck varies much.",
     )
 
 
