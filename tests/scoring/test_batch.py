@@ -2,7 +2,7 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -246,3 +246,16 @@ def test_truth_reaches_no_filter():
     scores = [Replayer([d], outages=False).scores(SETS) for d in (drive, replace(drive, truth=None))]
     np.testing.assert_array_equal(scores[0].fix_rmse, scores[1].fix_rmse)
     np.testing.assert_array_equal(scores[0].mean_nis, scores[1].mean_nis)
+
+
+def test_a_subset_scores_as_its_drives_alone():
+    drives = [make_drive(duration=30.0, seed=seed, name=f"d{seed}") for seed in range(4)]
+    whole = Replayer(drives, outages=True, forecasts=True)
+    assert whole.steps_per_set > 0  # so that it has been counted before the subset is taken
+    part, alone = whole.subset([3, 1]), Replayer([drives[3], drives[1]], outages=True, forecasts=True)
+    assert [drive.name for drive in part.drives] == ["d3", "d1"]
+    assert part.steps_per_set == alone.steps_per_set < whole.steps_per_set
+    found, wanted = part.scores([DEFAULTS]), alone.scores([DEFAULTS])
+    for field in fields(found):
+        name = field.name
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)

@@ -19,6 +19,7 @@ from sigmaswarm.cli.report import report
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
 from sigmaswarm.cli.split import split
+from sigmaswarm.cli.study import study
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
 
@@ -42,7 +43,7 @@ No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` sh
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, compare, evaluate, report, run, export, split, simulate, record_carla, plot, demo,
+    doctor, tune, compare, evaluate, report, study, run, export, split, simulate, record_carla, plot, demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")
@@ -60,7 +61,7 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         saved = (
             "; repeat the command with --resume to go on"
-            if {"tune", "compare", "simulate"} & set(sys.argv[1:2])
+            if {"tune", "compare", "simulate", "study"} & set(sys.argv[1:2])
             else ""
         )
         print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sigmaswarm.errors import DriveError
-
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
@@ -19,18 +17,9 @@ if TYPE_CHECKING:
 
 def read_drives(paths: Sequence[Path]) -> "list[Drive]":
     """Read drive folders; a folder of drive folders stands for all of them."""
-    from sigmaswarm import read_drive
+    from sigmaswarm.drives.reader import drive_folders, read_drive
 
-    return [read_drive(path) for given in paths for path in _drive_folders(given)]
-
-
-def _drive_folders(path: Path) -> list[Path]:
-    if not path.is_dir() or (path / "imu.csv").exists() or (path / "gps.csv").exists():
-        return [path]  # read_drive says what is wrong with it, if anything
-    inside = sorted(folder for folder in path.iterdir() if (folder / "imu.csv").exists())
-    if not inside:
-        raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
-    return inside
+    return [read_drive(path) for given in paths for path in drive_folders(given)]
 
 
 def stdout() -> "Console":

@@ -33,6 +33,16 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 """Keys of drive.toml that filters look at: how many numbers (0: one, and no list), and an example."""
 
 
+def drive_folders(path: Path) -> list[Path]:
+    """A drive folder itself, or all drive folders inside a folder, in the order of their names."""
+    if not path.is_dir() or (path / "imu.csv").exists() or (path / "gps.csv").exists():
+        return [path]  # read_drive says what is wrong with it, if anything
+    inside = sorted(folder for folder in path.iterdir() if (folder / "imu.csv").exists())
+    if not inside:
+        raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
+    return inside
+
+
 def read_drive(path: str | Path) -> Drive:
     """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml and perhaps truth.csv.
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,56 @@ class Replay:
     initial: InitialState
     targets: Targets
 
+    @cached_property
+    def steps(self) -> Array:
+        """dt (s), ax, ay (m/s2), gz (rad/s) and the scale of Q of each step, shape (k, 5)."""
+        line = self.timeline
+        return np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale])
+
+    @cached_property
+    def flags(self) -> NDArray[np.int64]:
+        """What happens at the end of each step where a filter takes fixes alone, shape (k,)."""
+        return flags_of(self.timeline, False, False, False)
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """At most LANES parameter sets of one model and with the same switches, packed once for any number of replays."""
+
+    sets: tuple[FilterParameters, ...]
+    _constants: dict[float, Array] = field(default_factory=dict[float, Array])
+
+    def constants(self, nominal_interval: float) -> Array:
+        """As `pack_constants`."""
+        if nominal_interval not in self._constants:
+            self._constants[nominal_interval] = pack_constants(self.sets, nominal_interval)
+        return self._constants[nominal_interval]
+
+    @cached_property
+    def plausible(self) -> NDArray[np.bool_]:
+        """See `plausible`; shape (n_sets,)."""
+        return np.array([plausible(p) for p in self.sets], dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Parameter sets in chunks for the kernel, and where each chunk's sets stand in the batch."""
+
+    size: int
+    chunks: tuple[tuple[NDArray[np.intp], Chunk], ...]
+
+
+def pack(parameter_sets: Sequence[FilterParameters]) -> Batch:
+    """Group parameter sets so that those of a chunk can run side by side."""
+    groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
+    for i, p in enumerate(parameter_sets):
+        groups.setdefault((p.model, *switches(p)), []).append(i)
+    parts = [g[i : i + lanes.LANES] for g in groups.values() for i in range(0, len(g), lanes.LANES)]
+    return Batch(
+        len(parameter_sets),
+        tuple((np.array(part), Chunk(tuple(parameter_sets[i] for i in part))) for part in parts),
+    )
+
 
 @dataclass(frozen=True, eq=False)
 class Sums:
@@ -89,28 +140,23 @@ class Sums:
     failed: NDArray[np.bool_]
 
 
-def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters]) -> Sums:
+def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters] | Batch) -> Sums:
     """Run one filter per parameter set over a replay. Results do not depend on a set's place or company."""
-    columns = np.empty((len(_SUM_ROWS), len(parameter_sets)))
-    failed = np.empty(len(parameter_sets), dtype=np.bool_)
-    groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
-    for i, p in enumerate(parameter_sets):
-        groups.setdefault((p.model, *switches(p)), []).append(i)
-    for members in groups.values():
-        for start in range(0, len(members), lanes.LANES):
-            chunk = members[start : start + lanes.LANES]
-            sums, final = _run_chunk(replay, [parameter_sets[i] for i in chunk])
-            sound = _sound(sums, final, parameter_sets[chunk[0]].n_states)[: len(chunk)]
-            sound &= [plausible(parameter_sets[i]) for i in chunk]
-            failed[chunk] = ~sound
-            columns[:, chunk] = np.where(sound, sums[_SUM_ROWS, : len(chunk)], np.nan)
+    batch = parameter_sets if isinstance(parameter_sets, Batch) else pack(parameter_sets)
+    columns = np.empty((len(_SUM_ROWS), batch.size))
+    failed = np.empty(batch.size, dtype=np.bool_)
+    for places, chunk in batch.chunks:
+        sums, final = _run_chunk(replay, chunk)
+        sound = _sound(sums, final, chunk.sets[0].n_states)[: len(places)] & chunk.plausible
+        failed[places] = ~sound
+        columns[:, places] = np.where(sound, sums[_SUM_ROWS, : len(places)], np.nan)
     return Sums(*columns, failed=failed)
 
 
 def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
     record = np.empty((len(replay.timeline.imu_time), lanes.N_STATE + 1, 1))
-    _run_chunk(replay, [parameters], record)
+    _run_chunk(replay, Chunk((parameters,)), record)
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
     sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
@@ -119,7 +165,7 @@ def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, 
 def record_innovations(replay: Replay, parameters: FilterParameters) -> Array:
     """nu (m) and S (m2; xx, xy, yy) of one filter at each fix, before it is absorbed, shape (f, 5)."""
     innovations = np.empty((len(replay.timeline.fixes), 5))
-    _run_chunk(replay, [parameters], innovations=innovations)
+    _run_chunk(replay, Chunk((parameters,)), innovations=innovations)
     return innovations
 
 
@@ -146,22 +192,23 @@ _SUM_ROWS = np.arange(lanes.SQ_POSITION, lanes.LOG_DET + 1) - lanes.SUMS.start
 
 def _run_chunk(
     replay: Replay,
-    parameter_sets: Sequence[FilterParameters],
+    chunk: Chunk,
     record: Array | None = None,
     innovations: Array | None = None,
 ) -> tuple[Array, Array]:
     """Sums (N_SUMS, LANES) and final states (N_STATE, LANES); writes what is recorded of the first lane."""
-    first, line = parameter_sets[0], replay.timeline
+    first, line = chunk.sets[0], replay.timeline
+    taken = switches(first)
     return run.run_lanes(
         first.n_states,
-        np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
-        flags_of(line, *switches(first)),
+        replay.steps,
+        flags_of(line, *taken) if any(taken) else replay.flags,
         line.fixes,
         line.lever,
         replay.targets.rows,
         replay.targets.end,
-        pack_states(*start_of(replay.initial, parameter_sets)),
-        pack_constants(parameter_sets, line.nominal_interval),
+        pack_states(*start_of(replay.initial, chunk.sets)),
+        chunk.constants(line.nominal_interval),
         np.empty((0, lanes.N_STATE + 1, 0)) if record is None else record,
         innovations,
     )
@@ -268,6 +315,7 @@ def unpack_states(state: Array, n: int) -> tuple[Array, Array]:
     return state[:n].T.copy(), covariance
 
 
+@cache
 def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the upper triangle, column by column, as the kernel packs it."""
     columns, rows = np.tril_indices(n)

@@ -44,6 +44,14 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
+def save_both(figure: Figure, stem: Path) -> list[Path]:
+    """Write a PNG and an SVG, with no date in either."""
+    path = stem.with_name(f"{stem.name}.svg")
+    with rc_context({"svg.hashsalt": "sigmaswarm"}):
+        figure.savefig(path, metadata={"Date": None, "Creator": None})
+    return [save(figure, stem.with_name(f"{stem.name}.png")), path]
+
+
 def check_file(path: Path, suffix: str = ".png") -> None:
     """Raise `InputError` where no file of that kind can be written, before any work is done."""
     if path.suffix != suffix:

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from copy import copy
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.filters.batch import Replay, Sums, run_replay
+from sigmaswarm.filters.batch import Replay, Sums, pack, run_replay
 from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.score import Score
@@ -84,6 +85,18 @@ class Replayer:
                     _Pass(i, forecast_replay(drive, start, seed=outage_seed), _forecast_scores)
                 )
 
+    def subset(self, drives: Sequence[int]) -> "Replayer":
+        """A replayer of some of the drives, by index, without making anything ready again."""
+        part = copy(self)
+        part.__dict__.pop("steps", None)
+        part.drives = tuple(self.drives[i] for i in drives)
+        part.initial = tuple(self.initial[i] for i in drives)
+        by_drive: dict[int, list[_Pass]] = {}
+        for p in self._passes:
+            by_drive.setdefault(p.drive, []).append(p)
+        part._passes = [replace(p, drive=at) for at, i in enumerate(drives) for p in by_drive[i]]
+        return part
+
     @property
     def truth_moments(self) -> list[int]:
         """How many moments of truth each drive is scored at."""
@@ -102,28 +115,18 @@ class Replayer:
             counts[p.drive] += len(p.replay.timeline.dt)
         return counts
 
-    def scores(
-        self,
-        parameter_sets: Sequence[FilterParameters],
-        executor: Executor | None = None,
-        *,
-        only: Sequence[int] | None = None,
-    ) -> Scores:
-        """Score the sets; the result has the same bits whatever the executor and its number of workers.
-
-        ``only`` names the drives that are run, by their numbers; the scores have one column for each of them.
-        """
-        drives = list(range(len(self.drives)) if only is None else only)
-        passes = [p for p in self._passes if p.drive in drives]
-        shape = (len(parameter_sets), len(drives))
+    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
+        """Score the sets; the result has the same bits whatever the executor and its number of workers."""
+        shape = (len(parameter_sets), len(self.drives))
         columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
         failed = np.zeros(shape, dtype=np.bool_)
-        results = self._run([p.replay for p in passes], parameter_sets, executor) if parameter_sets else []
-        for p, sums in zip(passes, results, strict=bool(parameter_sets)):
-            column = drives.index(p.drive)
+        results = (
+            self._run([p.replay for p in self._passes], parameter_sets, executor) if parameter_sets else []
+        )
+        for p, sums in zip(self._passes, results, strict=bool(parameter_sets)):
             for name, values in p.scores(p.replay, sums).items():
-                columns[name][:, column] = values
-            failed[:, column] |= sums.failed
+                columns[name][:, p.drive] = values
+            failed[:, p.drive] |= sums.failed
         return Scores(**columns, failed=failed)
 
     @staticmethod
@@ -131,7 +134,7 @@ class Replayer:
         replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters], executor: Executor | None
     ) -> list[Sums]:
         """Every replay by every set, in chunks of lanes so that all workers have something to do."""
-        chunks = [parameter_sets[i : i + LANES] for i in range(0, len(parameter_sets), LANES)]
+        chunks = [pack(parameter_sets[i : i + LANES]) for i in range(0, len(parameter_sets), LANES)]
         jobs = [(replay, chunk) for replay in replays for chunk in chunks]
         done = list((executor.map if executor else map)(run_replay, *zip(*jobs, strict=True))) if jobs else []
         n = len(chunks)

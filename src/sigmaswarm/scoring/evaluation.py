@@ -136,12 +136,13 @@ def evaluate(
             "defaults": batch[1, 0],
             "datasheet": batch[2, 0],
             "raw_gps": score_raw_gps(drive, initial),
-            "imu_only": _score_imu_only(drive, initial, outage_length, outage_seed),
+            "imu_only": score_imu_only(drive, initial, outage_length, outage_seed),
         }
     return Evaluation(scores, consistent)
 
 
-def _score_imu_only(drive: Drive, initial: InitialState, length: float, seed: int) -> Score:
+def score_imu_only(drive: Drive, initial: InitialState, length: float, seed: int) -> Score:
+    """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
     estimate = run_imu_only(drive, initial=initial)
     score = score_estimate(drive, estimate)
     ends = outage_windows(drive, initial, length=length, seed=seed)[:, 1]

@@ -55,11 +55,11 @@ class ModelProblem:
         """Parameters by name at a point, shape (d,), in search coordinates."""
         return self._named(self.space.values(point))
 
-    def costs(self, points: Array, executor: Executor) -> Array:
+    def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d): the mean over the logs that count."""
         return self.mean(self.each(points, range(len(self.data)), executor))
 
-    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the logs, shape (n, len(drives))."""
         if isinstance(executor, ProcessPoolExecutor):
             raise InputError(
@@ -67,7 +67,7 @@ class ModelProblem:
             )
         sets = [self._named(row) for row in self.space.values(points)]
         jobs = [(parameters, i) for parameters in sets for i in drives]
-        each = np.array(list(executor.map(self._cost, *zip(*jobs, strict=True))))
+        each = np.array(list((executor.map if executor else map)(self._cost, *zip(*jobs, strict=True))))
         return each.reshape(len(points), len(drives))
 
     def mean(self, each: Array) -> Array:

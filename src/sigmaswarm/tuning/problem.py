@@ -20,33 +20,40 @@ from sigmaswarm.tuning.space import SearchSpace, search_space
 P = TypeVar("P", covariant=True)
 
 
-class Problem(Protocol[P]):
-    """What `tune` needs to know of a filter, its data and its objective."""
+class Landscape(Protocol):
+    """What a search needs: a box, and the costs of points in it."""
 
-    data: list[dict[str, Any]]
-    """Name, length and fingerprint of each drive."""
-    steps: NDArray[np.int64]
-    """Filter steps that one parameter set costs on each drive, shape (m,)."""
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps that one parameter set costs on each drive, shape (m,)."""
+        ...
 
     @property
     def space(self) -> Box:
         """The box that is searched."""
         ...
 
-    def parameters(self, point: Array) -> P:
-        """The filter at a point, shape (d,), in search coordinates."""
-        ...
-
-    def costs(self, points: Array, executor: Executor) -> Array:
+    def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d); ``inf`` where a filter failed."""
         ...
 
-    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
         ...
 
     def mean(self, each: Array) -> Array:
         """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
+        ...
+
+
+class Problem(Landscape, Protocol[P]):
+    """What `tune` needs to know of a filter, its data and its objective."""
+
+    data: list[dict[str, Any]]
+    """Name, length and fingerprint of each drive."""
+
+    def parameters(self, point: Array) -> P:
+        """The filter at a point, shape (d,), in search coordinates."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -91,13 +98,14 @@ class CarProblem:
         """The filter at a point, shape (d,), in search coordinates."""
         return self.space.decode(point[np.newaxis])[0]
 
-    def costs(self, points: Array, executor: Executor) -> Array:
+    def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
         return self.mean(self.each(points, range(len(self.data)), executor))
 
-    def each(self, points: Array, drives: Sequence[int], executor: Executor) -> Array:
+    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
-        return self.objective.each(self.replayer.scores(self.space.decode(points), executor, only=drives))
+        replayer = self.replayer.subset(drives)
+        return self.objective.each(replayer.scores(self.space.decode(points), executor))
 
     def mean(self, each: Array) -> Array:
         """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""

@@ -15,13 +15,12 @@ shifted behind the last that went further: they keep their order, and none of th
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.problem import Landscape
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +57,10 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
 
 
 def race(
-    problem: Problem[Any], points: Array, order: Sequence[int] | NDArray[np.int64], executor: Executor
+    problem: Landscape,
+    points: Array,
+    order: Sequence[int] | NDArray[np.int64],
+    executor: Executor | None,
 ) -> Raced:
     """Try points, shape (n, d), on the drives in that order, and drop the worse half at each rung."""
     each = np.empty((len(points), 0))

@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
-from sigmaswarm.tuning.problem import Problem
+from sigmaswarm.tuning.problem import Landscape
 from sigmaswarm.tuning.racing import Raced, race
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
@@ -64,10 +64,10 @@ class Search:
     Attributes
     ----------
     config : SearchConfig
-    problem : Problem
+    problem : Landscape
         What is minimized.
-    executor : concurrent.futures.Executor
-        Shares the work.
+    executor : concurrent.futures.Executor or None
+        Shares the work of a generation; None: nobody does.
     folder : ResultFolder or None
         Where every generation is saved.
     progress : callable or None
@@ -75,8 +75,8 @@ class Search:
     """
 
     config: SearchConfig
-    problem: Problem[Any]
-    executor: Executor
+    problem: Landscape
+    executor: Executor | None
     folder: ResultFolder | None
     progress: Callable[[Progress], None] | None
 

@@ -1,0 +1,74 @@
+"""How often the intervals of a study cover what they are for: by simulation of the study's own design.
+
+`python benchmarks/coverage.py` draws studies whose truth is known. A drive's score is its condition's mean times a
+skewed factor of its own, times a factor of the trial (the optimizer's luck) and one of both. What is to be covered is
+the mean score of a new drive of the same conditions, tuned by a new trial.
+"""
+
+import argparse
+
+import numpy as np
+
+from sigmaswarm.study.statistics import summarize
+
+NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over drives and trials")
+DRIVE_SPREAD, BOTH_SPREAD = 0.35, 0.05
+"""Standard deviations of the logarithms of the factors."""
+TRIAL_SPREADS = (0.0, 0.01, 0.03)
+"""The same of the trial's factor: how much the optimizer's luck matters."""
+
+
+def simulated_study(
+    rng: np.random.Generator, luck: float, conditions: int = 25, runs: int = 20, trials: int = 20
+):
+    """Scores (trials, drives), NaN in training; the drives' conditions; and the true mean for a new drive."""
+    levels = np.linspace(0.4, 2.0, conditions)
+    strata = np.repeat(np.arange(conditions), runs)
+    drive = levels[strata] * _factor(rng, DRIVE_SPREAD, len(strata))
+    each = _factor(rng, luck, (trials, 1)) * _factor(rng, BOTH_SPREAD, (trials, len(strata)))
+    scores = np.full((trials, len(strata)), np.nan)
+    for trial in range(trials):
+        for stratum in range(conditions):
+            own = rng.permutation(np.flatnonzero(strata == stratum))
+            test = own[round(0.7 * runs) :]
+            scores[trial, test] = (drive * each[trial])[test]
+    return scores, [str(s) for s in strata], float(levels.mean())
+
+
+def _factor(rng: np.random.Generator, spread: float, shape) -> np.ndarray:
+    """Log-normal factors of mean one."""
+    return np.exp(spread * rng.standard_normal(shape) - spread**2 / 2)
+
+
+def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
+    """Whether each interval of one simulated study covers the truth."""
+    scores, strata, truth = simulated_study(rng, luck, **design)
+    ratio = float(np.isfinite(scores[0]).sum() / np.isnan(scores[0]).sum())
+    found = summarize(scores, strata, ratio, rng)
+    intervals = found.trial_interval, found.drive_interval, found.bootstrap_interval
+    return [low <= truth <= high for low, high in intervals]
+
+
+def coverage(studies: int, luck: float, seed: int = 0, **design: int) -> np.ndarray:
+    """Share of the studies in which each interval covers the truth, shape (3,)."""
+    rng = np.random.default_rng(seed)
+    return np.mean([covered(rng, luck, **design) for _ in range(studies)], axis=0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--studies", type=int, default=2000)
+    studies = parser.parse_args().studies
+    error = 1.96 * np.sqrt(0.95 * 0.05 / studies)
+    print(
+        f"{studies} simulated studies of 25 conditions x 20 runs, 20 trials; 95% is known to +-{error:.1%}\n"
+    )
+    print("| spread of the optimizer | " + " | ".join(NAMES) + " |")
+    print("|---:|" + "---:|" * len(NAMES))
+    for luck in TRIAL_SPREADS:
+        shares = " | ".join(f"{share:.1%}" for share in coverage(studies, luck))
+        print(f"| {luck:.0%} | {shares} |")
+
+
+if __name__ == "__main__":
+    main()

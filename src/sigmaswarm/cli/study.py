@@ -1,0 +1,117 @@
+"""`sigmaswarm study`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter, validators
+
+if TYPE_CHECKING:
+    from sigmaswarm.study.run import Study
+
+_Flag = Annotated[bool, Parameter(negative=())]
+_Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
+
+
+def study(
+    out: Annotated[Path, Parameter(name="OUT")],
+    /,
+    *,
+    config: Path | None = None,
+    drives: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    trials: _Count = None,
+    runs: _Count = None,
+    particles: _Count = None,
+    generations: _Count = None,
+    seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
+    per_condition: _Flag = False,
+    workers: _Count = None,
+    resume: _Flag = False,
+    json: _Flag = False,
+) -> None:
+    """Run the paper's whole experiment, and put its tables beside the paper's.
+
+    Simulates the drives, tunes in every trial on another 70% of them, and scores all methods on the rest: IMU only,
+    raw GPS, EKF, adaptive UKF and UKF by hand, PSO-UKF as in the paper, and with the same budget tuned EKF, adaptive
+    UKF and planar8. Two protocols stand side by side. paper: scored against the GPS, linear search. honest: scored
+    against truth, logarithmic search.
+
+    Killed at any moment, it goes on with --resume and ends in the same bytes.
+
+    Examples:
+
+        sigmaswarm study study
+        sigmaswarm study study --resume
+        sigmaswarm study quick --runs 4 --trials 5 --particles 16 --generations 20
+        sigmaswarm study mine --drives drives --trials 10
+
+    Parameters
+    ----------
+    out
+        Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
+    config
+        A study.toml to start from; the paper's study by default.
+    drives
+        Your own drive folders, with truth, instead of simulated drives.
+    trials
+        Repetitions, each with its own split and swarm; 20 by default.
+    runs
+        Simulated drives of each maneuver in each environment; 20 by default.
+    particles
+        Size of the swarm; 30 by default.
+    generations
+        Moves of the swarm, the first placement included; 50 by default.
+    seed
+        Decides drives, splits and swarms.
+    per_condition
+        Tune each condition by itself instead of one filter for all.
+    workers
+        Threads; all cores by default. The result does not depend on it.
+    resume
+        Go on with a study that was interrupted; what is finished is not done again.
+    json
+        Print results.json.
+    """
+    from sigmaswarm.cli.common import print_json, progress_bar, stdout
+    from sigmaswarm.report.study_figures import save_study_figures
+    from sigmaswarm.study.config import read_config
+    from sigmaswarm.study.run import run_study
+    from sigmaswarm.study.tables import table_texts
+
+    named: dict[str, Any] = {
+        "drives": None if drives is None else tuple(map(str, drives)),
+        "trials": trials,
+        "runs": runs,
+        "particles": particles,
+        "generations": generations,
+        "seed": seed,
+        "per_condition": per_condition or None,
+    }
+    changes = {name: value for name, value in named.items() if value is not None}
+    started = out / "study.toml"
+    asked = read_config(config or (started if resume and started.exists() else None), **changes)
+    with progress_bar("study", "generations, remaining") as show:
+        done = run_study(
+            asked,
+            out,
+            resume=resume,
+            workers=workers,
+            progress=lambda told: show(told.done, told.total),
+        )
+    save_study_figures(done, out / "figures")
+    if json:
+        print_json(done.results.content)
+        return
+    console = stdout()
+    for text in table_texts(done.results):
+        console.print(text + "\n", markup=False)
+    _say_where(done, out)
+
+
+def _say_where(done: "Study", out: Path) -> None:
+    from sigmaswarm.cli.common import stdout
+
+    console, (name, _) = stdout(), done.best_of("honest", "pso-ukf", 0)
+    console.print(f"results: {out / 'results.json'}, {out / 'scores.csv'}")
+    console.print(f"tables:  {out / 'tables'}")
+    console.print(f"figures: {out / 'figures'}")
+    console.print(f"next:    sigmaswarm evaluate {out / 'best' / name}.toml DRIVE...")

@@ -1,0 +1,174 @@
+"""The scores of all methods on all drives, each trial's on the drives that it held back."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS, PAPER, datasheet
+from sigmaswarm.scoring.batch import Replayer, Scores
+from sigmaswarm.scoring.evaluation import score_imu_only
+from sigmaswarm.scoring.score import Score, score_raw_gps
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH
+from sigmaswarm.study.config import TUNED
+from sigmaswarm.study.design import Design, Task
+
+UNTUNED = "untuned"
+"""The protocol of methods that nothing is tuned for."""
+
+LABELS = {
+    "imu-only": "IMU only",
+    "raw-gps": "raw GPS",
+    "ekf-defaults": "EKF, manual: defaults",
+    "ekf-datasheet": "EKF, manual: data sheet",
+    "adaptive-ukf-defaults": "adaptive UKF, manual: defaults",
+    "adaptive-ukf-datasheet": "adaptive UKF, manual: data sheet",
+    "ukf-defaults": "UKF, manual: defaults",
+    "ukf-datasheet": "UKF, manual: data sheet",
+    "ukf-paper": "UKF, the paper's optimum",
+    "pso-ukf": "PSO-UKF",
+    "pso-ekf": "PSO-EKF",
+    "pso-adaptive-ukf": "PSO-adaptive UKF",
+    "pso-planar8": "PSO-UKF, planar8",
+}
+"""All methods, and what people call them."""
+
+MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
+    "position_rmse_m": ("position RMSE against truth, m", lambda s: s.position_rmse),
+    "gps_rmse_m": ("RMSE against the absorbed GPS (equation 4), m", lambda s: s.fix_rmse),
+    "heading_rmse_deg": ("heading error, deg", lambda s: np.degrees(s.heading_rmse)),
+    "outage_drift_m": ("drift over a 5 s outage, m", lambda s: s.outage_drift),
+    "nis": ("mean NIS, 2 where the filter is consistent", lambda s: s.mean_nis),
+}
+"""What is measured on each drive, and how it is taken from the compiled scores."""
+
+Cell = tuple[str, str]
+"""Protocol and method."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTable:
+    """All scores of a study.
+
+    Attributes
+    ----------
+    design : Design
+    values : mapping of (protocol, method) to mapping of measure to ndarray, shape (trials, drives)
+        NaN where the trial did not hold the drive back or the measure can't be said; ``inf`` where the filter failed.
+    """
+
+    design: Design
+    values: Mapping[Cell, Mapping[str, Array]]
+
+    def to_frame(self) -> pl.DataFrame:
+        """The long table: protocol, trial, method, drive, maneuver, environment, measure, value."""
+        names = np.array([drive.name for drive in self.design.drives])
+        maneuvers, environments = (np.array(column) for column in zip(*self.design.conditions, strict=True))
+        parts: list[pl.DataFrame] = []
+        for (protocol, method), measures in self.values.items():
+            for measure, values in measures.items():
+                trial, drive = np.nonzero(~np.isnan(values))
+                constant = {"protocol": protocol, "method": method, "measure": measure}
+                part = pl.DataFrame(
+                    {
+                        "trial": trial,
+                        "drive": names[drive],
+                        "maneuver": maneuvers[drive],
+                        "environment": environments[drive],
+                        "value": values[trial, drive],
+                    }
+                )
+                parts.append(part.with_columns(**{k: pl.lit(v) for k, v in constant.items()}))
+        order = ("protocol", "trial", "method", "drive", "maneuver", "environment", "measure", "value")
+        return pl.concat(parts).select(order)
+
+
+def manual(method: str, drive: Drive) -> FilterParameters:
+    """The parameters of an untuned filter for a drive."""
+    if method == "ukf-paper":
+        return PAPER
+    kind, _, preset = method.rpartition("-")
+    chosen = datasheet(drive) if preset == "datasheet" else DEFAULTS
+    return replace(chosen, kind=kind)  # pyright: ignore[reportArgumentType]
+
+
+def score_all(
+    design: Design, parameters: Mapping[Task, FilterParameters], executor: Executor | None = None
+) -> ScoreTable:
+    """Score every method on the drives that each trial held back."""
+    replayer = Replayer(design.drives, outages=True, outage_seed=design.config.seed)
+    trials = design.config.trials
+    tested = np.zeros((trials, len(design.drives)), dtype=np.bool_)
+    for trial in range(trials):
+        tested[trial, design.split(trial)[1]] = True
+    values: dict[Cell, dict[str, Array]] = {}
+    for method in LABELS:
+        if method not in TUNED:
+            once = _untuned(method, design, replayer, executor)
+            values[UNTUNED, method] = {m: np.where(tested, row, np.nan) for m, row in once.items()}
+    for protocol, method in dict.fromkeys((task.protocol, task.method) for task in parameters):
+        own = {t: p for t, p in parameters.items() if (t.protocol, t.method) == (protocol, method)}
+        each = _tuned(own, design, replayer, executor)
+        values[protocol, method] = {m: np.where(tested, array, np.nan) for m, array in each.items()}
+    return ScoreTable(design, values)
+
+
+def _tuned(
+    parameters: Mapping[Task, FilterParameters], design: Design, replayer: Replayer, executor: Executor | None
+) -> dict[str, Array]:
+    """Scores of one tuned method, shape (trials, drives): on each drive the filter of its own group."""
+    found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in MEASURES}
+    for group in design.groups:
+        own = {task.trial: p for task, p in parameters.items() if task.group == group}
+        members = design.members(group)
+        scores = replayer.subset(members).scores([own[trial] for trial in sorted(own)], executor)
+        for measure, values in _measured(scores).items():
+            found[measure][:, members] = values
+    return found
+
+
+def _untuned(method: str, design: Design, replayer: Replayer, executor: Executor | None) -> dict[str, Array]:
+    """Scores of an untuned method on all drives, shape (drives,)."""
+    if method in ("imu-only", "raw-gps"):
+        score = _imu_only if method == "imu-only" else _raw_gps
+        pairs = zip(design.drives, replayer.initial, strict=True)
+        return _of_scores([score(drive, initial, design.config.seed) for drive, initial in pairs])
+    by_set: dict[FilterParameters, list[int]] = {}
+    for i, drive in enumerate(design.drives):
+        by_set.setdefault(manual(method, drive), []).append(i)
+    found = {m: np.full(len(design.drives), np.nan) for m in MEASURES}
+    for parameters, members in by_set.items():
+        for measure, values in _measured(replayer.subset(members).scores([parameters], executor)).items():
+            found[measure][members] = values[0]
+    return found
+
+
+def _measured(scores: Scores) -> dict[str, Array]:
+    return {m: np.where(scores.failed, np.inf, take(scores)) for m, (_, take) in MEASURES.items()}
+
+
+def _of_scores(scores: list[Score]) -> dict[str, Array]:
+    return {
+        "position_rmse_m": np.array([s.position_rmse for s in scores]),
+        "gps_rmse_m": np.array([s.fix_rmse for s in scores]),
+        "heading_rmse_deg": np.degrees([s.heading_rmse for s in scores]),
+        "outage_drift_m": np.array([s.outage_drift for s in scores]),
+    }
+
+
+def _raw_gps(drive: Drive, initial: InitialState, _: int) -> Score:
+    return replace(score_raw_gps(drive, initial), fix_rmse=0.0)  # it is what equation 4 compares with
+
+
+def _imu_only(drive: Drive, initial: InitialState, seed: int) -> Score:
+    estimate = run_imu_only(drive, initial=initial)
+    gps = drive.gps.select((drive.gps.time > initial.time) & (drive.gps.time <= estimate.time[-1]))
+    x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
+    residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
+    return replace(score_imu_only(drive, initial, OUTAGE_LENGTH, seed), fix_rmse=residual)

@@ -1,0 +1,228 @@
+"""What a study's scores say, and how surely.
+
+Scores are arrays of shape (trials, drives), NaN where a trial did not hold a drive back.
+
+C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; S. Holm, A simple
+sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979; D. S. Kerby, The simple difference
+formula, Comprehensive Psychology 3, 2014 (the rank-biserial correlation of matched pairs).
+"""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sigmaswarm.drives.drive import Array
+
+Interval = tuple[float, float]
+RESAMPLES = 2000
+"""Of each bootstrap."""
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A measure of one method.
+
+    Attributes
+    ----------
+    mean, sd : over trials, of the mean over each trial's held-out drives
+    trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
+    drive_interval : corrected resampled t: for drives that were never seen
+    bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
+    n_trials, n_drives : how many of each the figures rest on
+    """
+
+    mean: float
+    sd: float
+    trial_interval: Interval
+    drive_interval: Interval
+    bootstrap_interval: Interval
+    n_trials: int
+    n_drives: int
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two methods on the same drives, one value a drive: the mean over the trials that held it back.
+
+    Attributes
+    ----------
+    mean_difference : of the method less the other, negative where the method is better
+    interval : of it, by bootstrap over drives
+    p : of Wilcoxon's signed-rank test, two-sided
+    rank_biserial : share of the rank sum that says better less that which says worse, -1 to 1: the effect's size
+    improvement, improvement_interval : percent, the paper's equation 5
+    n_drives : int
+    """
+
+    mean_difference: float
+    interval: Interval
+    p: float
+    rank_biserial: float
+    improvement: float
+    improvement_interval: Interval
+    n_drives: int
+
+
+def trial_means(values: Array) -> Array:
+    """The mean over each trial's held-out drives, shape (trials,)."""
+    return _mean_known(values, axis=1)
+
+
+def drive_means(values: Array) -> Array:
+    """One value a drive: the mean over the trials that held it back, shape (drives,); NaN where none did."""
+    return _mean_known(values, axis=0)
+
+
+def _mean_known(values: Array, axis: int) -> Array:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a row without any
+        return np.asarray(np.nanmean(values, axis=axis))
+
+
+def summarize(
+    values: Array, strata: Sequence[str], test_per_train: float, rng: np.random.Generator
+) -> Summary:
+    """Mean, spread and intervals of a measure; ``test_per_train`` is the ratio of the split's sizes."""
+    each, drives = trial_means(values), drive_means(values)
+    each, known = each[~np.isnan(each)], ~np.isnan(drives)
+    return Summary(
+        mean=float(np.mean(each)) if len(each) else math.nan,
+        sd=_sd(each),
+        trial_interval=trial_interval(each),
+        drive_interval=corrected_interval(each, test_per_train),
+        bootstrap_interval=crossed_bootstrap(values, strata, rng),
+        n_trials=len(each),
+        n_drives=int(known.sum()),
+    )
+
+
+def _sd(values: Array) -> float:
+    return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
+
+
+def trial_interval(values: Array) -> Interval:
+    """mean +- 1.96 SD / sqrt(n), as the paper has it: it covers the mean for a new drive only half of the time."""
+    if not len(values):
+        return math.nan, math.nan
+    half = 1.96 * _sd(values) / math.sqrt(len(values))
+    return float(np.mean(values) - half), float(np.mean(values) + half)
+
+
+def corrected_interval(values: Array, test_per_train: float, level: float = LEVEL) -> Interval:
+    """The corrected resampled t interval of trials whose splits overlap (Nadeau and Bengio 2003, section 3)."""
+    n = len(values)
+    if n < 2:
+        return math.nan, math.nan
+    error = _sd(values) * math.sqrt(1 / n + test_per_train)
+    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
+    return float(np.mean(values) - half), float(np.mean(values) + half)
+
+
+def bootstrap(
+    statistic: Callable[..., NDArray[np.float64]],
+    columns: Sequence[Array],
+    strata: Sequence[str],
+    rng: np.random.Generator,
+) -> Interval:
+    """Percentile interval of a statistic of paired columns, drives resampled within their conditions.
+
+    ``statistic`` takes the columns, shape (..., n), and ``axis=-1``.
+    """
+    if len(columns[0]) < 2 or not all(np.isfinite(column).all() for column in columns):
+        return math.nan, math.nan
+    index = _resampled(strata, rng)
+    return _middle(statistic(*(c[index] for c in columns), axis=-1))
+
+
+def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
+    """Percentile interval of the mean over drives, with drives and trials resampled independently of each other.
+
+    A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007. What the choice of drives leaves open
+    and what the optimizer does are both in it, each with its own number of repetitions.
+    """
+    known = ~np.isnan(values)
+    kept, trials = known.any(axis=0), known.any(axis=1)
+    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
+        return math.nan, math.nan
+    inside = np.ix_(trials, kept)
+    known, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
+    n = len(filled)
+    weight = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(np.float64)
+    count = weight @ known  # 0 where none of the drawn trials held the drive back
+    with np.errstate(invalid="ignore"):
+        means = (weight @ filled) / count
+    index = _resampled([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
+    return _middle(_mean_known(np.take_along_axis(means, index, axis=1), axis=1))
+
+
+def _resampled(strata: Sequence[str], rng: np.random.Generator) -> NDArray[np.intp]:
+    """Indices drawn with replacement within each stratum, shape (RESAMPLES, n); strata of one are thrown together."""
+    names = np.array(strata)
+    groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
+    if max(len(group) for group in groups) < 2:
+        groups = [np.arange(len(names))]
+    return np.concatenate([g[rng.integers(0, len(g), (RESAMPLES, len(g)))] for g in groups], axis=1)
+
+
+def _middle(values: Array) -> Interval:
+    """The middle 95% of bootstrapped values."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return math.nan, math.nan
+    low, high = np.quantile(values, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def compare(method: Array, other: Array, strata: Sequence[str], rng: np.random.Generator) -> Comparison:
+    """A method against another on the drives that both have a value for; each of shape (trials, drives)."""
+    a, b = drive_means(method), drive_means(other)
+    known = np.isfinite(a) & np.isfinite(b)
+    a, b, kept = a[known], b[known], [s for s, k in zip(strata, known, strict=True) if k]
+    difference = a - b
+    return Comparison(
+        mean_difference=float(np.mean(difference)) if len(a) else math.nan,
+        interval=bootstrap(np.mean, [difference], kept, rng),
+        p=signed_rank(difference),
+        rank_biserial=rank_biserial(difference),
+        improvement=float(improvement(a, b)) if len(a) else math.nan,
+        improvement_interval=bootstrap(improvement, [a, b], kept, rng),
+        n_drives=len(a),
+    )
+
+
+def improvement(tuned: Array, manual: Array, axis: int = -1) -> Array:
+    """The paper's equation 5: (manual - tuned) / manual x 100, of the means over drives; NaN where manual is 0."""
+    m = np.asarray(np.mean(manual, axis=axis))
+    m = np.where(m > 0, m, np.nan)
+    return 100 * (m - np.mean(tuned, axis=axis)) / m
+
+
+def signed_rank(difference: Array) -> float:
+    """p of Wilcoxon's signed-rank test, two-sided; 1 where nothing differs."""
+    found: Any = stats.wilcoxon(difference) if np.any(difference) else None
+    return 1.0 if found is None else float(found.pvalue)
+
+
+def rank_biserial(difference: Array) -> float:
+    """How much of the rank sum lies below zero less how much above: 1 where every drive is better, -1 where worse."""
+    nonzero = difference[difference != 0]
+    if not len(nonzero):
+        return 0.0
+    ranks = stats.rankdata(np.abs(nonzero))
+    return float(-np.sum(ranks * np.sign(nonzero)) / np.sum(ranks))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Holm's adjusted p-values, in the given order."""
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order]), 1.0)
+    return [float(value) for value in adjusted]

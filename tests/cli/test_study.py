@@ -1,0 +1,38 @@
+"""`sigmaswarm study` on the command line."""
+
+from pathlib import Path
+
+from cli.conftest import Command
+
+SMALL = ("--runs", 2, "--trials", 2, "--particles", 2, "--generations", 1, "--workers", 2)
+
+
+def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
+    (here / "study.toml").write_text('maneuvers = ["turns"]\nenvironments = ["clear"]\n')
+    ended = sigmaswarm("study", "out", "--config", "study.toml", *SMALL)
+    assert ended.code == 0, ended.err
+    assert "Table III" in ended.out
+    assert "21,607" in ended.out  # the paper's
+    for name in (
+        "results.json",
+        "scores.csv",
+        "tables/table-2.tex",
+        "figures/convergence.svg",
+        "timings.json",
+    ):
+        assert (here / "out" / name).stat().st_size > 0
+    assert sigmaswarm("study", "out", "--resume").code == 0
+
+
+def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):
+    (here / "out").mkdir()
+    (here / "out" / "study.toml").write_text("")
+    for arguments, said in (
+        (("out",), "add --resume"),
+        (("new", "--config", "none.toml"), "no such file"),
+        (("new", "--drives", "none"), "none"),
+    ):
+        ended = sigmaswarm("study", *arguments)
+        assert ended.code == 2
+        assert said in ended.err
+        assert ended.err.count("\n") == 1

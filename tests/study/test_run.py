@@ -1,0 +1,184 @@
+"""A study from end to end: the same bytes however often it is killed, and fair to every method."""
+
+import csv
+import json
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.report.study_figures import save_study_figures
+from sigmaswarm.study.config import StudyConfig, read_config
+from sigmaswarm.study.design import Design, make_design
+from sigmaswarm.study.run import Study, run_study
+from sigmaswarm.tuning.search import Search
+from sigmaswarm.tuning.tune import tune
+
+TINY = StudyConfig(
+    maneuvers=("turns", "outages"), environments=("clear",), runs=3, trials=2, particles=4, generations=3
+)
+DIFFERENT = {"timings.json", "runtime.md", "runtime.tex", "runtime.csv"}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name not in DIFFERENT)
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """A study that nobody interrupted, on one worker."""
+    study = run_study(TINY, tmp_path_factory.mktemp("study") / "whole", workers=1)
+    save_study_figures(study, study.folder / "figures")
+    return study
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return make_design(TINY)
+
+
+def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
+    """The process is killed (SIGKILL) at moments of its tuning, drawn at random, and resumed."""
+    out, script = tmp_path / "killed", tmp_path / "killed.py"
+    (tmp_path / "study.toml").write_text(TINY.to_toml())
+    script.write_text(
+        "import os, signal, sys\n"
+        "from pathlib import Path\n"
+        "from sigmaswarm.study.config import read_config\n"
+        "from sigmaswarm.study.run import run_study\n"
+        "left = int(sys.argv[1])\n"
+        "def tell(_):\n"
+        "    global left\n"
+        "    left -= 1\n"
+        "    if left == 0:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"run_study(read_config(Path({str(tmp_path / 'study.toml')!r})), {str(out)!r}, resume=True, workers=2,\n"
+        "          progress=tell)\n"
+    )
+    draw = random.Random(5)
+    for _ in range(5):
+        ended = subprocess.run([sys.executable, str(script), str(draw.randint(1, 5))], check=False)
+        assert ended.returncode == -signal.SIGKILL
+    study = run_study(TINY, out, resume=True)
+    save_study_figures(study, out / "figures")
+    assert contents(out) == contents(whole.folder)
+
+
+def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.MonkeyPatch):
+    before = contents(whole.folder)
+    monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
+    again = run_study(TINY, whole.folder, resume=True)
+    save_study_figures(again, whole.folder / "figures")
+    assert contents(whole.folder) == before
+
+
+def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
+    """The shared, prepared drives give the same bits as a tuning of its own on the same split."""
+    train = [design.drives[i] for i in design.split(0)[0]]
+    config = TINY.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1}
+    tuning = tune(train, **config)
+    task = next(t for t in whole.trials if (t.method, t.trial) == ("pso-planar8", 0))
+    assert whole.trials[task].cost == tuning.cost
+    assert whole.parameters[task] == tuning.parameters
+
+
+def test_the_budget_counts_the_first_generation(whole: Study):
+    assert {trial.evaluations for trial in whole.trials.values()} == {4 * 3}
+    assert StudyConfig().particles * StudyConfig().generations == 1500
+
+
+def test_every_trial_splits_every_condition_anew(design: Design):
+    splits = [design.split(trial) for trial in range(8)]
+    assert len({tuple(train) for train, _ in splits}) > 3
+    for train, test in splits:
+        assert sorted(train + test) == list(range(6))
+        assert [design.conditions[i][0] for i in test] == ["turns", "outages"]
+
+
+def test_scores_are_of_held_out_drives_alone(whole: Study):
+    with (whole.folder / "scores.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for trial in range(TINY.trials):
+        held_out = {whole.design.drives[i].name for i in whole.design.split(trial)[1]}
+        assert {row["drive"] for row in rows if row["trial"] == str(trial)} == held_out
+    found = {(row["protocol"], row["method"]) for row in rows}
+    assert {"untuned", "paper", "honest"} == {protocol for protocol, _ in found}
+    assert len(found) == 14
+
+
+def test_results_can_be_found_again_in_the_scores(whole: Study):
+    results = json.loads((whole.folder / "results.json").read_text())
+    with (whole.folder / "scores.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["measure"] == "heading_rmse_deg"]
+    for summary in results["summary"]:
+        if summary["measure"] != "heading_rmse_deg" or summary["maneuver"] != "all":
+            continue
+        own = [r for r in rows if (r["protocol"], r["method"]) == (summary["protocol"], summary["method"])]
+        each = [np.mean([float(r["value"]) for r in own if r["trial"] == str(t)]) for t in range(2)]
+        assert summary["mean"] == pytest.approx(np.mean(each))
+        assert summary["sd"] == pytest.approx(np.std(each, ddof=1))
+
+
+def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
+    raw = whole.results.summary("untuned", "raw-gps", "gps_rmse_m")
+    assert raw is not None
+    assert raw["mean"] == 0.0
+
+
+def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
+    config = TINY.model_copy(update={"per_condition": True, "generations": 1})
+    study = run_study(config, tmp_path / "out")
+    assert len(study.trials) == 2 * 5 * 2
+    assert (tmp_path / "out" / "best" / "honest-pso-ukf-turns-clear.toml").exists()
+    summary = study.results.summary("honest", "pso-ukf", "position_rmse_m")
+    assert summary is not None
+    assert summary["n_drives"] >= 2
+
+
+def test_a_user_s_own_drives(tmp_path: Path, design: Design):
+    for drive in design.drives[:3]:
+        write_drive(drive, tmp_path / "drives" / drive.name)
+    config = TINY.model_copy(update={"drives": (str(tmp_path / "drives"),), "generations": 1})
+    assert run_study(config, tmp_path / "out").results.content["drives"]["count"] == 3
+
+
+def test_a_study_goes_on_only_with_what_it_was_asked_for(whole: Study, tmp_path: Path):
+    with pytest.raises(InputError, match="add --resume"):
+        run_study(TINY, whole.folder)
+    other = TINY.model_copy(update={"seed": 1})
+    with pytest.raises(InputError, match="seed = 0, now asked for 1"):
+        run_study(other, whole.folder, resume=True)
+
+
+def test_the_configuration_is_saved_with_it(whole: Study):
+    assert read_config(whole.folder / "study.toml") == TINY
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("trials = 1", "trials = 1"),
+        ("particels = 30", "no such option"),
+        ("trials = [", "not a readable TOML"),
+    ],
+)
+def test_mistakes_in_the_file_are_told_in_a_line(tmp_path: Path, text: str, message: str):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_config(path)
+
+
+def test_drives_without_truth_are_refused(tmp_path: Path, design: Design):
+    for drive in design.drives[:2]:
+        write_drive(drive, tmp_path / "drives" / drive.name)
+        (tmp_path / "drives" / drive.name / "truth.csv").unlink()
+    with pytest.raises(InputError, match="has no truth"):
+        make_design(TINY.model_copy(update={"drives": (str(tmp_path / "drives"),)}))

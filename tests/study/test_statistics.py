@@ -1,0 +1,131 @@
+"""Statistics against hand calculations on a frozen table of scores, against scipy, and by simulation."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sigmaswarm.study import statistics as s
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+from coverage import coverage
+
+NAN = math.nan
+# Three trials, five drives; each trial held two back.
+FROZEN = np.array(
+    [
+        [1.0, 3.0, NAN, NAN, NAN],
+        [NAN, 5.0, 2.0, NAN, NAN],
+        [3.0, NAN, NAN, 6.0, NAN],
+    ]
+)
+STRATA = ["a", "a", "b", "b", "b"]
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def test_means_by_hand():
+    np.testing.assert_array_equal(s.trial_means(FROZEN), [2.0, 3.5, 4.5])
+    np.testing.assert_array_equal(s.drive_means(FROZEN), [2.0, 4.0, 2.0, 6.0, NAN])
+
+
+def test_the_summary_by_hand():
+    found = s.summarize(FROZEN, STRATA, 2 / 3, rng())
+    mean, sd = 10 / 3, math.sqrt(((2 - 10 / 3) ** 2 + (3.5 - 10 / 3) ** 2 + (4.5 - 10 / 3) ** 2) / 2)
+    assert found.mean == pytest.approx(mean)
+    assert found.sd == pytest.approx(sd)
+    assert found.trial_interval == pytest.approx(
+        (mean - 1.96 * sd / math.sqrt(3), mean + 1.96 * sd / math.sqrt(3))
+    )
+    half = 4.302652729911275 * sd  # t(0.975, 2), and 1/3 + 2/3 = 1
+    assert found.drive_interval == pytest.approx((mean - half, mean + half))
+    assert (found.n_trials, found.n_drives) == (3, 4)
+
+
+def test_without_correction_it_is_the_t_interval():
+    values = np.array([1.0, 2.5, 3.0, 7.0])
+    wanted = stats.t.interval(0.95, 3, np.mean(values), stats.sem(values))
+    assert s.corrected_interval(values, 0.0) == pytest.approx(wanted)
+
+
+def test_the_paper_s_intervals_are_over_trials():
+    # Table II: manual UKF 2.80, SD 0.41, n = 20, [2.62, 2.98].
+    values = np.array([-1.0, 1.0] * 10)
+    values = 2.80 + 0.41 * values / np.std(values, ddof=1)
+    assert s.trial_interval(values) == pytest.approx((2.62, 2.98), abs=0.005)
+
+
+def test_the_bootstrap_is_scipy_s_where_there_is_one_stratum():
+    values = np.random.default_rng(3).gamma(2.0, 1.0, 60)
+    found = s.bootstrap(np.mean, [values], ["all"] * 60, rng())
+    theirs = stats.bootstrap((values,), np.mean, method="percentile", rng=rng()).confidence_interval
+    assert found == pytest.approx(tuple(theirs), abs=0.03)
+
+
+def test_resampling_stays_within_strata():
+    values = np.array([1.0, 1.0, 1.0, 9.0, 9.0, 9.0])
+    assert s.bootstrap(np.mean, [values], list("aaabbb"), rng()) == (5.0, 5.0)
+    low, high = s.bootstrap(np.mean, [values], ["all"] * 6, rng())
+    assert low < 4 < 6 < high
+
+
+def test_trials_are_resampled_too():
+    """Drives that are all alike leave open what the trials do."""
+    each = np.array([1.0, 2.0, 3.0, 4.0])
+    values = np.repeat(each[:, np.newaxis], 5, axis=1)
+    low, high = s.crossed_bootstrap(values, ["all"] * 5, rng())
+    theirs = stats.bootstrap((each,), np.mean, method="percentile", rng=rng()).confidence_interval
+    assert (low, high) == pytest.approx(tuple(theirs), abs=0.26)  # of quarters
+    assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, rng()) == (2.0, 2.0)
+
+
+def test_a_failed_filter_has_no_intervals():
+    failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
+    found = s.summarize(failed, STRATA, 2 / 3, rng())
+    assert found.mean == math.inf
+    assert all(math.isnan(x) for x in (*found.drive_interval, *found.bootstrap_interval, found.sd))
+
+
+def test_the_comparison_by_hand():
+    tuned = np.array([[1.0, 2.0, 3.0, 4.0]])
+    manual = np.array([[2.0, 5.0, 2.5, 8.0]])
+    found = s.compare(tuned, manual, ["all"] * 4, rng())
+    assert found.mean_difference == pytest.approx((-1 - 3 + 0.5 - 4) / 4)
+    assert found.improvement == pytest.approx(100 * (4.375 - 2.5) / 4.375)  # eq. 5
+    # ranks of |difference|: 0.5 is 1 (worse), 1 is 2, 3 is 3, 4 is 4 (better): (9 - 1) / 10
+    assert found.rank_biserial == pytest.approx(0.8)
+    assert found.p == pytest.approx(0.25)  # exact: 2 x P(W <= 1) = 2 x 2/16
+    low, high = found.improvement_interval
+    assert low < found.improvement < high
+    assert found.n_drives == 4
+
+
+def test_the_paper_s_improvement():
+    assert s.improvement(np.array([0.5]), np.array([2.8])) == pytest.approx(82.14, abs=0.005)
+    assert np.isnan(s.improvement(np.array([0.5]), np.array([0.0])))
+
+
+def test_only_drives_that_both_were_tested_on_are_compared():
+    other = np.where(np.isnan(FROZEN), NAN, FROZEN + 1)
+    other[:, 3] = NAN
+    assert s.compare(FROZEN, other, STRATA, rng()).n_drives == 3
+    assert s.compare(FROZEN, FROZEN, STRATA, rng()).p == 1.0
+
+
+def test_holm_by_hand():
+    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04, and never below the one before.
+    assert s.holm([0.03, 0.01, 0.04, 0.02]) == pytest.approx([0.06, 0.04, 0.06, 0.06])
+    assert s.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert s.holm([]) == []
+
+
+def test_intervals_for_new_drives_cover_and_the_naive_one_does_not():
+    naive, corrected, resampled = coverage(150, luck=0.01, conditions=8, runs=10, trials=10)
+    assert naive < 0.8
+    assert corrected > 0.91  # of 150: 0.95 less 2.2 standard errors
+    assert 0.90 < resampled < 0.99
