@@ -79,13 +79,24 @@ def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path)
         "--scale",
         "linear",
     ]
-    more = ["--inertia", 0.6, "--zero-velocity-at-bounds", "--patience", 2, "--workers", 1]
+    more = [
+        "--optimizer",
+        "pso",
+        "--inertia",
+        0.6,
+        "--zero-velocity-at-bounds",
+        "--patience",
+        2,
+        "--workers",
+        1,
+    ]
     ended = sigmaswarm(
         "tune", drives / "urban-clear-01", drives / "urban-clear-00", "--out", "t", *options, *more, "--json"
     )
     said = json.loads(ended.out)
     expected = library.tune(
         [read_drive(drives / name) for name in ("urban-clear-01", "urban-clear-00")],
+        optimizer="pso",
         particles=5,
         generations=3,
         seed=9,

@@ -54,7 +54,7 @@ def test_convergence_shows_best_and_median_of_every_trial(tuning: Tuning):
     assert ax.get_ylabel() == "cost: truth-rmse"
     assert ax.get_yscale() == "log"
     assert "3 trials" in ax.get_title(loc="left")
-    assert labels(figure) == {"best so far", "median of the swarm"}
+    assert labels(figure) == {"best so far", "median of the generation"}
     drawn = [line.get_ydata() for line in ax.get_lines()]
     for trial in tuning.trials:
         assert any(np.array_equal(y, trial.best) for y in drawn)

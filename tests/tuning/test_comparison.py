@@ -46,7 +46,7 @@ def whole(tmp_path_factory) -> tuple[Comparison, Path]:
 
 def test_each_run_is_a_tuning(whole):
     comparison, _ = whole
-    tuning = tune(DRIVES, particles=8, generations=3, seed=2, scale="linear")
+    tuning = tune(DRIVES, optimizer="pso", particles=8, generations=3, seed=2, scale="linear")
     run = comparison.runs["pso, linear"][2]
     assert run.cost == tuning.cost
     assert run.held_out_cost == run_batch(HELD_OUT, [tuning.parameters]).costs[0]
@@ -54,7 +54,7 @@ def test_each_run_is_a_tuning(whole):
     assert run.history_evaluations == (8, 16, 24)
     steps = comparison.steps_per_set
     assert run.history_steps == (8 * steps, 16 * steps, 24 * steps)
-    trials = tune(DRIVES, particles=4, generations=3, trials=2, seed=1)
+    trials = tune(DRIVES, optimizer="pso", particles=4, generations=3, trials=2, seed=1)
     run = comparison.runs[f"{RIVALS[2]}, log10"][1]
     assert run.cost == run.history_best[-1] == trials.cost
     assert run.history_evaluations == (4, 8, 12, 16, 20, 24)

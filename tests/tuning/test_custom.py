@@ -55,7 +55,13 @@ def test_the_likelihood_finds_the_noise_that_made_the_log():
 
 @pytest.mark.parametrize("objective", ["truth-rmse", "innovation-nll"])
 def test_an_unknown_length_is_found(objective: str):
-    options = {"particles": 20, "generations": 30, "trials": 2, "zero_velocity_at_bounds": True}
+    options = {
+        "particles": 20,
+        "generations": 30,
+        "trials": 2,
+        "optimizer": "pso",
+        "zero_velocity_at_bounds": True,
+    }
     tuning = tune(LOGS, model=PENDULUM, objective=objective, **options)
     assert tuning.parameters["length"] == pytest.approx(0.8, rel=0.02)
     if objective == "innovation-nll":

@@ -24,7 +24,7 @@ from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]
-OPTIONS = {"particles": 5, "generations": 6, "trials": 2, "seed": 3}
+OPTIONS = {"optimizer": "pso", "particles": 5, "generations": 6, "trials": 2, "seed": 3}
 KILLS = 5
 GENERATIONS = 400
 

@@ -88,7 +88,9 @@ def test_it_beats_random_search_and_the_defaults(scale: str):
 
 
 def test_parameters_stay_in_the_box_and_touched_bounds_are_told():
-    tuning = tune(DRIVES, particles=10, generations=15, seed=1)
+    tuning = tune(
+        DRIVES, optimizer="pso", particles=10, generations=15, seed=1
+    )  # its particles stop at bounds
     p = tuning.parameters
     for variance in (*p.process_noise, *p.measurement_noise):
         assert 1e-5 <= variance <= 10
@@ -135,7 +137,8 @@ def test_the_search_scale_reaches_the_search():
     ids=str,
 )
 def test_each_constant_reaches_the_swarm(change: dict):
-    plain, changed = tune(DRIVES, **SMALL), tune(DRIVES, **SMALL, **change)
+    swarm = SMALL | {"optimizer": "pso"}
+    plain, changed = tune(DRIVES, **swarm), tune(DRIVES, **swarm, **change)
     assert changed.trials[0].best[0] == plain.trials[0].best[0]
     assert changed.trials[0].median[-1] != plain.trials[0].median[-1]
 

@@ -35,7 +35,7 @@ def tune(
     ] = None,
     optimizer: Annotated[
         Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] | None,
-        default("pso"),
+        default("de"),
     ] = None,
     polish: Annotated[int | None, default("0")] = None,
     racing: Annotated[bool, Parameter(negative=())] = False,
@@ -107,9 +107,9 @@ def tune(
     paper
         The paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Options that contradict it are refused.
     inertia
-        The swarm's w; 0.7298 by default.
+        The w of pso; 0.7298 by default.
     zero_velocity_at_bounds
-        Stop particles in the coordinates in which they hit the box.
+        pso: stop particles in the coordinates in which they hit the box.
     patience
         End a trial after that many generations without progress; by default never.
     workers

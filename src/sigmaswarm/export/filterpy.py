@@ -34,7 +34,7 @@ def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
         "_E2",
         "wrap_angle",
         "geodetic_to_ecef",
-        "_enu_axes",
+        "enu_axes",
         "geodetic_to_enu",
     ]
     values = values_of(p, interval) | {

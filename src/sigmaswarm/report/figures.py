@@ -76,7 +76,7 @@ def convergence(tuning: Tuning) -> Figure:
                 label="best so far" if first else None)  # fmt: skip
         finite = np.where(np.isfinite(trial.median), trial.median, np.nan)
         ax.plot(generation, finite, color="#E69F00", lw=1, ls="--", alpha=alpha,
-                label="median of the swarm" if first else None)  # fmt: skip
+                label="median of the generation" if first else None)  # fmt: skip
     ax.set(xlabel="generation", ylabel=f"cost: {tuning.config.objective}", yscale=scale)
     for axis_format in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
         axis_format("{x:g}")

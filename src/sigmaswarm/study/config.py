@@ -60,6 +60,7 @@ class StudyConfig(BaseModel):
         kind, model, _ = TUNED[method]
         objective, scale = PROTOCOLS[protocol]
         return TuneConfig(
+            optimizer="pso",
             objective=objective,
             scale=scale,
             particles=self.particles,

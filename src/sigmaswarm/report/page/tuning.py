@@ -160,7 +160,7 @@ def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
         best = trial == file.result.best_trial
         for column, label, color, dash in (
             ("best_cost", "best so far", BEST, "solid"),
-            ("median_cost", "median of the swarm", MEDIAN, "dash"),
+            ("median_cost", "median of the generation", MEDIAN, "dash"),
         ):
             traces.append(
                 {
