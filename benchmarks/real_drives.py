@@ -49,7 +49,10 @@ def main() -> None:
 def rows(training, test, objectives, seeds):
     with ThreadPoolExecutor() as pool:
         for objective in objectives:
-            tunings = [tune(training, objective=objective, seed=s, executor=pool) for s in range(seeds)]
+            tunings = [
+                tune(training, objective=objective, optimizer="pso", seed=s, executor=pool)
+                for s in range(seeds)
+            ]
             evaluations = [evaluate(tuning.parameters, test) for tuning in tunings]
             figures = [[e.mean("tuned", m) for m in MEASURES] for e in evaluations]
             yield f"**tuned, {objective}**", [spread(column) for column in np.array(figures, float).T]

@@ -61,7 +61,13 @@ def main() -> None:
                 rows = []
                 for seed, (training, test) in enumerate(splits):
                     tuning = tune(
-                        training, objective="truth-pose", model=model, use=use, seed=seed, executor=pool
+                        training,
+                        objective="truth-pose",
+                        optimizer="pso",
+                        model=model,
+                        use=use,
+                        seed=seed,
+                        executor=pool,
                     )
                     scores = evaluate(tuning.parameters, test)
                     figures = [scores.mean("tuned", m) for m in MEASURES]

@@ -141,7 +141,7 @@ def test_tuning_sigmaswarm(measure, drive, replayer):
     """The whole job: alignment, time line, 30 x 50 filters over ten minutes, and the swarm itself."""
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     measure(
-        lambda: tune(drive, particles=PARTICLES, generations=GENERATIONS),
+        lambda: tune(drive, optimizer="pso", particles=PARTICLES, generations=GENERATIONS),
         work=GENERATIONS * PARTICLES * samples,
         rounds=2,
     )

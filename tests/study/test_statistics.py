@@ -11,7 +11,7 @@ from scipy import stats
 from sigmaswarm.study import statistics as s
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-from coverage import coverage
+from study_coverage import coverage
 
 NAN = math.nan
 # Three trials, five drives; each trial held two back.

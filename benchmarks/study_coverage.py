@@ -1,7 +1,7 @@
 """How often the intervals of a study cover what they are for: by simulation of the study's own design.
 
-`python benchmarks/coverage.py` draws studies whose truth is known. A drive's score is its condition's mean times a
-skewed factor of its own, times a factor of the trial (the optimizer's luck) and one of both. What is to be covered is
+`python benchmarks/study_coverage.py` draws studies whose truth is known. A drive's score is its condition's mean times
+a skewed factor of its own, times a factor of the trial (the optimizer's luck) and one of both. What is to be covered is
 the mean score of a new drive of the same conditions, tuned by a new trial.
 """
 
