@@ -147,6 +147,21 @@ def test_a_receiver_with_its_own_convention(course, factor: float):
     np.testing.assert_allclose(np.exp(1j * mended.gps.course), np.exp(1j * simulated("icm-20602").gps.course))
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_times_in_another_unit(unit: str, factor: float):
+    drive = make_drive(duration=60.0)
+    spoiled = replace(drive, imu=replace(drive.imu, time=drive.imu.time * factor))
+    (finding,) = sigmaswarm.diagnose(spoiled).findings
+    assert (finding.code, finding.severity, finding.where) == ("time-unit", "serious", "imu.csv, t")
+    assert f"in {unit}" in finding.what
+
+
+def test_a_log_whose_fixes_end_early_is_no_matter_of_units():
+    drive = make_drive(duration=60.0)
+    short = replace(drive, gps=drive.gps.select(drive.gps.time < 6.0))
+    assert "time-unit" not in [f.code for f in sigmaswarm.diagnose(short).findings]
+
+
 def test_too_short_a_drive_is_an_error():
     drive = make_drive(duration=10.0)
     with pytest.raises(sigmaswarm.DriveError, match="too few"):

@@ -162,7 +162,7 @@ def _import(
     request: Any, out: Path, name: str, save_recipe: Path | None, overwrite: bool, json: bool
 ) -> None:
     """Import and write; say what was assumed."""
-    from sigmaswarm.cli.common import percent_bar, print_json
+    from sigmaswarm.cli.common import percent_bar, print_json, stdout
     from sigmaswarm.cli.findings import print_diagnosis
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
@@ -180,6 +180,7 @@ def _import(
     else:
         _tell(imported, out)
         print_diagnosis(diagnosis)
+        stdout().print(f"next: sigmaswarm plot {out}", markup=False)
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -205,11 +206,10 @@ def _tell(imported: "Imported", out: Path) -> None:
         console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
     rate = 1 / drive.nominal_interval
     console.print(
-        f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.0f} Hz), "
+        f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
         f"{len(drive.gps)} fixes{truth}",
         markup=False,
     )
-    console.print(f"next: sigmaswarm plot {out}", markup=False)
 
 
 def _show(request: Any, save_recipe: Path | None, json: bool) -> None:

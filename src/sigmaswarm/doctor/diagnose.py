@@ -31,6 +31,8 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive):
         raise DriveError(f"{drive.name}/{shortage}")
+    if wrong := sampling.time_unit(drive.imu.time, drive.gps.time):
+        return Diagnosis(drive.name, (wrong,))  # nothing else can be said of such a log
     evidence = gather(drive)
     found = [finding for subject in CHECKS for finding in subject.check(evidence)]
     return Diagnosis(drive.name, tuple(sorted(found, key=lambda f: SEVERITIES.index(f.severity))))

@@ -1,5 +1,6 @@
 """The gyro beside the course: which of its columns turns as the car does, how far, and when."""
 
+import math
 from dataclasses import dataclass
 from typing import overload
 
@@ -99,10 +100,10 @@ def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> T
     own = [np.ones_like(angle), t + 0j]
     weight = np.abs(course.velocity[rows]) / 10
 
-    def at(late: float, rounds: int = 4, gain: float = 0.0) -> Regression:
+    def at(late: float, rounds: int = 4, gain: float | None = None) -> Regression:
         turn = smoothed(time, turned, course.time - late, course.span)
         columns = [turn]
-        if gain:
+        if gain is not None:
             columns += [-gain * smoothed(time, rate, course.time - late, course.span)]
         return regress(angle, [c[rows] + 0j for c in columns], own, weight, rounds)
 
@@ -112,7 +113,8 @@ def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> T
         fit = at(late)
         gain = float(fit.solution[0])
         joint = at(late, gain=gain)
-        late_std = float(np.sqrt(joint.covariance[1, 1]))
+        # A car that never turns shows nothing of the clock: the column is zero, and so is its covariance.
+        late_std = math.sqrt(joint.covariance[1, 1]) or math.inf
         late += float(np.clip(joint.solution[1], -0.1, 0.1))
     fit = at(late)
     turning = smoothed(time, rate, course.time - late, course.span)[rows] ** 2

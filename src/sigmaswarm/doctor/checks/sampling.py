@@ -36,6 +36,28 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield from _stale(evidence)
 
 
+def time_unit(imu: Array, gps: Array) -> Finding | None:
+    """One sensor's times in ms, us or ns: it lasts a thousand, million or billion times as long as the other."""
+    lengths = float(np.ptp(imu)), float(np.ptp(gps))
+    if min(lengths) <= 0:
+        return None
+    powers = float(np.log10(lengths[0] / lengths[1]))
+    power = round(abs(powers))
+    unit = {3: "ms", 6: "us", 9: "ns"}.get(power)
+    if unit is None or abs(abs(powers) - power) > 0.2:
+        return None
+    file = "imu.csv" if powers > 0 else "gps.csv"
+    return Finding(
+        "time-unit",
+        "serious",
+        f"the IMU's samples last {lengths[0]:.4g} s and the fixes {lengths[1]:.4g} s, as if t were in {unit}",
+        f"{file}, t",
+        (float(imu[0]), float(imu[-1])),
+        1.0,
+        f"divide t of {file} by 1e{power}; in an import say so with --time or --map, as in t=stamp*1e-{power}",
+    )
+
+
 def _rate(sensor: str, time: Array) -> Finding:
     interval = np.diff(time)
     usual = float(np.median(interval))
