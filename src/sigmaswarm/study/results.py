@@ -109,6 +109,7 @@ def _rng(design: Design) -> np.random.Generator:
 
 def _summary(scores: ScoreTable) -> list[dict[str, Any]]:
     design = scores.design
+    ratio = _ratio(design)
     names = list(dict.fromkeys(design.conditions))
     places = [(ALL, ALL), *[(m, e) for m, e in names if (m, e) != (ALL, ALL)]]
     rows: list[dict[str, Any]] = []
@@ -121,7 +122,7 @@ def _summary(scores: ScoreTable) -> list[dict[str, Any]]:
                     if maneuver == ALL or c == (maneuver, environment)
                 ]
                 strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, _ratio(design), _rng(design))
+                found = summarize(values[:, chosen], strata, ratio, _rng(design))
                 if found.n_drives:
                     where = {"maneuver": maneuver, "environment": environment}
                     rows.append(

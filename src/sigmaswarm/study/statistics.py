@@ -179,8 +179,9 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
     """Of n things n - 1 are drawn (Rao and Wu 1988), and then weigh as much as n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
-    drawn = rng.multinomial(n - 1, np.full(n, 1 / n), RESAMPLES)
-    return drawn.astype(np.float64) * (n / (n - 1))
+    drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
+    counts = np.bincount(drawn.ravel(), minlength=RESAMPLES * n).reshape(RESAMPLES, n)
+    return counts.astype(np.float64) * (n / (n - 1))
 
 
 def _middle(values: Array) -> Interval:
