@@ -156,6 +156,10 @@ def test_boxes_are_of_one_value_a_drive(study: Study):
     found = [spread.low, spread.first, spread.median, spread.third, spread.high]
     assert found == pytest.approx(np.quantile(means, [0.05, 0.25, 0.5, 0.75, 0.95]))
     assert spread.failed == 0
+    drift = section(study.folder, "Spread over drives, and consistency").charts[2]
+    honest = next(t for t in drift.traces if t["name"] == "honest")
+    at = honest["y"].index("PSO-EKF (honest)")
+    assert [honest[k][at] for k in ("lowerfence", "q1", "median", "q3", "upperfence")] == found
 
 
 def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
