@@ -5,7 +5,7 @@ from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import evaluate_command
-from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
+from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.report.page.schema import EvaluationFile, Measures, ScoresFile, TuningFile, load
 from sigmaswarm.report.page.tuning import (
     convergence_section,
@@ -26,6 +26,10 @@ MEASURES = {
     "outage_drift_m": Column("outage drift", "m"),
 }
 MANUAL = ("defaults", "datasheet")
+LINES = tuple(
+    Line(m, LABELS[m], LOOKS[m], shown=m in ("truth", "tuned", "datasheet", "raw_gps"))
+    for m in ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
+)
 
 
 def evaluation_report(folder: Path) -> Report:
@@ -33,8 +37,10 @@ def evaluation_report(folder: Path) -> Report:
     scores = load(ScoresFile, folder / "scores.json")
     asked = load(EvaluationFile, folder / "evaluation.json")
     file = load(TuningFile, folder / "tuning.toml")
-    tracks = tuple(load_tracks(folder / "tracks.npz"))
-    if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [t.name for t in tracks]:
+    tracks = TrackView(tuple(load_tracks(folder / "tracks.npz")), LINES, "tuned")
+    if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
+        t.name for t in tracks.drives
+    ]:
         raise InputError(
             f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
             "repeat `sigmaswarm evaluate`"
