@@ -97,7 +97,7 @@ def test_it_says_what_the_study_found(study: Study):
     assert row is not None
     assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
     _, two, three = section(study.folder, "The paper's tables").tables
-    intervals = (tuple(row[k]) for k in ("trial_interval", "drive_interval", "bootstrap_interval"))
+    intervals = (tuple(row[k]) for k in ("trial_interval", "corrected_t_interval", "bootstrap_interval"))
     assert ("PSO-UKF (honest)", 0.5, (0.46, 0.54), row["mean"], row["sd"], *intervals) in two.rows
     assert "over trials, as in the paper" in two.columns[5].title
     heading, drift = (

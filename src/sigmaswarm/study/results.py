@@ -11,7 +11,7 @@ results.json holds (null where a figure can't be said):
     protocols      {name: {objective, scale}}; methods that nothing is tuned for have the protocol "untuned"
     methods        {name: what people call it}
     measures       {name: what it is, with its unit}
-    summary        [{protocol, method, measure, maneuver, environment, mean, sd, trial_interval, drive_interval,
+    summary        [{protocol, method, measure, maneuver, environment, mean, sd, trial_interval, corrected_t_interval,
                    bootstrap_interval, n_trials, n_drives}]: see `statistics.Summary`; maneuver and environment are
                    "all" in the rows over all conditions
     comparisons    [{protocol, measure, method, against, mean_difference, interval, p, holm_p, rank_biserial,

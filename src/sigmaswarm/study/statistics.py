@@ -34,7 +34,7 @@ class Summary:
     ----------
     mean, sd : over trials, of the mean over each trial's held-out drives
     trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
-    drive_interval : corrected resampled t: for drives that were never seen
+    corrected_t_interval : corrected resampled t: for drives that were never seen
     bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
     n_trials, n_drives : how many of each the figures rest on
     """
@@ -42,7 +42,7 @@ class Summary:
     mean: float
     sd: float
     trial_interval: Interval
-    drive_interval: Interval
+    corrected_t_interval: Interval
     bootstrap_interval: Interval
     n_trials: int
     n_drives: int
@@ -97,7 +97,7 @@ def summarize(
         mean=float(np.mean(each)) if len(each) else math.nan,
         sd=_sd(each),
         trial_interval=trial_interval(each),
-        drive_interval=corrected_interval(each, test_per_train),
+        corrected_t_interval=corrected_interval(each, test_per_train),
         bootstrap_interval=crossed_bootstrap(values, strata, rng),
         n_trials=len(each),
         n_drives=int(known.sum()),

@@ -130,7 +130,7 @@ def table_2(results: Results) -> Table:
             continue
         theirs = paper.get(beside)
         said = f"{_number(theirs['rmse_m'])} {_interval(theirs['interval_m'])}" if theirs else "-"
-        keys = ("trial_interval", "drive_interval", "bootstrap_interval")
+        keys = ("trial_interval", "corrected_t_interval", "bootstrap_interval")
         figures = [_number(row["mean"]), _number(row["sd"]), *(_interval(row[key]) for key in keys)]
         rows.append((_label(protocol, method), said, *figures))
     return Table(

@@ -111,7 +111,7 @@ def _against(file: StudyFile, c: Comparison) -> str:
 
 
 def _said(found: Summary) -> str:
-    low, high = found.drive_interval or (None, None)
+    low, high = found.bootstrap_interval or (None, None)
     return "" if low is None or high is None else f" (95% interval for new drives {low:.3g} to {high:.3g})"
 
 
@@ -188,8 +188,8 @@ def _intervals(file: StudyFile) -> Section:
     charts.append(means_chart(file, "nis", inf, mark=CONSISTENT))
     text = (
         "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) says what swarm and split leave open; "
-        "it covers the mean of new drives only about half of the time. The corrected resampled t and the bootstrap "
-        "over drives and trials are made for new drives; the corrected t is too wide where the luck varies much.",
+        "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
+        "95% of the time.",
         "An arrow: the mean lies beyond the scale.",
     )
     return Section("How sure the means are", text, charts=tuple(c for c in charts if c))

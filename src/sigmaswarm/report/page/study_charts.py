@@ -48,17 +48,17 @@ def means_chart(
             "color": [COLORS.get(r.protocol, COLORS[UNTUNED]) for r, _ in rows],
             "symbol": ["triangle-right" if far else "circle" for far in beyond],
         },
-        "customdata": [[mean, _said(r.drive_interval), _said(r.trial_interval)] for r, mean in rows],
+        "customdata": [[mean, _said(r.bootstrap_interval), _said(r.trial_interval)] for r, mean in rows],
         "hovertemplate": "%{customdata[0]:.3g}<br>95% for new drives: %{customdata[1]}"
         "<br>95% over trials: %{customdata[2]}<extra>%{y}</extra>",
         "showlegend": False,
     }
     near = [(name, r) for name, (r, _), far in zip(names, rows, beyond, strict=True) if not far]
-    wide = _bars([(name, r.drive_interval) for name, r in near], (low, high), 1.5)
+    wide = _bars([(name, r.bootstrap_interval) for name, r in near], (low, high), 1.5)
     narrow = _bars([(name, r.trial_interval) for name, r in near], (low, high), 7)
     traces = (
         narrow | {"name": "95% over trials, as in the paper", "opacity": 0.4},
-        wide | {"name": "95% for new drives (corrected t)"},
+        wide | {"name": "95% for new drives (bootstrap)"},
         means,
     )
     layout = _layout(names, mark, head=80)

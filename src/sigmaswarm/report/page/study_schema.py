@@ -29,7 +29,7 @@ class Summary(BaseModel):
     mean: float | None
     sd: float | None
     trial_interval: Interval | None
-    drive_interval: Interval | None
+    corrected_t_interval: Interval | None
     bootstrap_interval: Interval | None
     n_drives: int
 

@@ -56,7 +56,7 @@ def _table_2(file: StudyFile) -> Table:
         found, theirs = file.mean((protocol, method), POSITION), paper.get(beside, {})
         if found is not None:
             said = theirs.get("interval_m")
-            intervals = (found.trial_interval, found.drive_interval, found.bootstrap_interval)
+            intervals = (found.trial_interval, found.corrected_t_interval, found.bootstrap_interval)
             row = (theirs.get("rmse_m"), tuple(said) if said else None, found.mean, found.sd, *intervals)
             rows.append((file.label(method, protocol), *row))
     columns = [*map(Column, titles), Column(f"{DRIVES}: corrected t"), Column(f"{DRIVES}: bootstrap")]
@@ -73,7 +73,7 @@ def _table_3(file: StudyFile) -> Table:
         row: list[Cell] = []
         for measure, key in ((HEADING, "heading_deg"), (DRIFT, "outage_drift_m")):
             found = file.mean((protocol, method), measure)
-            row += [paper.get(beside, {}).get(key), _mean(found), found and found.drive_interval]
+            row += [paper.get(beside, {}).get(key), _mean(found), found and found.bootstrap_interval]
         if any(cell is not None for cell in row):
             rows.append((file.label(method, protocol), *row))
     return _table("Table III. Heading error, and drift over a 5 s outage", columns, rows, file)
@@ -99,7 +99,7 @@ def consistency_table(file: StudyFile) -> Table:
     columns = [*map(Column, ("method", "mean NIS", "SD over trials", DRIVES))]
     found = file.means("nis")
     rows: list[tuple[Cell, ...]] = [
-        (file.label(r.method, r.protocol), r.mean, r.sd, r.drive_interval) for r in found
+        (file.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval) for r in found
     ]
     return _table("", columns, rows, file)
 
