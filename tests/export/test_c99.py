@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
@@ -67,6 +67,23 @@ def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
     ours = run_filter(drive, p)
     assert distance(replay(build(tmp_path, p), drive).mean, ours.mean) < 1e-11
     assert np.max(np.abs(ours.mean - run_filter(equipped(), p).mean)) > 30.0  # it has followed the jump
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
+    p = given("planar8", kind, "all")
+    theirs = replay(build(tmp_path, p), two_receivers())
+    assert distance(theirs.mean, run_filter(two_receivers(), p).mean) < 1e-11
+
+
+@needs_gcc
+@pytest.mark.parametrize("option", ["plain", "all"])
+def test_the_same_message_again_is_left_out(tmp_path: Path, option: str):
+    program = build(tmp_path, given("planar5", "ukf", option))
+    rows = replay_rows(equipped()).splitlines()
+    twice = [row for row in rows for _ in range(2 if row.startswith("fix") else 1)]
+    np.testing.assert_array_equal(_last_row(program, twice), _last_row(program, rows))
 
 
 @needs_gcc

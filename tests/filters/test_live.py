@@ -2,13 +2,14 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 
 import numba
 import numpy as np
 import pytest
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
@@ -68,6 +69,42 @@ def test_late_fixes_take_it_back_and_forward(kind: str, late: float):
     np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
     assert filter.too_late == 0
     assert np.max(np.abs(means - run.mean)) > 1e-3  # in between it knew less
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_two_fixes_of_one_time_are_both_absorbed(model: str, kind: str, late: float):
+    p, drive = parameters(model, kind=kind, **OPTIONS["all"]), two_receivers()
+    run = run_filter(drive, p, initial=start())
+    assert run.failure is None
+    means, covariances, filter = live(drive, p, start(), late)
+    if not late:
+        np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
+    assert filter.too_late == 0
+    one = run_filter(replace(drive, gps=drive.gps.select(slice(0, None, 2))), p, initial=start())
+    assert np.max(np.abs(one.mean - run.mean)) > 1e-3
+
+
+def test_the_same_message_again_is_left_out():
+    p = parameters("planar5", **OPTIONS["all"])
+    once, twice = (LiveFilter(p, start(), nominal_interval=0.01) for _ in range(2))
+    t0 = start().time
+    for k in range(1, 101):
+        t = t0 + 0.01 * k
+        if k % 20 == 5:
+            fix = t - 0.004, (0.1 * k, -0.1 * k), (10.0, 1.0)
+            assert once.update(*fix)
+            assert twice.update(*fix)
+            assert not twice.update(*fix)
+        for filter in (once, twice):
+            filter.predict(t, (0.1, 0.2, 0.05))
+        if k % 20 == 7:
+            assert not twice.update(*fix)  # late
+    assert twice.state.mean.tobytes() == once.state.mean.tobytes()
+    assert twice.too_late == 0
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
