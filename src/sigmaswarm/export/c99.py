@@ -35,7 +35,9 @@ def replay_rows(drive: Drive) -> str:
     start = (initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel())
     events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
     events += [(t, 1, _row("imu", (t, *u))) for t, *u in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True)]
-    return "\n".join([_row("start", start), *(row for *_, row in sorted(events, key=itemgetter(0, 1)))]) + "\n"
+    return (
+        "\n".join([_row("start", start), *(row for *_, row in sorted(events, key=itemgetter(0, 1)))]) + "\n"
+    )
 
 
 def _fixes(gps: Gps) -> list[list[float]]:
