@@ -13,11 +13,11 @@ from sigmaswarm.export.features import features_of, listed, plain, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
 
-FILES = ("ins_gps.h", "ins_gps.c", "replay.c")
+FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
 
 
 def c99(parameters: FilterParameters, interval: float) -> dict[str, str]:
-    """Header, source and the replaying program, by file name; ``interval`` (s) is what Q refers to."""
+    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to."""
     features = features_of(parameters)
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
@@ -75,5 +75,5 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "GYRO_NOTE": ", and all that the gyro shows is its bias" if p.model == "planar8" else "",
-        "CSV_HEADER": ",".join(["t", *names, *(f"var_{name}" for name in names)]),
+        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }
