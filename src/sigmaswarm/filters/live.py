@@ -123,16 +123,17 @@ class LiveFilter:
     @property
     def state(self) -> LiveState:
         """What the filter believes after the last IMU sample and all fixes up to then."""
-        state = self._belief[: lanes.N_STATE]
-        mean, covariance = batch.unpack_states(state[:, np.newaxis], self._n)
-        mean[0, THETA] = wrap_angle(float(mean[0, THETA]))
-        sound = self._plausible and self._belief[lanes.OK] == 1.0 and np.isfinite(state).all()
-        return LiveState(float(self._belief[live.TIME]), mean[0], covariance[0], not sound)
+        mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
+        sound = _read_state(self._belief, mean, covariance) and self._plausible
+        if not -np.pi < mean[THETA] <= np.pi:
+            mean[THETA] = wrap_angle(float(mean[THETA]))
+        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound)
 
 
 # Numba's types say nothing of what they call.
 _take_sample: Any = live.take_sample
 _take_fix: Any = live.take_fix
+_read_state: Any = live.read_state
 
 
 def _believe(

@@ -21,7 +21,7 @@ from numba.core.dispatcher import Dispatcher
 
 from sigmaswarm.drives.standstill import FIX_WINDOW, fixes_stand, is_calm
 from sigmaswarm.drives.timeline import CORNERING
-from sigmaswarm.filters.compiled.lanes import LANES, SUMS, kernel
+from sigmaswarm.filters.compiled.lanes import LANES, OK, P0, SUMS, kernel
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
@@ -253,13 +253,36 @@ def take_fix(sources):
     return fix
 
 
+@_cached_plain
+def read_state(sources):
+    def read(v, mean, covariance):
+        """Write the mean (n,) and the covariance (n, n); gives whether the filter is sound. The heading is as it is."""
+        sound = sources != "" and v[OK] == 1.0
+        n = len(mean)
+        for column in range(n):
+            mean[column] = v[column]
+            sound = sound and math.isfinite(mean[column])
+            for row in range(column + 1):
+                value = v[P0 + column * (column + 1) // 2 + row]
+                covariance[row, column] = covariance[column, row] = value
+                sound = sound and math.isfinite(value)
+        return sound
+
+    return read
+
+
 _MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 3)
 
 
 @cache
 def ready():
     """Compile now what a live filter calls, and once: numbers of other types are converted, not compiled for again."""
-    for function, n_numbers in ((take_sample, 4), (take_fix, 6)):
+    signatures = {
+        take_sample: (*_MEMORY, *(float64,) * 4),
+        take_fix: (*_MEMORY, *(float64,) * 6),
+        read_state: (float64[::1], float64[::1], float64[:, ::1]),
+    }
+    for function, signature in signatures.items():
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
-            function.compile((*_MEMORY, *(float64,) * n_numbers))
+            function.compile(signature)
             function.disable_compile()
