@@ -141,7 +141,7 @@ def bootstrap(
 
 
 def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
-    """Percentile interval of the mean over drives, with drives and trials resampled independently of each other.
+    """Percentile interval of the mean of all scores, with drives and trials resampled independently of each other.
 
     A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007. What the choice of drives leaves open
     and what the optimizer does are both in it, each with its own number of repetitions.
@@ -151,13 +151,13 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
     if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
         return math.nan, math.nan
     inside = np.ix_(trials, kept)
-    known, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
-    weight = _weights(len(filled), rng)
-    count = weight @ known  # 0 where none of the drawn trials held the drive back
-    means = np.divide(weight @ filled, count, out=np.zeros_like(count), where=count > 0)
-    drawn = _drive_weights([strata[i] for i in np.flatnonzero(kept).tolist()], rng) * (count > 0)
-    with np.errstate(invalid="ignore"):  # where no drive is left, which `_middle` drops
-        return _middle(np.sum(drawn * means, axis=1) / np.sum(drawn, axis=1))
+    counted, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
+    by_trial = _weights(len(filled), rng)
+    by_drive = _drive_weights([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
+    # The mean of what is drawn. (Means of drives, averaged, would let a trial drawn twice count less than twice.)
+    total, count = (np.einsum("rd,rd->r", by_trial @ a, by_drive) for a in (filled, counted))
+    with np.errstate(invalid="ignore"):  # where nothing is drawn, which `_middle` drops
+        return _middle(total / count)
 
 
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator) -> Array:
