@@ -84,6 +84,20 @@ def test_trials_are_resampled_too():
     assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, rng()) == (2.0, 2.0)
 
 
+def test_levels_are_a_least_squares_fit():
+    """Against a plain least squares fit with a column for each drive and each trial."""
+    chance = np.random.default_rng(4)
+    values = chance.normal(size=(6, 9)) + np.arange(9) + 3.0 * np.arange(6)[:, np.newaxis]
+    values[chance.random((6, 9)) < 0.5] = NAN
+    assert not np.isnan(values).all(axis=0).any()
+    trial, drive = np.nonzero(~np.isnan(values))
+    design = np.hstack([np.eye(9)[drive], np.eye(6)[trial]])
+    fitted = design @ np.linalg.lstsq(design, values[trial, drive], rcond=None)[0]
+    drives, trials = s.levels(values)
+    np.testing.assert_allclose(drives[drive] + trials[trial], fitted, atol=1e-12)
+    assert abs(trials.sum()) < 1e-12
+
+
 def test_a_failed_filter_has_no_intervals():
     failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
     found = s.summarize(failed, STRATA, 2 / 3, rng())

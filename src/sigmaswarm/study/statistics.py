@@ -141,23 +141,30 @@ def bootstrap(
 
 
 def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
-    """Percentile interval of the mean of all scores, with drives and trials resampled independently of each other.
+    """Percentile interval of the mean, with drives and trials resampled independently of each other.
 
-    A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007. What the choice of drives leaves open
-    and what the optimizer does are both in it, each with its own number of repetitions.
+    As in A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007: what the choice of drives leaves
+    open and what the optimizer does are both in it, each with its own number of repetitions. But what is resampled are
+    the levels of drives and of trials, since in scores themselves the trials would differ by their drives as well.
     """
     known = ~np.isnan(values)
     kept, trials = known.any(axis=0), known.any(axis=1)
     if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
         return math.nan, math.nan
-    inside = np.ix_(trials, kept)
-    counted, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
-    by_trial = _weights(len(filled), rng)
+    drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
     by_drive = _drive_weights([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
-    # The mean of what is drawn. (Means of drives, averaged, would let a trial drawn twice count less than twice.)
-    total, count = (np.einsum("rd,rd->r", by_trial @ a, by_drive) for a in (filled, counted))
-    with np.errstate(invalid="ignore"):  # where nothing is drawn, which `_middle` drops
-        return _middle(total / count)
+    by_trial = _weights(len(trial_levels), rng)
+    return _middle(by_drive @ drive_levels / len(drive_levels) + by_trial @ trial_levels / len(trial_levels))
+
+
+def levels(values: Array) -> tuple[Array, Array]:
+    """Levels of drives (n,) and of trials (m,), of mean zero, whose sums are nearest to the known scores (m, n)."""
+    known = ~np.isnan(values)
+    counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
+    share = counted / counted.sum(axis=0)  # of a trial in its drives' levels
+    normal = np.diag(counted.sum(axis=1)) - share @ counted.T
+    trials = np.linalg.lstsq(normal, filled.sum(axis=1) - share @ filled.sum(axis=0), rcond=1e-9)[0]
+    return (filled.sum(axis=0) - trials @ counted) / counted.sum(axis=0), trials
 
 
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator) -> Array:
