@@ -31,9 +31,7 @@ def ros2(estimate: Estimate, path: Path) -> None:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: a bag needs rosbags; install it with: pip install 'sigmaswarm[ros]'"
-        ) from None
+        raise InputError(f"{path}: a bag needs rosbags; install it with: pip install rosbags") from None
     if estimate.time[0] < 0:
         raise InputError(
             f"{path}: a bag has no times before 0 (is {estimate.time[0]:g} s); shift the drive's times"

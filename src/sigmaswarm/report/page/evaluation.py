@@ -1,5 +1,6 @@
 """The page of an evaluation: what the tuning is worth on drives, against manual filters, raw GPS and IMU only."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sigmaswarm.report.page.tuning import (
 )
 from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.tracks import load_tracks
-from sigmaswarm.scoring.evaluation import METHODS
+from sigmaswarm.scoring.evaluation import METHODS, method_names
 
 MEASURES = {
     "position_rmse_m": Column("position RMSE", "m"),
@@ -41,6 +42,7 @@ def evaluation_report(folder: Path) -> Report:
         )
     seen = frozenset(d.sha256 for d in file.data)
     held_out = [d.sha256 not in seen for d in asked.data]
+    names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
@@ -48,7 +50,7 @@ def evaluation_report(folder: Path) -> Report:
         figures=_figures(scores),
         remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
         sections=(
-            _comparison(scores, asked.outage_length_s),
+            _comparison(scores, names, asked.outage_length_s),
             Section("Tracks and errors over time", tracks=tracks),
             _consistency(scores),
             parameters_section(file),
@@ -61,6 +63,7 @@ def evaluation_report(folder: Path) -> Report:
         versions=asked.versions,
         command=command,
         command_note=note,
+        names=names,
     )
 
 
@@ -140,33 +143,35 @@ def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def _comparison(scores: ScoresFile, outage_length: float) -> Section:
+def _comparison(scores: ScoresFile, names: Mapping[str, str], outage_length: float) -> Section:
     columns = (Column("drive"), Column("method"), *MEASURES.values())
     each = [
-        _row(drive, m, methods[m])
+        (drive, names[m], *_figures_of(methods[m]))
         for drive, methods in scores.drives.items()
         for m in METHODS
         if m in methods
     ]
-    mean = [_row("mean", m, scores.mean[m]) for m in METHODS if m in scores.mean]
-    tables = [_scores("Each drive", columns, each)]
+    mean = [("mean", names[m], *_figures_of(scores.mean[m])) for m in METHODS if m in scores.mean]
+    tables = [_scores("Each drive", columns, each, names)]
     if len(scores.drives) > 1:
-        tables.insert(0, _scores("Mean over drives", columns, mean))
+        tables.insert(0, _scores("Mean over drives", columns, mean, names))
     text = (f"Lower is better. An outage lasts {outage_length:g} s. RMSE: root of the mean square error.",)
-    charts = tuple(_bars(scores, m, c) for m, c in MEASURES.items())
+    charts = tuple(_bars(scores, names, m, c) for m, c in MEASURES.items())
     return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
 
 
-def _scores(caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]]) -> Table:
-    strong = frozenset(i for i, row in enumerate(rows) if row[1] == METHODS["tuned"])
+def _scores(
+    caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]], names: Mapping[str, str]
+) -> Table:
+    strong = frozenset(i for i, row in enumerate(rows) if row[1] == names["tuned"])
     return Table(caption, columns, tuple(rows), strong)
 
 
-def _row(drive: str, method: str, measures: Measures) -> tuple[Cell, ...]:
-    return (drive, METHODS[method], *(measures.get(m) for m in MEASURES))
+def _figures_of(measures: Measures) -> tuple[Cell, ...]:
+    return tuple(measures.get(m) for m in MEASURES)
 
 
-def _bars(scores: ScoresFile, measure: str, column: Column) -> Chart | None:
+def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Column) -> Chart | None:
     """Means over the drives; the scale is logarithmic. None where no method has the measure."""
     values = {m: v for m in reversed(METHODS) if (v := _mean(scores, m, measure))}
     if not values:
@@ -175,7 +180,7 @@ def _bars(scores: ScoresFile, measure: str, column: Column) -> Chart | None:
         "type": "bar",
         "orientation": "h",
         "x": list(values.values()),
-        "y": [LABELS[m] for m in values],
+        "y": [names[m] for m in values],
         "text": [f"{v:.3g}" for v in values.values()],
         "textposition": "outside",
         "cliponaxis": False,

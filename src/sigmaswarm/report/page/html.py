@@ -30,10 +30,11 @@ def page(report: Report) -> str:
 
     assets = files("sigmaswarm.report.page")
     charts = [chart for section in report.sections for chart in section.charts]
+    names = LABELS | dict(report.names)
     data = {
         "charts": [{"traces": list(c.traces), "layout": c.layout} for c in charts],
         "tracks": [_tracks(t) for section in report.sections for t in section.tracks],
-        "looks": {m: {"label": LABELS[m], **_look(look)} for m, look in LOOKS.items()},
+        "looks": {m: {"label": names[m], **_look(look)} for m, look in LOOKS.items()},
         "gate": GATE_95,
     }
     numbers = iter(range(len(charts)))

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sigmaswarm.report.tracks import Tracks
+from sigmaswarm.scoring.evaluation import method_names
 
 Cell = str | float | None
 """None: it can't be said."""
@@ -86,6 +87,8 @@ class Report:
         Repeats it; empty where no command can.
     command_note : str
         What the command can't say by itself.
+    names : mapping of method to str
+        What the methods are called in the tracks.
     """
 
     title: str
@@ -97,3 +100,4 @@ class Report:
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
     command: str = ""
     command_note: str = ""
+    names: Mapping[str, str] = field(default_factory=method_names)
