@@ -1,6 +1,6 @@
 """Which optimizer, and which way to spend its budget: `compare` on simulated and real drives, for docs/optimizers.md.
 
-    python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 10] [--only "KITTI, truth-rmse"]
+    python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 20] [--only "KITTI, truth-rmse"]
 
 Every comparison is kept in a folder of OUT and resumed if it is there; the page is written from all that are done.
 """
@@ -15,8 +15,8 @@ from sigmaswarm.report.comparison_figure import save_comparison
 from sigmaswarm.tuning.summary import MEASURES
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
-BASE = ("pso", "de", "cma-es")
-FEW = (*BASE, "pso:polish=300", "cma-es:particles=15,generations=100", "pso:racing=true")
+BASE = ("pso", "de", "cma-es", "ga", "ga-pso", "sobol")
+FEW = (*BASE, "pso:polish=300", "de:polish=300", "cma-es:particles=15,generations=100", "pso:racing=true")
 WAYS = (
     *FEW,
     "pso:particles=15,generations=100",
@@ -24,6 +24,7 @@ WAYS = (
     "de:racing=true",
     "cma-es:racing=true",
     "random",
+    "nelder-mead",
 )
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0033", "kitti-09-30-0034", "kitti-09-30-0018")
 MODELS = ("planar5", "planar8")
@@ -41,6 +42,12 @@ def kitti(folder: Path) -> tuple[list[Drive], list[Drive]]:
     return drives[:4], drives[4:]
 
 
+def kitti_turned(folder: Path) -> tuple[list[Drive], list[Drive]]:
+    """Another split: two drives of one day are held out."""
+    drives = [read_drive(folder / name) for name in KITTI]
+    return drives[2:], drives[:2]
+
+
 def colorado(folder: Path) -> tuple[list[Drive], list[Drive]]:
     train, test = split_time(read_drive(folder / "colorado-1"))
     return [train], [test]
@@ -55,6 +62,7 @@ def cases(folder: Path) -> dict:
         "simulated, innovation-nll": (simulated, nll, FEW, ("log10",)),
         "simulated, scales": (simulated, rmse, BASE, BOTH),
         **({"KITTI, truth-rmse": (lambda: kitti(folder), rmse, BASE, BOTH)} if real else {}),
+        **({"KITTI turned, truth-rmse": (lambda: kitti_turned(folder), rmse, BASE, BOTH)} if real else {}),
         **({"colorado-1, truth-rmse": (lambda: colorado(folder), rmse, BASE, BOTH)} if real else {}),
         **({"colorado-1, innovation-nll": (lambda: colorado(folder), nll, BASE, BOTH)} if real else {}),
         **({"KITTI, innovation-nll": (lambda: kitti(folder), nll, BASE, BOTH)} if real else {}),
@@ -132,7 +140,7 @@ def main() -> None:
     )
     parser.add_argument("out", type=Path)
     parser.add_argument("--drives", type=Path, default=Path("../shared/drives"))
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--only", nargs="+")
     parser.add_argument("--write", action="store_true", help="write docs/optimizers.md")
     options = parser.parse_args()

@@ -2,12 +2,13 @@
 
     python benchmarks/objectives.py simulated [--model planar8] [--seeds 10]
     python benchmarks/objectives.py real ../shared/drives [--model planar8] [--use lateral] [--seeds 10]
-    python benchmarks/objectives.py best [--model planar8] [--seeds 3]
+    python benchmarks/objectives.py best [../shared/drives] [--model planar8] [--seeds 3]
 
 simulated: three grades of sensors, 30 town drives of 90 s each; each seed tunes on ten of them and tests on the other
 twenty. real: each KITTI drive held out in turn, tuned on the others; colorado-1 and kingston-1 split in time, 70 to 30.
 best: the tuned filter's error over the lowest that any parameters reach on the test drives themselves, searched with
-four times the budget. Prints Markdown; medians over the seeds, lowest and highest in brackets.
+four times the budget; on simulated drives or, where a folder is named, on the real ones. Prints Markdown; medians over
+the seeds, lowest and highest in brackets.
 """
 
 import argparse
@@ -54,8 +55,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--objectives", nargs="*", default=OBJECTIVES)
     options = parser.parse_args()
+    if (options.what == "real" and not options.drives) or (options.what == "simulated" and options.drives):
+        parser.error("real needs a folder of drives, and simulated takes none")
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    cases = real(options.drives, options.seeds) if options.what == "real" else simulated(options.seeds)
+    cases = real(options.drives, options.seeds) if options.drives else simulated(options.seeds)
     asked = {"model": options.model, "use": tuple(options.use), "optimizer": options.optimizer}
     with ThreadPoolExecutor() as pool:
         for name, splits in cases:

@@ -37,21 +37,22 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--objectives", nargs="+", default=["truth-rmse", "truth-pose"])
+    parser.add_argument("--optimizer", default="de")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     print("| held out | method | position RMSE, m | heading error, deg | 5 s outage drift, m |")
     print("|---|---|---|---|---|")
     for name, training, test in cases(options.drives):
-        for method, row in rows(training, test, options.objectives, options.seeds):
+        for method, row in rows(training, test, options):
             print(f"| {name} | {method} | " + " | ".join(row) + " |", flush=True)
 
 
-def rows(training, test, objectives, seeds):
+def rows(training, test, options):
     with ThreadPoolExecutor() as pool:
-        for objective in objectives:
+        for objective in options.objectives:
             tunings = [
-                tune(training, objective=objective, optimizer="pso", seed=s, executor=pool)
-                for s in range(seeds)
+                tune(training, objective=objective, optimizer=options.optimizer, seed=s, executor=pool)
+                for s in range(options.seeds)
             ]
             evaluations = [evaluate(tuning.parameters, test) for tuning in tunings]
             figures = [[e.mean("tuned", m) for m in MEASURES] for e in evaluations]

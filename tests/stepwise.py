@@ -91,7 +91,8 @@ class CompiledCars:
 
     def _run(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t = self.line
-        sums, final = run.run_lanes(
+        sums, final = np.empty((lanes.N_SUMS, lanes.LANES)), np.empty((lanes.N_STATE, lanes.LANES))
+        run.run_lanes(
             self.n,
             np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
             np.array([happens]),
@@ -101,7 +102,10 @@ class CompiledCars:
             np.zeros(1, dtype=np.int64),
             self.rows[part, : lanes.N_STATE].T.copy(),
             self.rows[part, lanes.CONSTANTS].T.copy(),
+            sums,
+            final,
             np.empty((0, lanes.N_STATE + 1, 0)),
+            np.empty((0, 5)),
         )
         self.rows[part, : lanes.N_STATE], self.rows[part, lanes.SUMS] = final.T, sums.T
 

@@ -138,6 +138,9 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
     assert [wheel["max_brake_torque"] for wheel in physics["wheels"]] == 4 * [1400.0]
     assert journal["geodesy"]["latitude_grows_south"] == (version == "0.9.16")
 
+    for drive in drives:
+        found = sigmaswarm.diagnose(drive).findings
+        assert not [f for f in found if f.severity == "serious"], (drive.name, found)
     tuning = sigmaswarm.tune(drives[1:], objective="truth-pose", particles=8, generations=3)
     scores = sigmaswarm.evaluate(tuning.parameters, drives[:1])
     assert np.isfinite(tuning.cost)

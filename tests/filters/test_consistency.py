@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters.batch import Replay, Targets, record_replay, run_replay
+from sigmaswarm.filters.batch import Replay, Targets, record_replay, run_replays
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
 
@@ -142,7 +142,7 @@ def consistency(
         replay = Replay(own, initial, Targets.none(own))
         mean, covariance, sound = record_replay(replay, wrong)
         assert sound.all()
-        nis += run_replay(replay, [wrong]).nis[0]
+        nis += run_replays([replay], [wrong]).nis[0, 0]
         error = mean[[EARLY, -1]] - truth[[EARLY, -1], j]
         error[:, 4] = wrap_angle(error[:, 4])
         nees.append([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance[[EARLY, -1]], strict=True)])

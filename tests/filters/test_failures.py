@@ -11,7 +11,7 @@ from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
-from sigmaswarm.filters.batch import Replay, Targets, run_replay
+from sigmaswarm.filters.batch import Replay, Targets, run_replays
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.reference import NotPositiveDefiniteError
 from sigmaswarm.filters.run import run_filter, run_reference
@@ -89,7 +89,7 @@ def test_a_covariance_that_is_indefinite_for_most_of_the_drive_is_noticed():
     for parameters in sets:
         with pytest.raises(NotPositiveDefiniteError):
             run_reference(drive(), parameters)
-    assert run_replay(Replay(timeline, initial, Targets.none(timeline)), sets).failed.all()
+    assert run_replays([Replay(timeline, initial, Targets.none(timeline))], sets).failed.all()
 
 
 def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
@@ -100,7 +100,7 @@ def test_a_start_from_an_indefinite_covariance_is_noticed_without_any_nan():
         covariance = initial.covariance.copy()
         covariance[i, j] = covariance[j, i] = 1.1 * np.sqrt(covariance[i, i] * covariance[j, j])
         start = replace(initial, covariance=covariance)
-        assert run_replay(Replay(timeline, start, Targets.none(timeline)), [quiet]).failed.all(), (i, j)
+        assert run_replays([Replay(timeline, start, Targets.none(timeline))], [quiet]).failed.all(), (i, j)
 
 
 # --- Whole drives ------------------------------------------------------------------------------------------
@@ -141,7 +141,7 @@ def test_nan_in_the_last_sample_is_noticed():
     initial = initial_state(spoiled)
     timeline = build_timeline(spoiled, initial.time)
     assert run_filter(spoiled, SOUND).failure is not None
-    assert run_replay(Replay(timeline, initial, Targets.none(timeline)), [SOUND]).failed.all()
+    assert run_replays([Replay(timeline, initial, Targets.none(timeline))], [SOUND]).failed.all()
 
 
 def test_failure_of_a_negative_variance_is_said():

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.filters.batch import Replay, Sums, run_replay
+from sigmaswarm.filters.batch import Replay, Sums, run_replays
 from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
 from sigmaswarm.filters.parameters import FilterParameters
@@ -42,15 +42,15 @@ def many_sets() -> tuple[FilterParameters, ...]:
 
 @cache
 def all_sums() -> np.ndarray:
-    return as_bits(run_replay(short_replay(), many_sets()))
+    return as_bits(run_replays([short_replay()], many_sets()))
 
 
 PLANAR8 = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5 + (1e-9,) * 3, (1.0, 1.0), "planar8")
 
 
 def as_bits(sums: Sums) -> np.ndarray:
-    """(sets, sums), to be compared as they are."""
-    return np.column_stack([np.asarray(column, dtype=float) for column in vars(sums).values()])
+    """(sets, sums) of one replay, to be compared as they are."""
+    return np.column_stack([np.asarray(column[0], dtype=float) for column in vars(sums).values()])
 
 
 # --- The sine ----------------------------------------------------------------------------------------------
@@ -85,10 +85,11 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     initial = np.zeros((lanes.N_STATE, lanes.LANES))
     initial[[lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT]] = 1e-40
     constants = np.ones((lanes.N_CONSTANTS, lanes.LANES))
+    final = np.empty_like(initial)
     velocity = []
     for chunk in headings.reshape(-1, lanes.LANES):
         initial[lanes.T] = chunk
-        _, final = run.run_lanes(
+        run.run_lanes(
             5,
             np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
             np.array([run.IMU]),
@@ -98,7 +99,10 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
             np.zeros(1, dtype=np.int64),
             initial,
             constants,
+            np.empty((lanes.N_SUMS, lanes.LANES)),
+            final,
             np.empty((0, lanes.N_STATE + 1, 0)),
+            np.empty((0, 5)),
         )
         velocity.append(final[[lanes.U, lanes.V]].copy())
     x = headings.astype(np.longdouble)
@@ -113,7 +117,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
 def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
-    run_replay(short_replay(), [parameters])  # so that it has a signature
+    run_replays([short_replay()], [parameters])  # so that it has a signature
     # Machine code that came from the cache can't be read: compile once more, without one.
     kernel = run.KERNELS[parameters.n_states]
     options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
@@ -140,7 +144,7 @@ def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(order=st.lists(st.integers(0, 39), min_size=1, max_size=50))
 def test_a_sets_result_does_not_depend_on_place_or_company(order: list[int]):
-    sums = as_bits(run_replay(short_replay(), [many_sets()[i] for i in order]))
+    sums = as_bits(run_replays([short_replay()], [many_sets()[i] for i in order]))
     assert sums.tobytes() == all_sums()[order].tobytes()
 
 
@@ -165,10 +169,10 @@ def test_other_kinds_in_the_company_change_no_bit():
     sets = many_sets()[:12]
     kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf")
     mixed = [replace(p, kind=kinds[i % 4], forgetting=0.9) for i, p in enumerate(sets)]
-    together = as_bits(run_replay(short_replay(), mixed))
-    alone = np.vstack([as_bits(run_replay(short_replay(), [p])) for p in mixed])
+    together = as_bits(run_replays([short_replay()], mixed))
+    alone = np.vstack([as_bits(run_replays([short_replay()], [p])) for p in mixed])
     assert together.tobytes() == alone.tobytes()
-    plain = as_bits(run_replay(short_replay(), sets))
+    plain = as_bits(run_replays([short_replay()], sets))
     for i in (1, 2, 3):  # each kind has something to do
         assert np.any(plain[i::4] != together[i::4]), kinds[i]
 

@@ -18,7 +18,7 @@ from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import Replay, Targets, flags_of, run_replay, switches
+from sigmaswarm.filters.batch import Replay, Targets, flags_of, run_replays, switches
 from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -205,10 +205,10 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     assert n_fixes > 8
     assert n_fixes % 8  # the product of det S is moved into its logarithm after every 8, and at the end
     start = first_steps(timeline, n)
-    whole = run_replay(Replay(start, initial, Targets.none(start)), sets)
-    assert whole.nis == pytest.approx(total[0], rel=1e-12)
-    assert whole.log_determinant == pytest.approx(total[1], rel=1e-12)
-    assert whole.squared_fix == pytest.approx(total[2], rel=1e-12)
+    whole = run_replays([Replay(start, initial, Targets.none(start))], sets)
+    assert whole.nis[0] == pytest.approx(total[0], rel=1e-12)
+    assert whole.log_determinant[0] == pytest.approx(total[1], rel=1e-12)
+    assert whole.squared_fix[0] == pytest.approx(total[2], rel=1e-12)
     for lane, p in enumerate(sets):
         assert compiled_run(start, initial, p)[0].tobytes() == np.array(means)[:, lane].tobytes()
 
@@ -258,7 +258,7 @@ def test_no_lane_fails_inside_the_box(name: str):
     timeline, initial = ready(name)
     every_corner = np.array(list(product((0, 1), repeat=10)))
     table = np.vstack([np.where(every_corner, UPPER, LOWER), box_table(1032)[32:]])
-    sums = run_replay(Replay(timeline, initial, Targets.none(timeline)), as_parameters(table))
+    sums = run_replays([Replay(timeline, initial, Targets.none(timeline))], as_parameters(table))
     assert not sums.failed.any()
     assert np.isfinite(sums.log_determinant).all()
     for p in as_parameters(box_table(48)):

@@ -1,4 +1,8 @@
-"""Many parameter sets over one drive in one call: packs records into the compiled kernel's arrays and back."""
+"""Many parameter sets over many drives: packs records into the compiled kernel's arrays and back.
+
+What is done once a drive and a chunk costs time beside a kernel that takes 0.2 ms, and it holds Python's lock while
+other threads wait: so it is done for all drives together.
+"""
 
 import math
 from collections.abc import Sequence
@@ -49,7 +53,7 @@ class Targets:
         """How many positions are compared."""
         return len(self.rows)
 
-    @property
+    @cached_property
     def n_headings(self) -> int:
         """How many headings are compared."""
         return int(self.rows[:, run.SCORES_HEADING].sum())
@@ -70,9 +74,24 @@ class Replay:
         return np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale])
 
     @cached_property
-    def flags(self) -> NDArray[np.int64]:
-        """What happens at the end of each step where a filter takes fixes alone, shape (k,)."""
-        return flags_of(self.timeline, False, False, False)
+    def n_hidden(self) -> int:
+        """How many fixes are hidden from the filter."""
+        return int(self.timeline.hides.sum())
+
+    @cached_property
+    def fixes_alone(self) -> "DriveArrays":
+        """What the kernel reads where a filter takes fixes alone."""
+        return self.arrays(False, False, False)
+
+    def arrays(self, velocity: bool, lateral: bool, standstill: bool) -> "DriveArrays":
+        """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
+        line, targets = self.timeline, self.targets
+        flags = flags_of(line, velocity, lateral, standstill)
+        return self.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+
+
+DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]
+"""steps, flags, fixes, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +135,7 @@ def pack(parameter_sets: Sequence[FilterParameters]) -> Batch:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """What a replay adds up for each parameter set; every array has shape (n_sets,).
+    """What replays add up for each parameter set; every array has shape (n_replays, n_sets).
 
     Attributes
     ----------
@@ -140,23 +159,31 @@ class Sums:
     failed: NDArray[np.bool_]
 
 
-def run_replay(replay: Replay, parameter_sets: Sequence[FilterParameters] | Batch) -> Sums:
-    """Run one filter per parameter set over a replay. Results do not depend on a set's place or company."""
+def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters] | Batch) -> Sums:
+    """Run one filter per parameter set over each replay. Results do not depend on a set's place or company."""
     batch = parameter_sets if isinstance(parameter_sets, Batch) else pack(parameter_sets)
-    columns = np.empty((len(_SUM_ROWS), batch.size))
-    failed = np.empty(batch.size, dtype=np.bool_)
+    columns = np.empty((len(_SUM_ROWS), len(replays), batch.size))
+    failed = np.empty((len(replays), batch.size), dtype=np.bool_)
     for places, chunk in batch.chunks:
-        sums, final = _run_chunk(replay, chunk)
-        sound = _sound(sums, final, chunk.sets[0].n_states)[: len(places)] & chunk.plausible
-        failed[places] = ~sound
-        columns[:, places] = np.where(sound, sums[_SUM_ROWS, : len(places)], np.nan)
+        sums, final = _run_chunk(replays, chunk)
+        sound = _sound(sums, final, chunk.sets[0].n_states)[:, : len(places)] & chunk.plausible
+        failed[:, places] = ~sound
+        shown = sums[:, _SUM_ROWS, : len(places)].swapaxes(0, 1)
+        columns[:, :, places] = np.where(sound, shown, np.nan)
     return Sums(*columns, failed=failed)
+
+
+def joined(parts: Sequence[Sums], axis: int) -> Sums:
+    """Sums of more replays (axis 0) or more sets (axis 1)."""
+    if len(parts) == 1:
+        return parts[0]
+    return Sums(**{name: np.concatenate([getattr(s, name) for s in parts], axis) for name in vars(parts[0])})
 
 
 def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
     record = np.empty((len(replay.timeline.imu_time), lanes.N_STATE + 1, 1))
-    _run_chunk(replay, Chunk((parameters,)), record)
+    _run_chunk([replay], Chunk((parameters,)), record)
     mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
     sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & plausible(parameters)
     return mean, covariance, sound & _definite(covariance)
@@ -165,7 +192,7 @@ def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, 
 def record_innovations(replay: Replay, parameters: FilterParameters) -> Array:
     """nu (m) and S (m2; xx, xy, yy) of one filter at each fix, before it is absorbed, shape (f, 5)."""
     innovations = np.empty((len(replay.timeline.fixes), 5))
-    _run_chunk(replay, Chunk((parameters,)), innovations=innovations)
+    _run_chunk([replay], Chunk((parameters,)), innovations=innovations)
     return innovations
 
 
@@ -175,43 +202,56 @@ def plausible(p: FilterParameters) -> bool:
 
 
 def _definite(covariance: Array) -> NDArray[np.bool_]:
-    """Which of the covariances (r, n, n) are positive definite, but for rounding."""
-    variances = np.diagonal(covariance, axis1=1, axis2=2)
-    sound: NDArray[np.bool_] = np.asarray(
-        np.isfinite(covariance).all(axis=(1, 2)) & (variances > 0).all(axis=1)
-    )
-    scale = np.sqrt(variances[sound])
-    correlation = covariance[sound] / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
-    sound[sound] = np.linalg.eigvalsh(correlation).min(axis=1, initial=np.inf) > -1e-9
-    return sound
+    """Which of the covariances (..., n, n) are positive definite, but for rounding.
+
+    The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
+    """
+    n = covariance.shape[-1]
+    with np.errstate(all="ignore"):  # what is not positive, or not finite, ends as such a pivot
+        scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+        scaled = covariance / (scale[..., :, np.newaxis] * scale[..., np.newaxis, :]) + 1e-9 * np.eye(n)
+        a = np.moveaxis(scaled, (-2, -1), (0, 1)).copy()
+        sound = np.isfinite(covariance).all(axis=(-2, -1))
+        for k in range(n):
+            sound &= a[k, k] > 0
+            for i in range(k + 1, n):
+                a[i, i:] -= a[k, i] / a[k, k] * a[k, i:]
+    return np.asarray(sound)
 
 
 _SUM_ROWS = np.arange(lanes.SQ_POSITION, lanes.LOG_DET + 1) - lanes.SUMS.start
 """In the order of `Sums`."""
 
 
+_NOT_RECORDED, _NO_INNOVATIONS = np.empty((0, lanes.N_STATE + 1, 0)), np.empty((0, 5))
+
+
 def _run_chunk(
-    replay: Replay,
+    replays: Sequence[Replay],
     chunk: Chunk,
-    record: Array | None = None,
-    innovations: Array | None = None,
+    record: Array = _NOT_RECORDED,
+    innovations: Array = _NO_INNOVATIONS,
 ) -> tuple[Array, Array]:
-    """Sums (N_SUMS, LANES) and final states (N_STATE, LANES); writes what is recorded of the first lane."""
-    first, line = chunk.sets[0], replay.timeline
-    taken = switches(first)
-    return run.run_lanes(
-        first.n_states,
-        replay.steps,
-        flags_of(line, *taken) if any(taken) else replay.flags,
-        line.fixes,
-        line.lever,
-        replay.targets.rows,
-        replay.targets.end,
-        pack_states(*start_of(replay.initial, chunk.sets)),
-        chunk.constants(line.nominal_interval),
-        np.empty((0, lanes.N_STATE + 1, 0)) if record is None else record,
-        innovations,
-    )
+    """Sums (m, N_SUMS, LANES) and final states (m, N_STATE, LANES) of m replays.
+
+    Of a single replay, writes what is recorded of the first lane.
+    """
+    taken = switches(chunk.sets[0])
+    n = chunk.sets[0].n_states
+    initial = pack_states(*starts_of([replay.initial for replay in replays], chunk.sets))
+    sums, final = np.empty((len(replays), lanes.N_SUMS, lanes.LANES)), np.empty_like(initial)
+    for i, replay in enumerate(replays):
+        run.run_lanes(
+            n,
+            *(replay.arrays(*taken) if any(taken) else replay.fixes_alone),
+            initial[i],
+            chunk.constants(replay.timeline.nominal_interval),
+            sums[i],
+            final[i],
+            record,
+            innovations,
+        )
+    return sums, final
 
 
 def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
@@ -246,17 +286,25 @@ def slot(time: float, start: float, interval: float) -> int:
 
 
 def start_of(initial: InitialState, parameter_sets: Sequence[FilterParameters]) -> tuple[Array, Array]:
-    """Means (LANES, n) and covariances (LANES, n, n) at the start; a bias starts at zero, as unsure as its set says."""
-    n = parameter_sets[0].n_states
-    mean, covariance = np.zeros((lanes.LANES, n)), np.zeros((lanes.LANES, n, n))
-    mean[:, :5], covariance[:, :5, :5] = initial.mean[:5], initial.covariance[:5, :5]
+    """Means (LANES, n) and covariances (LANES, n, n) at the start of one drive; see `starts_of`."""
+    means, covariances = starts_of([initial], parameter_sets)
+    return means[0], covariances[0]
+
+
+def starts_of(
+    initial: Sequence[InitialState], parameter_sets: Sequence[FilterParameters]
+) -> tuple[Array, Array]:
+    """Means (m, LANES, n) and covariances (m, LANES, n, n) at m starts; a bias is 0, as unsure as its set says."""
+    n, m = parameter_sets[0].n_states, len(initial)
+    mean, covariance = np.zeros((m, lanes.LANES, n)), np.zeros((m, lanes.LANES, n, n))
+    mean[:, :, :5] = np.array([start.mean[:5] for start in initial])[:, np.newaxis]
+    covariance[:, :, :5, :5] = np.array([start.covariance[:5, :5] for start in initial])[:, np.newaxis]
     if n == 8:
-        known = len(initial.mean) == 8
-        for i, p in enumerate(_padded(parameter_sets)):
-            accel, gyro = p.bias_std
-            covariance[i, [5, 6, 7], [5, 6, 7]] = accel**2, accel**2, gyro**2
-            if known:
-                mean[i], covariance[i] = initial.mean, initial.covariance
+        std = np.array([p.bias_std for p in _padded(parameter_sets)])[:, [0, 0, 1]]
+        covariance[:, :, [5, 6, 7], [5, 6, 7]] = std**2
+        for i, start in enumerate(initial):
+            if len(start.mean) == 8:
+                mean[i], covariance[i] = start.mean, start.covariance
     return mean, covariance
 
 
@@ -296,23 +344,23 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
 
 
 def pack_states(mean: Array, covariance: Array) -> Array:
-    """The kernel's state rows, shape (N_STATE, LANES), of means (LANES, n) and covariances (LANES, n, n)."""
+    """State rows (..., N_STATE, LANES) of means (..., LANES, n) and covariances (..., LANES, n, n)."""
     n = mean.shape[-1]
     rows, columns = _upper(n)
-    state = np.zeros((lanes.N_STATE, lanes.LANES))
-    state[:n] = mean.T
-    state[lanes.P0 : lanes.P0 + len(rows)] = covariance[:, rows, columns].T
+    state = np.zeros((*mean.shape[:-2], lanes.N_STATE, lanes.LANES))
+    state[..., :n, :] = mean.swapaxes(-1, -2)
+    state[..., lanes.P0 : lanes.P0 + len(rows), :] = covariance[..., rows, columns].swapaxes(-1, -2)
     return state
 
 
 def unpack_states(state: Array, n: int) -> tuple[Array, Array]:
-    """Means (r, n) and covariances (r, n, n) of state rows (N_STATE, r)."""
+    """Means (..., r, n) and covariances (..., r, n, n) of state rows (..., N_STATE, r)."""
     rows, columns = _upper(n)
-    packed = state[lanes.P0 : lanes.P0 + len(rows)].T
-    covariance = np.empty((state.shape[1], n, n))
-    covariance[:, rows, columns] = packed
-    covariance[:, columns, rows] = packed
-    return state[:n].T.copy(), covariance
+    packed = state[..., lanes.P0 : lanes.P0 + len(rows), :].swapaxes(-1, -2)
+    covariance = np.empty((*packed.shape[:-1], n, n))
+    covariance[..., rows, columns] = packed
+    covariance[..., columns, rows] = packed
+    return state[..., :n, :].swapaxes(-1, -2).copy(), covariance
 
 
 @cache
@@ -323,6 +371,6 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _sound(sums: Array, final: Array, n: int) -> NDArray[np.bool_]:
-    """Which lanes never failed and end with a positive definite covariance, shape (LANES,)."""
-    finite = np.isfinite(final).all(axis=0) & np.isfinite(sums[_SUM_ROWS]).all(axis=0)
-    return finite & (sums[lanes.OK - lanes.SUMS.start] == 1.0) & _definite(unpack_states(final, n)[1])
+    """Which lanes never failed and end with a positive definite covariance, shape (m, LANES)."""
+    finite = np.isfinite(final).all(axis=1) & np.isfinite(sums[:, _SUM_ROWS]).all(axis=1)
+    return finite & (sums[:, lanes.OK - lanes.SUMS.start] == 1.0) & _definite(unpack_states(final, n)[1])

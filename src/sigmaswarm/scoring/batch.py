@@ -1,10 +1,10 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.filters.batch import Replay, Sums, pack, run_replay
+from sigmaswarm.filters.batch import Replay, Sums, joined, pack, run_replays
 from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.score import Score
@@ -74,16 +74,14 @@ class Replayer:
     ) -> None:
         self.drives = tuple(drives)
         self.initial = tuple(initial_state(drive) for drive in drives)
-        self._passes: list[_Pass] = []
-        for i, (drive, start) in enumerate(zip(self.drives, self.initial, strict=True)):
-            self._passes.append(_Pass(i, tracking_replay(drive, start), _tracking_scores))
-            if outages:
-                replay = outage_replay(drive, start, length=outage_length, seed=outage_seed)
-                self._passes.append(_Pass(i, replay, _outage_scores))
-            if forecasts:
-                self._passes.append(
-                    _Pass(i, forecast_replay(drive, start, seed=outage_seed), _forecast_scores)
-                )
+        starts = list(zip(self.drives, self.initial, strict=True))
+        self._passes = {"tracking": tuple(tracking_replay(*start) for start in starts)}
+        if outages:
+            self._passes["outages"] = tuple(
+                outage_replay(*start, length=outage_length, seed=outage_seed) for start in starts
+            )
+        if forecasts:
+            self._passes["forecasts"] = tuple(forecast_replay(*start, seed=outage_seed) for start in starts)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""
@@ -91,92 +89,109 @@ class Replayer:
         part.__dict__.pop("steps", None)
         part.drives = tuple(self.drives[i] for i in drives)
         part.initial = tuple(self.initial[i] for i in drives)
-        by_drive: dict[int, list[_Pass]] = {}
-        for p in self._passes:
-            by_drive.setdefault(p.drive, []).append(p)
-        part._passes = [replace(p, drive=at) for at, i in enumerate(drives) for p in by_drive[i]]
+        part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
         return part
 
     @property
     def truth_moments(self) -> list[int]:
         """How many moments of truth each drive is scored at."""
-        return [p.replay.targets.n_positions for p in self._passes if p.scores is _tracking_scores]
+        return [replay.targets.n_positions for replay in self._passes["tracking"]]
 
     @property
     def hidden_fixes(self) -> list[int]:
         """How many fixes are hidden to be forecast on each drive; empty without forecasts."""
-        return [int(p.replay.timeline.hides.sum()) for p in self._passes if p.scores is _forecast_scores]
+        return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
-        counts = np.zeros(len(self.drives), dtype=np.int64)
-        for p in self._passes:
-            counts[p.drive] += len(p.replay.timeline.dt)
-        return counts
+        each = [[len(replay.timeline.dt) for replay in replays] for replays in self._passes.values()]
+        return np.sum(np.array(each, dtype=np.int64), axis=0)
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
         shape = (len(parameter_sets), len(self.drives))
         columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
         failed = np.zeros(shape, dtype=np.bool_)
-        results = (
-            self._run([p.replay for p in self._passes], parameter_sets, executor) if parameter_sets else []
-        )
-        for p, sums in zip(self._passes, results, strict=bool(parameter_sets)):
-            for name, values in p.scores(p.replay, sums).items():
-                columns[name][:, p.drive] = values
-            failed[:, p.drive] |= sums.failed
+        if not parameter_sets or not self.drives:
+            return Scores(**columns, failed=failed)
+        for name, sums in self._run(parameter_sets, executor).items():
+            for score, values in _SCORES[name](self._passes[name], sums).items():
+                columns[score] = values.T
+            failed |= sums.failed.T
         return Scores(**columns, failed=failed)
 
-    @staticmethod
-    def _run(
-        replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters], executor: Executor | None
-    ) -> list[Sums]:
-        """Every replay by every set, in chunks of lanes so that all workers have something to do."""
+    def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
+        """Every pass by every set, in pieces so that all workers have something to do."""
         chunks = [pack(parameter_sets[i : i + LANES]) for i in range(0, len(parameter_sets), LANES)]
-        jobs = [(replay, chunk) for replay in replays for chunk in chunks]
-        done = list((executor.map if executor else map)(run_replay, *zip(*jobs, strict=True))) if jobs else []
+        jobs = [
+            (name, part, chunk)
+            for name, replays in self._passes.items()
+            for part in _parts(replays)
+            for chunk in chunks
+        ]
+        _, parts, packed = zip(*jobs, strict=True)
+        done: dict[str, list[Sums]] = {name: [] for name in self._passes}
+        for (name, _, _), sums in zip(
+            jobs, (executor.map if executor else map)(run_replays, parts, packed), strict=True
+        ):
+            done[name].append(sums)
         n = len(chunks)
-        return [_joined(done[i * n : (i + 1) * n]) for i in range(len(replays))]
+        return {
+            name: joined([joined(each[i : i + n], axis=1) for i in range(0, len(each), n)], axis=0)
+            for name, each in done.items()
+        }
+
+
+_PART = 20_000
+"""Filter steps: replays that are shorter are run one after the other in one job."""
+
+
+def _parts(replays: Sequence[Replay]) -> list[list[Replay]]:
+    """Replays, in their order, in parts that are worth a job each."""
+    parts: list[list[Replay]] = []
+    room = 0
+    for replay in replays:
+        if room <= 0:
+            parts.append([])
+            room = _PART
+        parts[-1].append(replay)
+        room -= len(replay.timeline.dt)
+    return parts
 
 
 _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
 
 
-def _joined(chunks: Sequence[Sums]) -> Sums:
-    return Sums(**{name: np.concatenate([getattr(c, name) for c in chunks]) for name in vars(chunks[0])})
-
-
-@dataclass(frozen=True, eq=False)
-class _Pass:
-    """One pass over one drive, and what its sums say."""
-
-    drive: int
-    replay: Replay
-    scores: Callable[[Replay, Sums], dict[str, Array]]
-
-
-def _tracking_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
-    n_positions, n_fixes = replay.targets.n_positions, len(replay.timeline.fixes)
+def _tracking_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
+    n_positions = _counts(replay.targets.n_positions for replay in replays)
+    n_headings = _counts(replay.targets.n_headings for replay in replays)
+    n_fixes = _counts(len(replay.timeline.fixes) for replay in replays)
     return {
-        "position_rmse": np.sqrt(_mean(sums.squared_position, n_positions)),
-        "heading_rmse": np.sqrt(_mean(sums.squared_heading, replay.targets.n_headings)),
-        "fix_rmse": np.sqrt(_mean(sums.squared_fix, n_fixes)),
-        "innovation_nll": _mean(sums.nis + sums.log_determinant, n_fixes) / 2 + math.log(2 * math.pi),
-        "mean_nis": _mean(sums.nis, n_fixes),
-        "mean_nees": _mean(sums.nees, n_positions),
+        "position_rmse": np.sqrt(sums.squared_position / n_positions),
+        "heading_rmse": np.sqrt(sums.squared_heading / n_headings),
+        "fix_rmse": np.sqrt(sums.squared_fix / n_fixes),
+        "innovation_nll": (sums.nis + sums.log_determinant) / n_fixes / 2 + math.log(2 * math.pi),
+        "mean_nis": sums.nis / n_fixes,
+        "mean_nees": sums.nees / n_positions,
     }
 
 
-def _outage_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
-    return {"outage_drift": np.sqrt(_mean(sums.squared_position, replay.targets.n_positions))}
+def _outage_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
+    ends = _counts(replay.targets.n_positions for replay in replays)
+    return {"outage_drift": np.sqrt(sums.squared_position / ends)}
 
 
-def _forecast_scores(replay: Replay, sums: Sums) -> dict[str, Array]:
-    hidden = int(replay.timeline.hides.sum())
-    return {"forecast_rmse": np.sqrt(_mean(sums.squared_forecast, hidden))}
+def _forecast_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
+    hidden = _counts(replay.n_hidden for replay in replays)
+    return {"forecast_rmse": np.sqrt(sums.squared_forecast / hidden)}
 
 
-def _mean(total: Array, count: int) -> Array:
-    return total / count if count else np.full_like(total, np.nan)
+_SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts": _forecast_scores}
+"""What the sums of each pass say, each of shape (n_drives, n_sets)."""
+
+
+def _counts(each: Iterable[int]) -> Array:
+    """Of each replay, shape (m, 1); NaN for none, so that a mean over nothing is not known."""
+    counts = np.array(list(each), dtype=np.float64)[:, np.newaxis]
+    return np.where(counts > 0, counts, np.nan)

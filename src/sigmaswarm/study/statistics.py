@@ -4,7 +4,9 @@ Scores are arrays of shape (trials, drives), NaN where a trial did not hold a dr
 
 C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; S. Holm, A simple
 sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979; D. S. Kerby, The simple difference
-formula, Comprehensive Psychology 3, 2014 (the rank-biserial correlation of matched pairs).
+formula, Comprehensive Psychology 3, 2014 (the rank-biserial correlation of matched pairs); J. N. K. Rao and C. F. J.
+Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988 (a bootstrap that draws
+n of n makes the variance of a mean too small by (n - 1) / n, which tells where strata are small: so it draws n - 1).
 """
 
 import math
@@ -14,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from sigmaswarm.drives.drive import Array
@@ -126,19 +127,17 @@ def corrected_interval(values: Array, test_per_train: float, level: float = LEVE
 
 
 def bootstrap(
-    statistic: Callable[..., NDArray[np.float64]],
-    columns: Sequence[Array],
-    strata: Sequence[str],
-    rng: np.random.Generator,
+    statistic: Callable[..., Array], columns: Sequence[Array], strata: Sequence[str], rng: np.random.Generator
 ) -> Interval:
-    """Percentile interval of a statistic of paired columns, drives resampled within their conditions.
+    """Percentile interval of a statistic of the means of paired columns, drives resampled within their conditions.
 
-    ``statistic`` takes the columns, shape (..., n), and ``axis=-1``.
+    ``statistic`` takes the mean of each column, shape (RESAMPLES,).
     """
-    if len(columns[0]) < 2 or not all(np.isfinite(column).all() for column in columns):
+    n = len(columns[0])
+    if n < 2 or not all(np.isfinite(column).all() for column in columns):
         return math.nan, math.nan
-    index = _resampled(strata, rng)
-    return _middle(statistic(*(c[index] for c in columns), axis=-1))
+    weight = _drive_weights(strata, rng)
+    return _middle(statistic(*(weight @ column / n for column in columns)))
 
 
 def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
@@ -153,22 +152,35 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
         return math.nan, math.nan
     inside = np.ix_(trials, kept)
     known, filled = known[inside].astype(np.float64), np.where(known, values, 0.0)[inside]
-    n = len(filled)
-    weight = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(np.float64)
+    weight = _weights(len(filled), rng)
     count = weight @ known  # 0 where none of the drawn trials held the drive back
-    with np.errstate(invalid="ignore"):
-        means = (weight @ filled) / count
-    index = _resampled([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
-    return _middle(_mean_known(np.take_along_axis(means, index, axis=1), axis=1))
+    means = np.divide(weight @ filled, count, out=np.zeros_like(count), where=count > 0)
+    drawn = _drive_weights([strata[i] for i in np.flatnonzero(kept).tolist()], rng) * (count > 0)
+    with np.errstate(invalid="ignore"):  # where no drive is left, which `_middle` drops
+        return _middle(np.sum(drawn * means, axis=1) / np.sum(drawn, axis=1))
 
 
-def _resampled(strata: Sequence[str], rng: np.random.Generator) -> NDArray[np.intp]:
-    """Indices drawn with replacement within each stratum, shape (RESAMPLES, n); strata of one are thrown together."""
+def _drive_weights(strata: Sequence[str], rng: np.random.Generator) -> Array:
+    """How much each drive counts in each resample, shape (RESAMPLES, n): within each stratum by itself.
+
+    Where all strata have one drive only, they are thrown together.
+    """
     names = np.array(strata)
     groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
     if max(len(group) for group in groups) < 2:
         groups = [np.arange(len(names))]
-    return np.concatenate([g[rng.integers(0, len(g), (RESAMPLES, len(g)))] for g in groups], axis=1)
+    weight = np.empty((RESAMPLES, len(names)))
+    for group in groups:
+        weight[:, group] = _weights(len(group), rng)
+    return weight
+
+
+def _weights(n: int, rng: np.random.Generator) -> Array:
+    """Of n things n - 1 are drawn (Rao and Wu 1988), and then weigh as much as n, shape (RESAMPLES, n)."""
+    if n == 1:
+        return np.ones((RESAMPLES, 1))
+    drawn = rng.multinomial(n - 1, np.full(n, 1 / n), RESAMPLES)
+    return drawn.astype(np.float64) * (n / (n - 1))
 
 
 def _middle(values: Array) -> Interval:
@@ -188,20 +200,19 @@ def compare(method: Array, other: Array, strata: Sequence[str], rng: np.random.G
     difference = a - b
     return Comparison(
         mean_difference=float(np.mean(difference)) if len(a) else math.nan,
-        interval=bootstrap(np.mean, [difference], kept, rng),
+        interval=bootstrap(np.asarray, [difference], kept, rng),
         p=signed_rank(difference),
         rank_biserial=rank_biserial(difference),
-        improvement=float(improvement(a, b)) if len(a) else math.nan,
+        improvement=float(improvement(a.mean(), b.mean())) if len(a) else math.nan,
         improvement_interval=bootstrap(improvement, [a, b], kept, rng),
         n_drives=len(a),
     )
 
 
-def improvement(tuned: Array, manual: Array, axis: int = -1) -> Array:
-    """The paper's equation 5: (manual - tuned) / manual x 100, of the means over drives; NaN where manual is 0."""
-    m = np.asarray(np.mean(manual, axis=axis))
-    m = np.where(m > 0, m, np.nan)
-    return 100 * (m - np.mean(tuned, axis=axis)) / m
+def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
+    """The paper's equation 5: (manual - tuned) / manual x 100, of means over drives; NaN where manual is 0."""
+    m = np.where(manual > 0, manual, np.nan)
+    return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
 
 def signed_rank(difference: Array) -> float:

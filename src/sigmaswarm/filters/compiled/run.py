@@ -198,10 +198,12 @@ def run_lanes(
     target_end: NDArray[np.int64],
     initial: Array,
     constants: Array,
+    sums: Array,
+    final: Array,
     record: Array,
-    innovations: Array | None = None,
-) -> tuple[Array, Array]:
-    """Run LANES filters over one time line; gives sums (N_SUMS, LANES) and final states (N_STATE, LANES).
+    innovations: Array,
+) -> None:
+    """Run LANES filters over one time line; writes the last four arguments.
 
     Parameters
     ----------
@@ -214,11 +216,11 @@ def run_lanes(
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
     initial : (N_STATE, LANES)
     constants : (N_CONSTANTS, LANES)
+    sums : (N_SUMS, LANES), written
+    final : (N_STATE, LANES), written: the last states
     record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
-    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix, before it is absorbed
+    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix, before it is absorbed;
+        of no rows: none
     """
-    innovations = np.empty((0, 5)) if innovations is None else innovations
-    sums, final = np.empty((N_SUMS, LANES)), np.empty((N_STATE, LANES))
     arrays = steps, flags, fixes, lever, targets, target_end, initial, constants
     KERNELS[n](*arrays, sums, final, record, innovations)
-    return sums, final
