@@ -45,7 +45,7 @@ def covered(rng: np.random.Generator, luck: float, **design: int) -> list[bool]:
     scores, strata, truth = simulated_study(rng, luck, **design)
     ratio = float(np.isfinite(scores[0]).sum() / np.isnan(scores[0]).sum())
     found = summarize(scores, strata, ratio, rng)
-    intervals = found.trial_interval, found.drive_interval, found.bootstrap_interval
+    intervals = found.trial_interval, found.corrected_t_interval, found.bootstrap_interval
     return [low <= truth <= high for low, high in intervals]
 
 

@@ -19,9 +19,12 @@ def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
         "tables/table-2.tex",
         "figures/convergence.svg",
         "timings.json",
+        "tracks.npz",
     ):
         assert (here / "out" / name).stat().st_size > 0
     assert sigmaswarm("study", "out", "--resume").code == 0
+    assert sigmaswarm("report", "out").code == 0
+    assert (here / "out" / "page.html").stat().st_size > 4e6
 
 
 def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):

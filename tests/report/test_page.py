@@ -1,7 +1,6 @@
 """The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
 
 import json
-import os
 import re
 import shlex
 import shutil
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from browsing import Opened
 from sigmaswarm.cli.app import app
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
@@ -23,7 +23,7 @@ from sigmaswarm.report.figures import save_tuning_figures
 from sigmaswarm.report.page.commands import tune_command
 from sigmaswarm.report.page.folders import read_report
 from sigmaswarm.report.page.html import page as html_page
-from sigmaswarm.report.tracks import MOST_POINTS, load_tracks, save_tracks, tracks_of
+from sigmaswarm.report.tracks import MOST_POINTS, compared, load_tracks, save_tracks, tracks_of
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation, evaluate
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
@@ -33,9 +33,6 @@ MONDAY = make_drive(duration=30.0, seed=1, name="monday")
 NASTY_DRIVE = make_drive(duration=40.0, seed=2, name=NASTY)
 TUESDAY = make_drive(duration=30.0, seed=3, name="tuesday")
 BLIND = make_drive(duration=30.0, seed=4, name="blind", truth=False)
-CHROMIUM = next(
-    (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
-)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +65,11 @@ def copy(tmp_path: Path, folders: tuple[Path, Path, Evaluation]) -> Path:
 
 def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
     parameters = FilterParameters.load(folders[0])
-    (read,) = load_tracks(save_tracks([tracks_of(MONDAY, parameters, "m")], tmp_path / "tracks.npz"))
+    (read,) = load_tracks(
+        save_tracks([tracks_of(MONDAY, compared(MONDAY, parameters), "m")], tmp_path / "tracks.npz")
+    )
     assert read.name == "m"
-    assert set(read.series) == {"truth", *METHODS, "nis"}
+    assert set(read.series) == {"truth", *METHODS, "tuned.nis", "datasheet.nis", "defaults.nis"}
     estimate, tuned = run_filter(MONDAY, parameters), read.series["tuned"]
     at = np.searchsorted(estimate.time, tuned["time"])
     np.testing.assert_array_equal(estimate.time[at], tuned["time"])
@@ -85,14 +84,16 @@ def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, 
     np.testing.assert_allclose(tuned["position_3sigma"], sigma, rtol=1e-6)
     heading = 3 * np.degrees(np.sqrt(estimate.covariance[at, 4, 4]))
     np.testing.assert_allclose(tuned["heading_3sigma"], heading, rtol=1e-6)
-    np.testing.assert_allclose(read.series["nis"]["nis"], run_innovations(MONDAY, parameters).nis, rtol=1e-5)
+    np.testing.assert_allclose(
+        read.series["tuned.nis"]["nis"], run_innovations(MONDAY, parameters).nis, rtol=1e-5
+    )
     assert tuned["time"][0] > initial_state(MONDAY).time
 
 
 def test_thinning_keeps_ends_and_peaks(folders: tuple[Path, Path, Evaluation]):
     parameters = FilterParameters.load(folders[0])
     estimate = run_filter(MONDAY, parameters)
-    tuned = tracks_of(MONDAY, parameters, "m").series["tuned"]
+    tuned = tracks_of(MONDAY, compared(MONDAY, parameters), "m").series["tuned"]
     assert len(estimate.time) > MOST_POINTS >= len(tuned["time"]) > MOST_POINTS / 2
     assert tuned["time"][[0, -1]].tolist() == estimate.time[[0, -1]].tolist()
     at = np.searchsorted(MONDAY.truth.time, estimate.time)
@@ -102,11 +103,12 @@ def test_thinning_keeps_ends_and_peaks(folders: tuple[Path, Path, Evaluation]):
 
 def test_tracks_without_truth_and_of_a_failing_filter(tmp_path: Path):
     broken = FilterParameters(0.3, 2.0, 0.0, (1.0, 1.0, -5.0, 1.0, 1.0), (1.0, 1.0))
-    tracks = tracks_of(BLIND, broken, "b")
+    tracks = tracks_of(BLIND, compared(BLIND, broken), "b")
     assert "truth" not in tracks.series
     assert "position_error" not in tracks.series["tuned"]
     assert "position_3sigma" in tracks.series["tuned"]
-    assert "nis" not in tracks.series
+    assert "tuned.nis" not in tracks.series
+    assert "defaults.nis" in tracks.series
     save_tracks([tracks], tmp_path / "t.npz")
 
 
@@ -272,20 +274,6 @@ def test_a_folder_of_something_else(tmp_path: Path, folders: tuple[Path, Path, E
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[object]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine: the page is not opened (apt-get install chromium)")
-    sync_api = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed (dependency group test)"
-    )
-    with sync_api.sync_playwright() as playwright:
-        sandbox = [] if os.geteuid() else ["--no-sandbox"]  # Chromium's own sandbox does not run as root
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=sandbox)
-        yield opened
-        opened.close()
-
-
-@pytest.fixture(scope="module")
 def files(
     tmp_path_factory: pytest.TempPathFactory, folders: tuple[Path, Path, Evaluation]
 ) -> dict[str, Path]:
@@ -296,31 +284,9 @@ def files(
     return {name: root / f"{name}.html" for name in ("tuning", "evaluation")}
 
 
-class Opened:
-    """A page in the browser, with everything that it complained of or asked for."""
-
-    def __init__(self, browser, file: Path, width: int) -> None:
-        self.context = browser.new_context(viewport={"width": width, "height": 900})
-        self.context.grant_permissions(["clipboard-read", "clipboard-write"])
-        self.page = self.context.new_page()
-        self.complaints: list[str] = []
-        self.requests: list[str] = []
-        self.page.on("console", lambda message: self.complaints.append(f"{message.type}: {message.text}"))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("dialog", lambda dialog: self.complaints.append(f"dialog: {dialog.message}"))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(file.as_uri())
-
-    def run(self, script: str):
-        return self.page.evaluate(script)
-
-    def settle(self) -> None:
-        """Until two frames have been drawn."""
-        self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-    def east(self) -> list[float]:
-        """What the map shows of the tuned filter."""
-        return self.run("document.getElementById('map').data.find((t) => t.name === 'tuned UKF').x")
+def east(page: Opened) -> list[float]:
+    """What the map shows of the tuned filter."""
+    return page.run("document.getElementById('map').data.find((t) => t.name === 'tuned UKF').x")
 
 
 @pytest.fixture(scope="module")
@@ -334,35 +300,25 @@ def opened(pages: dict[tuple[str, int], Opened]) -> Iterator[Callable[..., Opene
     """Look at a page; in the end none may have complained, nor asked for anything but itself."""
     yield lambda name, width=1280: pages[name, width]
     for one in pages.values():
-        assert one.complaints == []
-        assert len(one.requests) == 1
-        assert one.requests[0].startswith("file:")
+        one.check_silence()
 
 
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize(("name", "plots"), [("tuning", 1), ("evaluation", 6)])
 def test_every_plot_is_drawn_and_fits_the_screen(opened, name: str, plots: int, width: int):
     page = opened(name, width)
-    drawn = page.run(
-        "[...document.querySelectorAll('.chart')].map((c) => c.querySelectorAll("
-        "'.scatterlayer path.js-line, .scatterlayer path.point, .barlayer path').length)"
-    )
-    assert len(drawn) == plots
-    assert min(drawn) > 0
-    assert page.run("document.documentElement.scrollWidth") <= width
-    widest = page.run(
-        "Math.max(...[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().right))"
-    )
-    assert widest <= width
+    assert len(page.drawn()) == plots
+    assert min(page.drawn()) > 0
+    assert page.width() <= width
 
 
 def test_drives_and_methods_can_be_chosen(opened):
     page = opened("evaluation")
     page.page.select_option("#drive", index=0)
     assert page.run("[...document.getElementById('drive').options].map((o) => o.text)") == [NASTY, "tuesday"]
-    before = page.east()
+    before = east(page)
     page.page.select_option("#drive", label="tuesday")
-    after = page.east()
+    after = east(page)
     assert after != before
     names = "new Set(document.getElementById('{}').data.map((t) => t.name))"
     for figure in ("map", "errors"):
@@ -379,7 +335,7 @@ def test_drives_and_methods_can_be_chosen(opened):
 def test_zooming_in_time_moves_all_panels_and_the_track(opened):
     page = opened("evaluation")
     page.page.select_option("#drive", index=0)
-    whole = page.east()
+    whole = east(page)
     plot = page.page.locator("#errors .nsewdrag").first
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
@@ -398,13 +354,13 @@ def test_zooming_in_time_moves_all_panels_and_the_track(opened):
     assert low <= min(times) < low + 0.5 and high - 0.5 < max(times) <= high
     assert page.run("new Set(document.getElementById('errors').data.map((t) => t.xaxis ?? 'x')).size") == 1
     page.page.click("#whole")
-    assert page.east() == whole
+    assert east(page) == whole
     page.page.fill("#from", "10")
     page.page.fill("#to", "12")
     page.page.keyboard.press("Tab")
     page.settle()
     assert page.run("document.getElementById('errors').layout.xaxis.range") == [10, 12]
-    assert 0 < len(page.east()) < len(whole) / 4
+    assert 0 < len(east(page)) < len(whole) / 4
 
 
 def test_tables_sort_by_number_and_back(opened):
@@ -434,40 +390,4 @@ def test_the_command_is_copied(opened, folders: tuple[Path, Path, Evaluation]):
 
 
 def test_it_prints(opened, tmp_path: Path):
-    page = opened("evaluation")
-    page.page.pdf(path=tmp_path / "page.pdf", format="A4")
-    assert (tmp_path / "page.pdf").read_bytes().startswith(b"%PDF")
-    page.page.emulate_media(media="print")
-    page.settle()
-    widths = page.run(
-        "[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().width)"
-    )
-    assert 0 < max(widths) <= 680
-
-
-def test_a_study_s_page_says_what_the_study_found(tmp_path: Path):
-    config = pytest.importorskip(
-        "sigmaswarm.study.config", reason="there is no study command in this version"
-    )
-    from sigmaswarm.study.run import run_study
-
-    few = {"runs": 2, "trials": 2, "particles": 3, "generations": 4}
-    asked = config.StudyConfig(maneuvers=("urban",), environments=("clear",), **few)
-    run_study(asked, tmp_path)
-    report = read_report(tmp_path)
-    found = json.loads((tmp_path / "results.json").read_text())
-    wanted = ("honest", "pso-ukf", "position_rmse_m", "all", "all")
-    keys = ("protocol", "method", "measure", "maneuver", "environment")
-    row = next(r for r in found["summary"] if tuple(r[k] for k in keys) == wanted)
-    assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
-    results, comparisons = report.sections[:2]
-    assert len(results.tables) == len(found["measures"])
-    assert ("honest", "PSO-UKF", row["mean"], row["sd"]) in [r[:4] for r in results.tables[0].rows]
-    assert len(comparisons.tables[0].rows) == len(found["comparisons"])
-    assert report.versions["numpy"] == np.__version__
-    command, *_ = app.parse_args(shlex.split(report.command)[1:], exit_on_error=False, print_error=False)
-    assert command.__name__ == "study"
-    assert html_page(report).count("data-chart=") == 4 + 2
-    (tmp_path / "results.json").write_text("{}")
-    with pytest.raises(InputError, match=r"results.json: config: Field required"):
-        read_report(tmp_path)
+    assert 0 < opened("evaluation").width_on_paper(tmp_path / "page.pdf") <= 680

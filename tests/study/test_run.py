@@ -14,6 +14,7 @@ import pytest
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.study_figures import save_study_figures
+from sigmaswarm.report.study_tracks import save_study_tracks
 from sigmaswarm.study.config import StudyConfig, read_config
 from sigmaswarm.study.design import Design, make_design
 from sigmaswarm.study.run import Study, run_study
@@ -36,6 +37,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study that nobody interrupted, on one worker."""
     study = run_study(TINY, tmp_path_factory.mktemp("study") / "whole", workers=1)
     save_study_figures(study, study.folder / "figures")
+    save_study_tracks(study, study.folder)
     return study
 
 
@@ -68,6 +70,7 @@ def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Pat
         assert ended.returncode == -signal.SIGKILL
     study = run_study(TINY, out, resume=True)
     save_study_figures(study, out / "figures")
+    save_study_tracks(study, out)
     assert contents(out) == contents(whole.folder)
 
 
@@ -76,6 +79,7 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
     again = run_study(TINY, whole.folder, resume=True)
     save_study_figures(again, whole.folder / "figures")
+    save_study_tracks(again, whole.folder)
     assert contents(whole.folder) == before
 
 

@@ -43,7 +43,7 @@ def test_the_summary_by_hand():
         (mean - 1.96 * sd / math.sqrt(3), mean + 1.96 * sd / math.sqrt(3))
     )
     half = 4.302652729911275 * sd  # t(0.975, 2), and 1/3 + 2/3 = 1
-    assert found.drive_interval == pytest.approx((mean - half, mean + half))
+    assert found.corrected_t_interval == pytest.approx((mean - half, mean + half))
     assert (found.n_trials, found.n_drives) == (3, 4)
 
 
@@ -88,7 +88,7 @@ def test_a_failed_filter_has_no_intervals():
     failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
     found = s.summarize(failed, STRATA, 2 / 3, rng())
     assert found.mean == math.inf
-    assert all(math.isnan(x) for x in (*found.drive_interval, *found.bootstrap_interval, found.sd))
+    assert all(math.isnan(x) for x in (*found.corrected_t_interval, *found.bootstrap_interval, found.sd))
 
 
 def test_the_comparison_by_hand():

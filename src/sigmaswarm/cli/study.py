@@ -47,7 +47,8 @@ def study(
     Parameters
     ----------
     out
-        Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
+        Folder for study.toml, results.json, scores.csv, tables, figures, what `sigmaswarm report` makes a page of,
+        and the tunings of all trials.
     config
         A study.toml to start from; the paper's study by default.
     drives
@@ -73,6 +74,7 @@ def study(
     """
     from sigmaswarm.cli.common import print_json, progress_bar, stdout
     from sigmaswarm.report.study_figures import save_study_figures
+    from sigmaswarm.report.study_tracks import save_study_tracks
     from sigmaswarm.study.config import read_config
     from sigmaswarm.study.run import run_study
     from sigmaswarm.study.tables import table_texts
@@ -98,6 +100,7 @@ def study(
             progress=lambda told: show(told.done, told.total),
         )
     save_study_figures(done, out / "figures")
+    save_study_tracks(done, out)
     if json:
         print_json(done.results.content)
         return
@@ -114,4 +117,5 @@ def _say_where(done: "Study", out: Path) -> None:
     console.print(f"results: {out / 'results.json'}, {out / 'scores.csv'}")
     console.print(f"tables:  {out / 'tables'}")
     console.print(f"figures: {out / 'figures'}")
+    console.print(f"page:    sigmaswarm report {out}")
     console.print(f"next:    sigmaswarm evaluate {out / 'best' / name}.toml DRIVE...")

@@ -7,7 +7,7 @@ from pathlib import Path
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.report.tracks import save_tracks, tracks_of
+from sigmaswarm.report.tracks import compared, save_tracks, tracks_of
 from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH
 from sigmaswarm.tuning.result import versions
@@ -50,7 +50,8 @@ def save_evidence(
     }
     write_json(folder / "evaluation.json", asked)
     written = [folder / "evaluation.json"]
-    written.append(save_tracks([tracks_of(d, parameters, n) for n, d in named], folder / "tracks.npz"))
+    tracks = [tracks_of(drive, compared(drive, parameters), name) for name, drive in named]
+    written.append(save_tracks(tracks, folder / "tracks.npz"))
     for name, source in zip(FROM_THE_TUNING, (file, file.parent / "convergence.csv"), strict=True):
         copy = folder / name
         if source.is_file() and not (copy.exists() and copy.samefile(source)):

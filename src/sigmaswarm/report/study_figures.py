@@ -16,7 +16,7 @@ from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.report.figures import FINE_SCALE, place_of_sharpest_turn
-from sigmaswarm.report.style import LOOKS, new_figure, save_both
+from sigmaswarm.report.style import LOOKS, STUDY_LOOKS, new_figure, save_both
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.run import Study
@@ -26,8 +26,8 @@ from sigmaswarm.study.statistics import drive_means
 # Okabe and Ito's blue and orange; the lines differ in style, too.
 LINES: dict[str, dict[str, Any]] = {
     "manual": {"color": "#E69F00", "lw": 1.0, "ls": "--", "label": "UKF, manual: defaults"},
-    "paper": {"color": "#D55E00", "lw": 1.4, "ls": "-.", "label": "PSO-UKF (paper: against the GPS)"},
-    "honest": {"color": "#0072B2", "lw": 2.2, "ls": "-", "label": "PSO-UKF (honest: against truth)"},
+    "paper": {**STUDY_LOOKS["paper-pso-ukf"], "label": "PSO-UKF (paper: against the GPS)"},
+    "honest": {**STUDY_LOOKS["honest-pso-ukf"], "label": "PSO-UKF (honest: against truth)"},
 }
 
 

@@ -21,6 +21,18 @@ LOOKS: dict[str, dict[str, Any]] = {
     "imu_only": {"color": "#D55E00", "lw": 1.2, "ls": ":"},
     "raw_gps": {"color": "#009E73", "lw": 0, "ls": "none", "marker": ".", "ms": 4, "alpha": 0.7},
 }
+STUDY_LOOKS: dict[str, dict[str, Any]] = {
+    "truth": LOOKS["truth"],
+    "honest-pso-ukf": LOOKS["tuned"],
+    "paper-pso-ukf": {"color": "#D55E00", "lw": 1.4, "ls": "-."},
+    "honest-pso-ekf": {"color": "#56B4E9", "lw": 1.4, "ls": "-"},
+    "honest-pso-planar8": {"color": "#332288", "lw": 1.4, "ls": "--"},
+    "ukf-datasheet": LOOKS["datasheet"],
+    "ukf-defaults": LOOKS["defaults"],
+    "imu_only": {"color": "#51585F", "lw": 1.2, "ls": ":"},
+    "raw_gps": LOOKS["raw_gps"],
+}
+"""Of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **METHODS}
 
 

@@ -1,6 +1,6 @@
 """Tracks and errors over time of every method on a drive, thinned, as one file that pages are made of.
 
-`tracks.npz` holds, for drive number ``i`` in ``names`` and each series in `SERIES`, one array a column, called
+`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array a column, called
 ``i/series/column``. Same result, same bytes: nothing in it tells when it was written.
 """
 
@@ -21,11 +21,11 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.evaluation import METHODS
 from sigmaswarm.scoring.score import truth_at
 
 Columns = Mapping[str, NDArray[np.floating[Any]]]
-SERIES = ("truth", *METHODS, "nis")
+NIS = ".nis"
+"""Ends the name of the series that holds a filter's NIS."""
 MOST_POINTS = 1500
 """Of a series; more than a screen has columns."""
 
@@ -39,19 +39,23 @@ class Tracks:
     name : str
         Of the drive.
     series : mapping of str to mapping of str to ndarray, shape (n,)
-        ``truth`` and the methods of `METHODS` have time (s), x, y (m); methods also position_error (m), filters
-        heading_error (deg), and those with a covariance position_3sigma (m) and heading_3sigma (deg). ``nis`` has
-        the time and NIS of the tuned filter's fixes. Errors are NaN where truth is not known.
+        ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
+        filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``
+        has the time and NIS of the fixes that the filter ``F`` took in. Errors are NaN where truth is not known.
     """
 
     name: str
     series: Mapping[str, Columns]
 
 
-def estimates(drive: Drive, parameters: FilterParameters, initial: InitialState) -> Mapping[str, Estimate]:
-    """The tuned filter and the manual ones, from the same start; the tuned one last, to be drawn on top."""
-    sets = {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": parameters}
-    return {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
+def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
+    """The manual filters and the tuned one; the tuned one last, to be drawn on top."""
+    return {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": tuned}
+
+
+def estimates(drive: Drive, tuned: FilterParameters, initial: InitialState) -> Mapping[str, Estimate]:
+    """What the filters of `compared` say, from the same start."""
+    return {name: run_filter(drive, p, initial=initial) for name, p in compared(drive, tuned).items()}
 
 
 def errors_of(estimate: Estimate, truth: Truth) -> tuple[Array, Array]:
@@ -68,22 +72,27 @@ def three_sigma(estimate: Estimate) -> tuple[Array, Array]:
     return 3 * np.hypot(std[:, 0], std[:, 1]), 3 * np.degrees(std[:, THETA])
 
 
-def tracks_of(drive: Drive, parameters: FilterParameters, name: str) -> Tracks:
-    """Run every method over a drive, and keep what a page shows of it."""
+def tracks_of(
+    drive: Drive, filters: Mapping[str, FilterParameters], name: str, most_points: int = MOST_POINTS
+) -> Tracks:
+    """Run filters, by the names of their series, over a drive, and keep what a page shows of it."""
     initial = initial_state(drive)
     gps, truth = drive.gps, drive.truth
-    believed = estimates(drive, parameters, initial)
-    methods = {**believed, "imu_only": run_imu_only(drive, initial=initial)}
-    series = {method: _columns(estimate, truth) for method, estimate in methods.items()}
+    series: dict[str, dict[str, Array]] = {}
+    if truth is not None:
+        series["truth"] = {"time": truth.time, "x": truth.x, "y": truth.y}
+    for method, parameters in filters.items():
+        estimate = run_filter(drive, parameters, initial=initial)
+        series[method] = _columns(estimate, truth)
+        if estimate.failure is None:
+            innovations = run_innovations(drive, parameters, initial=initial)
+            series[method + NIS] = {"time": innovations.time, "nis": innovations.nis}
+    series["imu_only"] = _columns(run_imu_only(drive, initial=initial), truth)
     series["raw_gps"] = {"time": gps.time, "x": gps.x, "y": gps.y}
     if truth is not None:
         x, y = truth_at(truth, gps.time)
         series["raw_gps"]["position_error"] = np.hypot(gps.x - x, gps.y - y)
-        series["truth"] = {"time": truth.time, "x": truth.x, "y": truth.y}
-    if believed["tuned"].failure is None:
-        innovations = run_innovations(drive, parameters, initial=initial)
-        series["nis"] = {"time": innovations.time, "nis": innovations.nis}
-    return Tracks(name, {s: _thinned(series[s]) for s in SERIES if s in series})
+    return Tracks(name, {s: _thinned(columns, most_points) for s, columns in series.items()})
 
 
 def _columns(estimate: Estimate, truth: Truth | None) -> dict[str, Array]:
@@ -95,14 +104,14 @@ def _columns(estimate: Estimate, truth: Truth | None) -> dict[str, Array]:
     return columns
 
 
-def _thinned(columns: Mapping[str, Array]) -> Columns:
-    """At most `MOST_POINTS` rows, float32 but for the time; no peak of the error, or of the NIS, gets lost."""
+def _thinned(columns: Mapping[str, Array], most_points: int) -> Columns:
+    """At most so many rows, float32 but for the time; no peak of the error, or of the NIS, gets lost."""
     n = len(columns["time"])
     kept = np.arange(n)
-    if n > MOST_POINTS:
+    if n > most_points:
         matters = columns.get("position_error", columns.get("nis", np.arange(n, dtype=float)))
         matters = np.nan_to_num(matters, nan=0.0)
-        parts = np.array_split(kept[1:-1], MOST_POINTS // 2 - 1)
+        parts = np.array_split(kept[1:-1], most_points // 2 - 1)
         ends = [part[[matters[part].argmin(), matters[part].argmax()]] for part in parts]
         kept = np.unique([0, n - 1, *np.concatenate(ends)])
     return {name: v[kept] if name == "time" else v[kept].astype(np.float32) for name, v in columns.items()}
@@ -138,5 +147,5 @@ def load_tracks(path: Path) -> list[Tracks]:
                     number, of, column = key.split("/")
                     series[int(number)].setdefault(of, {})[column] = np.asarray(file[key], np.float64)
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise InputError(f"{path}: not readable; repeat `sigmaswarm evaluate`") from None
+        raise InputError(f"{path}: not readable; repeat the command that made the folder") from None
     return [Tracks(name, s) for name, s in zip(names, series, strict=True)]

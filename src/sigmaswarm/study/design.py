@@ -5,6 +5,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,11 @@ class Design:
     def groups(self) -> tuple[str, ...]:
         """What each gets filters of its own: the conditions, or all drives together."""
         return tuple(dict.fromkeys(self.strata)) if self.config.per_condition else (ALL,)
+
+    @cached_property
+    def interval(self) -> float:
+        """s: the drives' usual time between two IMU samples."""
+        return float(np.median([drive.nominal_interval for drive in self.drives]))
 
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""

@@ -11,7 +11,7 @@ results.json holds (null where a figure can't be said):
     protocols      {name: {objective, scale}}; methods that nothing is tuned for have the protocol "untuned"
     methods        {name: what people call it}
     measures       {name: what it is, with its unit}
-    summary        [{protocol, method, measure, maneuver, environment, mean, sd, trial_interval, drive_interval,
+    summary        [{protocol, method, measure, maneuver, environment, mean, sd, trial_interval, corrected_t_interval,
                    bootstrap_interval, n_trials, n_drives}]: see `statistics.Summary`; maneuver and environment are
                    "all" in the rows over all conditions
     comparisons    [{protocol, measure, method, against, mean_difference, interval, p, holm_p, rank_biserial,
@@ -109,6 +109,7 @@ def _rng(design: Design) -> np.random.Generator:
 
 def _summary(scores: ScoreTable) -> list[dict[str, Any]]:
     design = scores.design
+    ratio = _ratio(design)
     names = list(dict.fromkeys(design.conditions))
     places = [(ALL, ALL), *[(m, e) for m, e in names if (m, e) != (ALL, ALL)]]
     rows: list[dict[str, Any]] = []
@@ -121,7 +122,7 @@ def _summary(scores: ScoreTable) -> list[dict[str, Any]]:
                     if maneuver == ALL or c == (maneuver, environment)
                 ]
                 strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, _ratio(design), _rng(design))
+                found = summarize(values[:, chosen], strata, ratio, _rng(design))
                 if found.n_drives:
                     where = {"maneuver": maneuver, "environment": environment}
                     rows.append(

@@ -224,8 +224,7 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
 
 def _space(design: Design, task: Task) -> SearchSpace:
     config = design.config.tune_config(task.method, task.protocol)
-    interval = float(np.median([drive.nominal_interval for drive in design.drives]))
-    return search_space(config.model, config.scale, interval, kind=config.kind)
+    return search_space(config.model, config.scale, design.interval, kind=config.kind)
 
 
 def _tune_all(

@@ -34,7 +34,7 @@ class Summary:
     ----------
     mean, sd : over trials, of the mean over each trial's held-out drives
     trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
-    drive_interval : corrected resampled t: for drives that were never seen
+    corrected_t_interval : corrected resampled t: for drives that were never seen
     bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
     n_trials, n_drives : how many of each the figures rest on
     """
@@ -42,7 +42,7 @@ class Summary:
     mean: float
     sd: float
     trial_interval: Interval
-    drive_interval: Interval
+    corrected_t_interval: Interval
     bootstrap_interval: Interval
     n_trials: int
     n_drives: int
@@ -97,7 +97,7 @@ def summarize(
         mean=float(np.mean(each)) if len(each) else math.nan,
         sd=_sd(each),
         trial_interval=trial_interval(each),
-        drive_interval=corrected_interval(each, test_per_train),
+        corrected_t_interval=corrected_interval(each, test_per_train),
         bootstrap_interval=crossed_bootstrap(values, strata, rng),
         n_trials=len(each),
         n_drives=int(known.sum()),
@@ -179,8 +179,9 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
     """Of n things n - 1 are drawn (Rao and Wu 1988), and then weigh as much as n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
-    drawn = rng.multinomial(n - 1, np.full(n, 1 / n), RESAMPLES)
-    return drawn.astype(np.float64) * (n / (n - 1))
+    drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
+    counts = np.bincount(drawn.ravel(), minlength=RESAMPLES * n).reshape(RESAMPLES, n)
+    return counts.astype(np.float64) * (n / (n - 1))
 
 
 def _middle(values: Array) -> Interval:

@@ -30,6 +30,8 @@ ROWS: tuple[tuple[str, str, str | None], ...] = (
     *(("honest", method, None) for method in TUNED if method != "pso-ukf"),
 )
 """Protocol and method of each row, and which of the paper's rows it stands beside."""
+LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
+"""What the paper's rows are called in the timings of the live filters."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -148,7 +150,7 @@ def table_2(results: Results) -> Table:
             continue
         theirs = paper.get(beside)
         said = f"{_number(theirs['rmse_m'])} {_interval(theirs['interval_m'])}" if theirs else "-"
-        keys = ("trial_interval", "drive_interval", "bootstrap_interval")
+        keys = ("trial_interval", "corrected_t_interval", "bootstrap_interval")
         figures = [_number(row["mean"]), _number(row["sd"]), *(_interval(row[key]) for key in keys)]
         rows.append((_label(protocol, method), said, *figures))
     return Table(
@@ -256,10 +258,9 @@ def optimum_table(results: Results) -> Table:
 
 def runtime_table(timings: dict[str, Any]) -> Table:
     """ms per update, through the live filter, beside the paper's."""
-    names = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf", "UKF, planar8": None}
     rows: list[tuple[str, ...]] = []
     for label, times in timings["live_filter"].items():
-        theirs = PAPER_RESULTS["table_3"].get(names.get(label))
+        theirs = PAPER_RESULTS["table_3"].get(LIVE_NAMES.get(label))
         said = f"{theirs['update_ms']:.2f}" if theirs else "-"
         rows.append((label, said, f"{times['predict_ms']:.4f}", f"{times['predict_and_update_ms']:.4f}"))
     return Table(

@@ -6,7 +6,7 @@ from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import evaluate_command
-from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
+from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.report.page.schema import EvaluationFile, Measures, ScoresFile, TuningFile, load
 from sigmaswarm.report.page.tuning import (
     convergence_section,
@@ -27,6 +27,10 @@ MEASURES = {
     "outage_drift_m": Column("outage drift", "m"),
 }
 MANUAL = ("defaults", "datasheet")
+LINES = ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
+"""The series of the tracks, the first one on top."""
+SHOWN = ("truth", "tuned", "datasheet", "raw_gps")
+"""Those that are shown from the start."""
 
 
 def evaluation_report(folder: Path) -> Report:
@@ -34,15 +38,18 @@ def evaluation_report(folder: Path) -> Report:
     scores = load(ScoresFile, folder / "scores.json")
     asked = load(EvaluationFile, folder / "evaluation.json")
     file = load(TuningFile, folder / "tuning.toml")
-    tracks = tuple(load_tracks(folder / "tracks.npz"))
-    if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [t.name for t in tracks]:
+    names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
+    lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES)
+    tracks = TrackView(tuple(load_tracks(folder / "tracks.npz")), lines, "tuned")
+    if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
+        t.name for t in tracks.drives
+    ]:
         raise InputError(
             f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
             "repeat `sigmaswarm evaluate`"
         )
     seen = frozenset(d.sha256 for d in file.data)
     held_out = [d.sha256 not in seen for d in asked.data]
-    names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
@@ -63,7 +70,6 @@ def evaluation_report(folder: Path) -> Report:
         versions=asked.versions,
         command=command,
         command_note=note,
-        names=names,
     )
 
 

@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 
 import sigmaswarm
-from sigmaswarm.report.page.record import Cell, Column, Report, Section, Table
-from sigmaswarm.report.style import LABELS, LOOKS
+from sigmaswarm.report.page.record import Cell, Column, Line, Report, Section, Table, TrackView
 from sigmaswarm.report.tracks import Tracks
 from sigmaswarm.scoring.consistency import GATE_95
 
 _DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 """plotly.js' names of matplotlib's line styles."""
+
+
+LONG = 24
+"""Characters of a cell above which it needs some width, lest it become a tall column of words."""
 
 
 def page(report: Report) -> str:
@@ -30,11 +33,9 @@ def page(report: Report) -> str:
 
     assets = files("sigmaswarm.report.page")
     charts = [chart for section in report.sections for chart in section.charts]
-    names = LABELS | dict(report.names)
     data = {
         "charts": [{"traces": list(c.traces), "layout": c.layout} for c in charts],
-        "tracks": [_tracks(t) for section in report.sections for t in section.tracks],
-        "looks": {m: {"label": names[m], **_look(look)} for m, look in LOOKS.items()},
+        "tracks": next((_view(section.tracks) for section in report.sections if section.tracks), None),
         "gate": GATE_95,
     }
     numbers = iter(range(len(charts)))
@@ -61,8 +62,15 @@ def _json(content: Any) -> str:
     return json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _look(look: dict[str, Any]) -> dict[str, Any]:
-    return {"color": look["color"], "dash": _DASHES[look["ls"]], "width": max(look["lw"], 1.2)}
+def _view(view: TrackView) -> dict[str, Any]:
+    there = {name for drive in view.drives for name in drive.series}
+    lines = [_line(line) for line in view.lines if line.series in there]
+    return {"drives": [_tracks(t) for t in view.drives], "lines": lines, "main": view.main}
+
+
+def _line(line: Line) -> dict[str, Any]:
+    look = {"color": line.look["color"], "dash": _DASHES[line.look["ls"]], "width": max(line.look["lw"], 1.2)}
+    return {"series": line.series, "label": line.label, "shown": line.shown, **look}
 
 
 def _tracks(tracks: Tracks) -> dict[str, Any]:
@@ -99,7 +107,8 @@ def _section(section: Section, numbers: Iterator[int]) -> str:
         f'aria-label="{escape(c.title)}"></div></figure>'
         for c in section.charts
     ]
-    parts += [f'<div class="charts">{"".join(charts)}</div>'] if charts else []
+    look = "charts two" if any(chart.broad for chart in section.charts) else "charts"
+    parts += [f'<div class="{look}">{"".join(charts)}</div>'] if charts else []
     if section.tracks:
         parts.append(files("sigmaswarm.report.page").joinpath("tracks.html").read_text(encoding="utf-8"))
     return "".join([*parts, "</section>"])
@@ -123,13 +132,21 @@ def _head(column: Column) -> str:
 
 
 def _cell(cell: Cell) -> str:
-    """Numbers to four digits; all of them in the attribute that the table is sorted by."""
+    """Numbers to four digits, ranges to three; all of them in the attribute that the table is sorted by."""
     if isinstance(cell, str):
-        return f"<td>{escape(cell)}</td>"
-    if cell is None or not math.isfinite(cell):
+        look = ' class="long"' if len(cell) > LONG else ""
+        return f"<td{look}>{escape(cell)}</td>"
+    ends = cell if isinstance(cell, tuple) else (cell,)
+    known = [end for end in ends if end is not None and math.isfinite(end)]
+    if len(known) < len(ends):
         return '<td class="number">–</td>'
-    shown = str(int(cell)) if cell == int(cell) and abs(cell) < 1e9 else f"{cell:.4g}"
-    return f'<td class="number" data-value="{cell!r}">{shown}</td>'
+    shown = " to ".join(_number(end, 5 - len(ends)) for end in known)
+    return f'<td class="number" data-value="{known[0]!r}">{shown}</td>'
+
+
+def _number(value: float, digits: int) -> str:
+    whole = value == int(value) or abs(value) >= 10**digits
+    return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
 def _repeat(report: Report) -> str:

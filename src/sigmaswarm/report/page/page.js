@@ -56,17 +56,18 @@
 
   // ---- tracks and errors ----
 
-  const SHOWN_FIRST = ["truth", "tuned", "raw_gps", "datasheet"];
-  const DRAWN = ["raw_gps", "imu_only", "defaults", "datasheet", "tuned", "truth"]; // the last one on top
+  const LINES = data.tracks?.lines ?? [];
+  const DRAWN = LINES.map((line) => line.series).reverse(); // the last one on top
+  const look = (name) => LINES.find((line) => line.series === name);
   const state = { drive: null, window: null };
 
   const shown = (name) => el(`method-${name}`)?.checked && state.drive.series[name];
   const inWindow = (t) => !state.window || (t >= state.window[0] && t <= state.window[1]);
   const style = (name) => {
-    const look = data.looks[name];
-    return name === "raw_gps"
-      ? { mode: "markers", marker: { color: look.color, size: 5, opacity: 0.7 } }
-      : { mode: "lines", line: { color: look.color, dash: look.dash, width: look.width } };
+    const { color, dash, width } = look(name);
+    return dash === "none"
+      ? { mode: "markers", marker: { color, size: 5, opacity: 0.7 } }
+      : { mode: "lines", line: { color, dash, width } };
   };
 
   function pathTrace(name) {
@@ -74,7 +75,7 @@
     const kept = s.time.map((_, i) => i).filter((i) => inWindow(s.time[i]));
     const pick = (column) => kept.map((i) => column[i]);
     return {
-      x: pick(s.x), y: pick(s.y), customdata: pick(s.time), name: data.looks[name].label, ...style(name),
+      x: pick(s.x), y: pick(s.y), customdata: pick(s.time), name: look(name).label, ...style(name),
       hovertemplate: "%{x:.1f} m, %{y:.1f} m at %{customdata:.1f} s",
     };
   }
@@ -113,6 +114,8 @@
     { axis: "y2", column: "heading_error", sigma: "heading_3sigma" },
   ];
 
+  const nisShown = () => state.drive.series[`${el("sigma").value}.nis`];
+
   function errorTraces() {
     const traces = [];
     for (const panel of PANELS) {
@@ -127,13 +130,13 @@
       }
       for (const name of DRAWN.filter((n) => shown(n)?.[panel.column])) {
         traces.push({ x: state.drive.series[name].time, y: state.drive.series[name][panel.column],
-          yaxis: panel.axis, name: data.looks[name].label, ...style(name) });
+          yaxis: panel.axis, name: look(name).label, ...style(name) });
       }
     }
-    const nis = state.drive.series.nis;
+    const nis = nisShown();
     if (nis) {
       traces.push({ x: nis.time, y: nis.nis, yaxis: "y3", name: "NIS", mode: "markers",
-        marker: { color: data.looks.tuned.color, size: 4 } });
+        marker: { color: look(el("sigma").value).color, size: 4 } });
     }
     return traces;
   }
@@ -151,8 +154,8 @@
       xaxis: time,
       yaxis: side("position, m", [0.68, 1], { type: "log", range: logRange(traces, "y", 0.03, 1) }),
       yaxis2: side("heading, deg", [0.34, 0.64], headingRange()),
-      yaxis3: side("NIS of tuned", [0, 0.3], { type: "log", range: logRange(traces, "y3", 0.01, 20) }),
-      shapes: state.drive.series.nis ? [gate] : [],
+      yaxis3: side("NIS", [0, 0.3], { type: "log", range: logRange(traces, "y3", 0.01, 20) }),
+      shapes: nisShown() ? [gate] : [],
     }, EXPLORED);
   }
 
@@ -162,9 +165,9 @@
     return [low, values.reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
   }
 
-  // As far as the tuned filter goes, and 30 degrees at least; a lost heading must not hide a good one.
+  // As far as the main filter goes; a lost heading must not hide a good one.
   function headingRange() {
-    const s = state.drive.series.tuned;
+    const s = state.drive.series[data.tracks.main];
     const values = [...(s?.heading_error ?? [])].filter((v) => v !== null).map(Math.abs);
     const most = Math.min(180, 1.2 * values.reduce((a, b) => Math.max(a, b), 4));
     return { range: [-most, most] };
@@ -187,7 +190,7 @@
   }
 
   function showMoment(t) {
-    const name = ["tuned", "truth", "raw_gps"].find((n) => state.drive.series[n]);
+    const name = [data.tracks.main, "truth", "raw_gps"].find((n) => state.drive.series[n]);
     const s = state.drive.series[name];
     const at = s.time.findIndex((v) => v >= t);
     const last = el("map").data.length - 1;
@@ -195,7 +198,7 @@
   }
 
   function chooseDrive() {
-    state.drive = data.tracks[Number(el("drive").value)];
+    state.drive = data.tracks.drives[Number(el("drive").value)];
     for (const name of DRAWN) el(`method-${name}`).disabled = !state.drive.series[name];
     setWindow(null);
     draw();
@@ -204,17 +207,18 @@
   const option = (value, text) => Object.assign(document.createElement("option"), { value, textContent: text });
 
   function makeControls() {
-    data.tracks.forEach((drive, i) => el("drive").append(option(i, drive.name)));
-    for (const name of ["tuned", "defaults", "datasheet"]) el("sigma").append(option(name, data.looks[name].label));
+    data.tracks.drives.forEach((drive, i) => el("drive").append(option(i, drive.name)));
+    for (const { series, label } of LINES) {
+      if (data.tracks.drives.some((drive) => drive.series[series]?.position_3sigma)) el("sigma").append(option(series, label));
+    }
     el("sigma").append(option("", "none"));
-    for (const name of [...DRAWN].reverse()) {
-      const look = data.looks[name];
-      const box = Object.assign(document.createElement("input"),
-        { type: "checkbox", id: `method-${name}`, checked: SHOWN_FIRST.includes(name) });
+    el("sigma").value = data.tracks.main;
+    for (const { series, label: text, color, dash, shown: checked } of LINES) {
+      const box = Object.assign(document.createElement("input"), { type: "checkbox", id: `method-${series}`, checked });
       const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
-      swatch.style.borderTop = `3px ${look.dash === "solid" ? "solid" : look.dash === "dash" ? "dashed" : "dotted"} ${look.color}`;
+      swatch.style.borderTop = `3px ${dash === "solid" ? "solid" : dash === "dash" ? "dashed" : "dotted"} ${color}`;
       const label = document.createElement("label");
-      label.append(box, swatch, look.label);
+      label.append(box, swatch, text);
       el("methods").append(label);
     }
     el("drive").addEventListener("change", chooseDrive);
@@ -266,7 +270,7 @@
 
   makeSortable();
   drawCharts();
-  if (data.tracks.length) {
+  if (data.tracks) {
     makeControls();
     chooseDrive();
     linkTime();

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sigmaswarm.report.tracks import Tracks
-from sigmaswarm.scoring.evaluation import method_names
 
-Cell = str | float | None
+Range = tuple[float | None, float | None]
+"""From and to, such as an interval; a table sorts it by where it begins."""
+Cell = str | float | Range | None
 """None: it can't be said."""
 
 
@@ -49,11 +50,41 @@ class Table:
 
 @dataclass(frozen=True)
 class Chart:
-    """A plot: what plotly.js takes for its traces and its layout, of JSON types."""
+    """A plot: traces and layout, of JSON types, as plotly.js takes them. At most two broad ones stand in a row."""
 
     title: str
     traces: tuple[Mapping[str, Any], ...]
     layout: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    broad: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """A series of the tracks: what people call it, how it is drawn, and whether it is shown from the start."""
+
+    series: str
+    label: str
+    look: Mapping[str, Any]
+    """As matplotlib takes it: color, lw, ls."""
+    shown: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class TrackView:
+    """Tracks to explore.
+
+    Attributes
+    ----------
+    drives : tuple of Tracks
+    lines : tuple of Line
+        The first one is drawn on top, the last one below all others.
+    main : str
+        The series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    """
+
+    drives: tuple[Tracks, ...]
+    lines: tuple[Line, ...]
+    main: str
 
 
 @dataclass(frozen=True)
@@ -64,7 +95,7 @@ class Section:
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     charts: tuple[Chart, ...] = ()
-    tracks: tuple[Tracks, ...] = ()
+    tracks: TrackView | None = None
 
 
 @dataclass(frozen=True)
@@ -87,8 +118,6 @@ class Report:
         Repeats it; empty where no command can.
     command_note : str
         What the command can't say by itself.
-    names : mapping of method to str
-        What the methods are called in the tracks.
     """
 
     title: str
@@ -100,4 +129,3 @@ class Report:
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
     command: str = ""
     command_note: str = ""
-    names: Mapping[str, str] = field(default_factory=method_names)

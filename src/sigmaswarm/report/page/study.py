@@ -1,27 +1,55 @@
-"""The page of a study: every method under both protocols, over many trials, with its intervals."""
+"""The page of a study: the paper's tables with ours beside, and every method under both protocols."""
 
+from math import inf
 from pathlib import Path
 
-from sigmaswarm.report.page.record import Cell, Column, Figure, Report, Section, Table
+from sigmaswarm.report.page.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.report.page.schema import load
-from sigmaswarm.report.page.study_charts import convergence_charts, means_chart
+from sigmaswarm.report.page.study_charts import convergence_charts, means_chart, spread_chart
 from sigmaswarm.report.page.study_schema import (
-    EVERYWHERE,
-    UNKNOWN,
     Comparison,
+    Spread,
     StudyFile,
     Summary,
     TuningConfig,
+    read_spreads,
+    read_timings,
 )
+from sigmaswarm.report.page.study_tables import (
+    DRIFT,
+    HEADING,
+    POSITION,
+    TUNED,
+    comparison_tables,
+    conditions_table,
+    consistency_table,
+    convergence_table,
+    optimum_table,
+    paper_tables,
+    run_times_table,
+    trials_table,
+)
+from sigmaswarm.report.style import STUDY_LOOKS
+from sigmaswarm.report.tracks import load_tracks
 
-BANDS = "The median over trials, and where 80% of them lie."
-TUNED, POSITION = "pso-ukf", "position_rmse_m"
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
+CONSISTENT = 2.0
+"""Mean NIS of a position where a filter knows its own errors."""
+BEYOND_CHANCE = (1.0, 4.0)
+"""Mean NIS outside these says that a filter's covariances are off, whatever the number of fixes."""
+UNLUCKY = 1.2
+"""Times the lowest cost: above it a trial's search was unlucky."""
+RUN_TIMES = (
+    "Medians of one call of the live filter, from Python, on the machine that ran the study. A tuned filter "
+    "costs what a manual one costs. The paper's limit for real time is {} ms."
+)
+SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
+"""The series whose tracks are drawn from the start."""
 
 
 def study_report(folder: Path) -> Report:
     """Read the folder of a `sigmaswarm study`."""
-    file = load(StudyFile, folder / "results.json")
+    file, spreads = load(StudyFile, folder / "results.json"), read_spreads(folder)
     trials = file.config.get("trials", len({t.trial for t in file.tunings}))
     return Report(
         title=f"Study: {trials} trials on {file.drives.count} drives",
@@ -29,11 +57,15 @@ def study_report(folder: Path) -> Report:
         figures=_figures(file),
         remarks=_remarks(file),
         sections=(
-            _means(file),
+            _results(file),
+            _intervals(file),
+            _spread(file, spreads),
+            *_tracks(file, folder),
             _comparisons(file),
-            _conditions(file),
-            Section("Convergence", (BANDS,), charts=convergence_charts(file)),
-            _tunings(file),
+            *_conditions(file),
+            _convergence(file),
+            Section("What the search found", (), (optimum_table(file), trials_table(file))),
+            *_run_times(file, folder),
         ),
         config=file.config,
         versions=_versions(folder),
@@ -48,27 +80,26 @@ def _versions(folder: Path) -> dict[str, str]:
     return load(TuningConfig, configs[0]).versions if configs else {}
 
 
-def _of(file: StudyFile, protocol: str, method: str, measure: str) -> Summary | None:
-    return next((r for r in file.means(measure) if (r.protocol, r.method) == (protocol, method)), None)
+# ---- the summary ----
 
 
 def _result(file: StudyFile, protocol: str) -> str:
     """What tuning is worth under a protocol, in a sentence."""
     asked = file.protocols[protocol]
-    found = _of(file, protocol, TUNED, POSITION)
+    found = file.mean((protocol, TUNED), POSITION)
     name = file.label(TUNED)
     start = f"Tuned for {asked.get('objective', '?')} (the {protocol} protocol), {name}"
     if found is None or found.mean is None:
         return f"{start} failed on drives that it did not see."
-    low, high = found.drive_interval or UNKNOWN
-    where = f"is {found.mean:.3g} m{_range(low, high)} from the truth on drives that it did not see"
-    against = [
-        _against(file, c)
-        for rival in RIVALS
-        for c in file.comparisons
-        if (c.protocol, c.measure, c.against) == (protocol, POSITION, rival)
-    ]
+    where = f"is {found.mean:.3g} m{_said(found)} from the truth on drives that it did not see"
+    against = [_against(file, c) for rival in RIVALS if (c := _comparison(file, protocol, rival))]
     return f"{start} {where}{': ' if against else ''}{'; '.join(against)}."
+
+
+def _comparison(file: StudyFile, protocol: str, rival: str) -> Comparison | None:
+    """Of the positions."""
+    wanted = (protocol, POSITION, rival)
+    return next((c for c in file.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def _against(file: StudyFile, c: Comparison) -> str:
@@ -79,17 +110,28 @@ def _against(file: StudyFile, c: Comparison) -> str:
     )
 
 
-def _range(low: float | None, high: float | None) -> str:
-    return "" if low is None or high is None else f" (95% interval {low:.3g} to {high:.3g})"
+def _said(found: Summary) -> str:
+    low, high = found.bootstrap_interval or (None, None)
+    return "" if low is None or high is None else f" (95% interval for new drives {low:.3g} to {high:.3g})"
 
 
 def _figures(file: StudyFile) -> tuple[Figure, ...]:
+    """What the paper says stands in the notes."""
+    paper = {
+        POSITION: ("table_2", "rmse_m"),
+        HEADING: ("table_3", "heading_deg"),
+        DRIFT: ("table_3", "outage_drift_m"),
+    }
+    asked = [(p, POSITION, "position RMSE", "m") for p in reversed(file.protocols)]
+    asked += [("honest", HEADING, "heading error", "deg"), ("honest", DRIFT, "drift over 5 s", "m")]
     figures: list[Figure] = []
-    for protocol in reversed(file.protocols):
-        found = _of(file, protocol, TUNED, POSITION)
+    for protocol, measure, what, unit in asked:
+        found = file.mean((protocol, TUNED), measure)
         if found is not None and found.mean is not None:
-            sd = "" if found.sd is None else f"SD over trials {found.sd:.2g} m"
-            figures.append(Figure(f"position RMSE, {protocol}", f"{found.mean:.3g} m", sd))
+            table, key = paper[measure]
+            theirs = file.paper.get(table, {}).get(TUNED, {}).get(key)
+            note = f"the paper: {theirs:.3g} {unit}" if theirs is not None else ""
+            figures.append(Figure(f"{what}, {protocol}", f"{found.mean:.3g} {unit}", note))
     return (*figures, Figure("drives", str(file.drives.count), f"{file.drives.strata} conditions"))
 
 
@@ -103,6 +145,19 @@ def _remarks(file: StudyFile) -> tuple[str, ...]:
                 f"{protocol}: {touching} of {len(mine)} tunings of {file.label(TUNED)} ended on a bound: "
                 "their optimum may lie outside the box"
             )
+        costs = [t.cost for t in mine]
+        if costs and max(costs) > UNLUCKY * min(costs):
+            said.append(
+                f"{protocol}: luck matters: on their training drives the tunings of {file.label(TUNED)} cost from "
+                f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and take the best"
+            )
+        nis = file.mean((protocol, TUNED), "nis")
+        if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
+            wrong = "too sure of itself" if nis.mean > BEYOND_CHANCE[1] else "too careful"
+            said.append(
+                f"{protocol}: {file.label(TUNED)} is {wrong}: its mean NIS is {nis.mean:.3g}, and 2 would be right; "
+                "do not rely on its covariances"
+            )
         unsure = [
             file.label(c.against)
             for c in file.comparisons
@@ -115,81 +170,98 @@ def _remarks(file: StudyFile) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _means(file: StudyFile) -> Section:
-    titles = ("protocol", "method", "mean", "SD over trials", "from", "to", "drives")
-    tables: list[Table] = []
-    for measure, meaning in file.measures.items():
-        rows = file.means(measure)
-        cells: list[tuple[Cell, ...]] = [
-            (r.protocol, file.label(r.method), r.mean, r.sd, *(r.drive_interval or UNKNOWN), r.n_drives)
-            for r in rows
-        ]
-        strong = frozenset(i for i, r in enumerate(rows) if r.method == TUNED)
-        tables.append(Table(meaning, tuple(map(Column, titles)), tuple(cells), strong))
+# ---- the evidence ----
+
+
+def _results(file: StudyFile) -> Section:
     text = (
-        "Means over trials, each on the drives that it held back. From and to: the 95% interval for drives that were "
-        "never seen (corrected resampled t).",
+        "The paper's figures, and ours beside: means over trials, each on the drives that it held back. The paper's "
+        "RMSE is against the GPS fixes that the filter has just absorbed; a filter that copies them has 0.",
+        f"Improvement over the UKF by hand (equation 5): {_improvements(file)}.",
     )
-    charts = [means_chart(file, measure, TUNED) for measure in file.measures if measure != "nis"]
-    return Section("Results", text, tuple(tables), tuple(c for c in charts if c))
+    return Section("The paper's tables", text, paper_tables(file))
+
+
+def _intervals(file: StudyFile) -> Section:
+    """Of the means."""
+    charts = [means_chart(file, measure) for measure in (POSITION, HEADING, DRIFT)]
+    charts.append(means_chart(file, "nis", inf, mark=CONSISTENT))
+    text = (
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) says what swarm and split leave open; "
+        "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
+        "95% of the time.",
+        "An arrow: the mean lies beyond the scale.",
+    )
+    return Section("How sure the means are", text, charts=tuple(c for c in charts if c))
+
+
+def _run_times(file: StudyFile, folder: Path) -> tuple[Section, ...]:
+    live = read_timings(folder)
+    text = (RUN_TIMES.format(f"{file.paper.get('real_time_limit_ms', 0):g}"),)
+    return (Section("Run time", text, (run_times_table(file, live),)),) if live else ()
+
+
+def _improvements(file: StudyFile) -> str:
+    said = [
+        f"{c.improvement:.0f}% over {file.label(rival)} ({protocol})"
+        for protocol in reversed(file.protocols)
+        for rival in ("ukf-defaults", "ukf-datasheet")
+        if (c := _comparison(file, protocol, rival)) and c.improvement is not None
+    ]
+    theirs = file.paper.get("table_1", {}).get(TUNED, {}).get("improvement_percent")
+    return "; ".join([*([f"the paper {theirs:.0f}%"] if theirs else []), *said])
+
+
+def _spread(file: StudyFile, spreads: list[Spread]) -> Section:
+    charts = [spread_chart(file, spreads, measure) for measure in (POSITION, HEADING, DRIFT)]
+    charts.append(spread_chart(file, spreads, "nis", mark=CONSISTENT))
+    text = (
+        "One value a drive, the mean over the trials that held it back. Box: quartiles; whiskers: 5 to 95% of drives.",
+        "NIS: does a filter know its own errors? Its mean is 2 where it does; above 2 it is too sure of itself, below "
+        "too careful. Position alone leaves the covariances' scale open.",
+    )
+    return Section(
+        "Spread over drives, and consistency", text, (consistency_table(file),), tuple(c for c in charts if c)
+    )
+
+
+def _tracks(file: StudyFile, folder: Path) -> tuple[Section, ...]:
+    path = folder / "tracks.npz"
+    if not path.exists():
+        return ()
+    lines = tuple(Line(s, _series_label(file, s), look, s in SHOWN) for s, look in STUDY_LOOKS.items())
+    text = ("Drives that the last trial held back, and the filters that this trial tuned on the others.",)
+    view = TrackView(tuple(load_tracks(path)), lines, f"honest-{TUNED}")
+    return (Section("Tracks and errors over time", text, tracks=view),)
+
+
+def _series_label(file: StudyFile, series: str) -> str:
+    protocol, _, method = series.partition("-")
+    return (
+        file.label(method, protocol) if protocol in file.protocols else file.label(series.replace("_", "-"))
+    )
 
 
 def _comparisons(file: StudyFile) -> Section:
-    titles = (
-        "protocol",
-        "measure",
-        "against",
-        "improvement",
-        "from",
-        "to",
-        "p (Holm)",
-        "effect size",
-        "drives",
-    )
-    columns = [*map(Column, titles)]
-    columns[3] = Column("improvement", "%")
-    rows = tuple(
-        (
-            c.protocol,
-            file.measures.get(c.measure, c.measure),
-            file.label(c.against),
-            c.improvement,
-            *(c.improvement_interval or UNKNOWN),
-            c.holm_p,
-            c.rank_biserial,
-            c.n_drives,
-        )
-        for c in file.comparisons
-    )
     text = (
-        f"{file.label(TUNED)} against every other method, drive by drive.",
+        f"{file.label(TUNED)} against every other method, drive by drive. Improvement (equation 5): how much less its "
+        "mean error is; its interval is by bootstrap over drives.",
         "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Effect size: the rank-biserial "
         "correlation; 1 is better on every drive, -1 worse on every drive.",
     )
-    return Section("Comparisons", text, (Table("", tuple(columns), rows),))
+    return Section("Comparisons", text, comparison_tables(file))
 
 
-def _conditions(file: StudyFile) -> Section:
-    columns = (*map(Column, ("maneuver", "environment", "protocol", "method")), Column("position RMSE", "m"))
-    rows = [r for r in file.summary if r.measure == POSITION and r.maneuver != EVERYWHERE]
-    cells = tuple((r.maneuver, r.environment, r.protocol, file.label(r.method), r.mean) for r in rows)
-    strong = frozenset(i for i, r in enumerate(rows) if r.method == TUNED)
-    return Section("Conditions", (), (Table("", columns, cells, strong),))
+def _conditions(file: StudyFile) -> tuple[Section, ...]:
+    table = conditions_table(file)
+    text = ("The other measures and methods stand in tables/ of this page's folder.",)
+    return (Section("Conditions", text, (table,)),) if table else ()
 
 
-def _tunings(file: StudyFile) -> Section:
-    titles = ("protocol", "method", "group", "trial", "cost", "evaluations", "failures", "touched bounds")
-    rows = tuple(
-        (
-            t.protocol,
-            file.label(t.method),
-            t.group,
-            t.trial,
-            t.cost,
-            t.evaluations,
-            t.failures,
-            ", ".join(b.split()[0] for b in t.touched_bounds),
-        )
-        for t in file.tunings
+def _convergence(file: StudyFile) -> Section:
+    theirs = file.paper.get("figure_2", {}).get("stable_generation")
+    text = (
+        "The median over trials, and where 80% of them lie. The diamond: from this generation on the median stays "
+        f"within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}.",
     )
-    return Section("Tunings", (), (Table("", tuple(map(Column, titles)), rows),))
+    return Section("Convergence", text, (convergence_table(file),), convergence_charts(file))

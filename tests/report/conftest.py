@@ -1,0 +1,13 @@
+"""What the tests of pages share."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from browsing import open_browser
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[object]:
+    with open_browser() as opened:
+        yield opened

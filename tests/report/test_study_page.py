@@ -1,0 +1,299 @@
+"""The page of a study: the paper's figures beside ours, and drives that nobody tuned on."""
+
+import csv
+import json
+import shlex
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from browsing import Opened
+from sigmaswarm.cli.app import app
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.report.page.folders import read_report
+from sigmaswarm.report.page.html import page as html_page
+from sigmaswarm.report.page.record import Section
+from sigmaswarm.report.page.study_schema import read_spreads
+from sigmaswarm.report.study_tracks import MOST_POINTS, save_study_tracks, shown_drives
+from sigmaswarm.report.tracks import load_tracks
+from sigmaswarm.study.config import StudyConfig
+from sigmaswarm.study.design import Design, Task
+from sigmaswarm.study.run import Study, run_study
+from support import make_drive
+
+CONFIG = StudyConfig(
+    maneuvers=("cruise", "turns"), environments=("clear",), runs=4, trials=2, particles=3, generations=4
+)
+PLOTS = 4 + 4 + 2 + 2
+"""Means, boxes, the track and its errors, convergence."""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    done = run_study(CONFIG, tmp_path_factory.mktemp("page") / "study")
+    save_study_tracks(done, done.folder)
+    return done
+
+
+@pytest.fixture
+def copy(tmp_path: Path, study: Study) -> Path:
+    return Path(shutil.copytree(study.folder, tmp_path / "copy"))
+
+
+def section(folder: Path, title: str) -> Section:
+    return next(s for s in read_report(folder).sections if s.title == title)
+
+
+# ---- tracks.npz ----
+
+
+def test_tracks_are_of_drives_that_their_filters_never_saw(study: Study):
+    last = CONFIG.trials - 1
+    tracks = load_tracks(study.folder / "tracks.npz")
+    held_out = {study.design.drives[i].name: i for i in study.design.split(last)[1]}
+    assert {t.name for t in tracks} <= set(held_out)
+    assert [study.design.conditions[held_out[t.name]][0] for t in tracks] == ["cruise", "turns"]
+    drive = study.design.drives[held_out[tracks[1].name]]
+    for series, parameters in {
+        "honest-pso-ukf": study.parameters[Task("honest", "pso-ukf", "all", last)],
+        "paper-pso-ukf": study.parameters[Task("paper", "pso-ukf", "all", last)],
+        "honest-pso-planar8": study.parameters[Task("honest", "pso-planar8", "all", last)],
+        "ukf-defaults": DEFAULTS,
+    }.items():
+        estimate, kept = run_filter(drive, parameters), tracks[1].series[series]
+        at = np.searchsorted(estimate.time, kept["time"])
+        np.testing.assert_array_equal(estimate.time[at], kept["time"])
+        np.testing.assert_allclose(kept["x"], estimate.mean[at, 0], rtol=1e-6, atol=1e-4)
+        assert len(kept["time"]) <= MOST_POINTS
+
+
+def test_one_drive_of_each_condition_or_maneuver_is_shown():
+    def shown(conditions: list[tuple[str, str]]) -> list[tuple[str, str]]:
+        drives = tuple(make_drive(duration=1.0, name=f"{i:03d}") for i in range(len(conditions)))
+        strata = tuple("-".join(c) for c in conditions)
+        design = Design(drives, tuple(conditions), strata, CONFIG)
+        chosen = shown_drives(design)
+        assert set(chosen) <= set(design.split(CONFIG.trials - 1)[1])
+        return [conditions[i] for i in chosen]
+
+    few = [(m, e) for m in "ab" for e in "xy" for _ in range(4)]
+    assert shown(few) == [("a", "x"), ("a", "y"), ("b", "x"), ("b", "y")]
+    many = [(m, e) for m in "abcd" for e in "wxyz" for _ in range(4)]
+    assert shown(many) == [("a", "w"), ("b", "x"), ("c", "y"), ("d", "z")]
+    assert shown([("all", "all")] * 60) == [("all", "all")] * 10
+
+
+# ---- what the page says ----
+
+
+def test_it_says_what_the_study_found(study: Study):
+    report = read_report(study.folder)
+    row = study.results.summary("honest", "pso-ukf", "position_rmse_m")
+    assert row is not None
+    assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
+    _, two, three = section(study.folder, "The paper's tables").tables
+    intervals = (tuple(row[k]) for k in ("trial_interval", "corrected_t_interval", "bootstrap_interval"))
+    assert ("PSO-UKF (honest)", 0.5, (0.46, 0.54), row["mean"], row["sd"], *intervals) in two.rows
+    assert "over trials, as in the paper" in two.columns[5].title
+    heading, drift = (
+        study.results.summary("untuned", "ukf-datasheet", m) for m in ("heading_rmse_deg", "outage_drift_m")
+    )
+    assert heading is not None
+    assert drift is not None
+    theirs = {row[0]: row for row in three.rows}["UKF, manual: data sheet"]
+    assert (theirs[1], theirs[2], theirs[4], theirs[5]) == (2.1, heading["mean"], 7.5, drift["mean"])
+    assert report.versions["numpy"] == np.__version__
+    command, *_ = app.parse_args(shlex.split(report.command)[1:], exit_on_error=False, print_error=False)
+    assert command.__name__ == "study"
+    assert html_page(report).count("data-chart=") == PLOTS - 2
+
+
+def test_table_i_has_the_paper_s_measure_and_ours(study: Study):
+    rows = {row[0]: row for row in section(study.folder, "The paper's tables").tables[0].rows}
+    assert rows["raw GPS"][1:3] == (None, 0.0)
+    assert rows["IMU only"][1] == 21606.59
+    found = study.results.summary("paper", "pso-ukf", "gps_rmse_m")
+    assert found is not None
+    assert rows["PSO-UKF (paper)"][2] == found["mean"]
+
+
+def test_run_times_stand_beside_the_paper_s(study: Study, copy: Path):
+    timings = json.loads((study.folder / "timings.json").read_text())["live_filter"]["UKF"]
+    wanted = ("UKF", 1.2, timings["predict_ms"], timings["predict_and_update_ms"])
+    assert wanted in section(study.folder, "Run time").tables[0].rows
+    (copy / "timings.json").unlink()
+    assert "Run time" not in {s.title for s in read_report(copy).sections}
+
+
+def test_convergence_says_where_it_settles(study: Study):
+    found = section(study.folder, "Convergence")
+    rows = study.results.content["convergence"]
+    assert [row[1] for row in found.tables[0].rows] == [row["stable"] for row in rows]
+    diamond = found.charts[0].traces[-1]
+    assert (diamond["x"], diamond["y"]) == ([rows[0]["stable"]], [rows[0]["median"][rows[0]["stable"] - 1]])
+
+
+def test_boxes_are_of_one_value_a_drive(study: Study):
+    with (study.folder / "scores.csv").open() as file:
+        rows = [
+            row
+            for row in csv.DictReader(file)
+            if (row["protocol"], row["method"], row["measure"]) == ("honest", "pso-ekf", "outage_drift_m")
+        ]
+    means = [
+        np.mean([float(r["value"]) for r in rows if r["drive"] == d]) for d in {r["drive"] for r in rows}
+    ]
+    (spread,) = [
+        s
+        for s in read_spreads(study.folder)
+        if (s.protocol, s.method, s.measure) == ("honest", "pso-ekf", "outage_drift_m")
+    ]
+    found = [spread.low, spread.first, spread.median, spread.third, spread.high]
+    assert found == pytest.approx(np.quantile(means, [0.05, 0.25, 0.5, 0.75, 0.95]))
+    assert spread.failed == 0
+    drift = section(study.folder, "Spread over drives, and consistency").charts[2]
+    honest = next(t for t in drift.traces if t["name"] == "honest")
+    at = honest["y"].index("PSO-EKF (honest)")
+    assert [honest[k][at] for k in ("lowerfence", "q1", "median", "q3", "upperfence")] == found
+
+
+def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
+    lines = ["protocol,trial,method,drive,maneuver,environment,measure,value"]
+    lines += [
+        f"honest,{t},pso-ukf,d{d},all,all,nis,{v}" for t, d, v in ((0, 1, 1.0), (1, 1, 3.0), (0, 2, "inf"))
+    ]
+    (tmp_path / "scores.csv").write_text("\n".join(lines) + "\n")
+    (spread,) = read_spreads(tmp_path)
+    assert (spread.median, spread.failed) == (2.0, 1)
+
+
+def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Path):
+    results = json.loads((copy / "results.json").read_text())
+    for row in results["summary"]:
+        if (row["protocol"], row["method"], row["measure"]) == ("honest", "pso-ukf", "nis"):
+            row["mean"] = 5.0
+    for tuned in results["tunings"]:
+        tuned["cost"] = 1.0 + tuned["trial"]
+    (copy / "results.json").write_text(json.dumps(results))
+    remarks = read_report(copy).remarks
+    assert any("honest: PSO-UKF is too sure of itself: its mean NIS is 5" in r for r in remarks)
+    assert any("honest: luck matters" in r and "from 1 to 2 m" in r for r in remarks)
+
+
+def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
+    config = CONFIG.model_copy(update={"per_condition": True, "generations": 2})
+    done = run_study(config, tmp_path)
+    save_study_tracks(done, tmp_path)
+    found = section(tmp_path, "Convergence")
+    assert [c.title for c in found.tables[0].columns][1] == "drives"
+    assert [t["name"] for t in found.charts[0].traces if t.get("name")] == ["cruise-clear", "turns-clear"]
+    turning = load_tracks(tmp_path / "tracks.npz")[1]
+    drive = next(d for d in done.design.drives if d.name == turning.name)
+    estimate = run_filter(drive, done.parameters[Task("honest", "pso-ukf", "turns-clear", 1)])
+    assert turning.series["honest-pso-ukf"]["x"][-1] == pytest.approx(estimate.mean[-1, 0], rel=1e-6)
+
+
+# ---- folders that lack something ----
+
+Edit = Callable[[Path], object]
+MISTAKES: dict[str, tuple[Edit, str]] = {
+    "foreign results": (
+        lambda f: (f / "results.json").write_text("{}"),
+        "results.json: config: Field required",
+    ),
+    "no scores": (lambda f: (f / "scores.csv").unlink(), "scores.csv: not readable"),
+    "foreign scores": (lambda f: (f / "scores.csv").write_text("a,b\n1,2\n"), "scores.csv: not readable"),
+    "words for numbers": (
+        lambda f: (f / "scores.csv").write_text("protocol,method,measure,drive,value\na,b,c,d,e\n"),
+        "scores.csv: not readable",
+    ),
+    "foreign timings": (lambda f: (f / "timings.json").write_text("[]"), "timings.json: the file:"),
+    "damaged tracks": (lambda f: (f / "tracks.npz").write_bytes(b"PK\3\4"), "tracks.npz: not readable"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_damaged_folder_gets_one_clear_line(copy: Path, mistake: str):
+    edit, said = MISTAKES[mistake]
+    edit(copy)
+    with pytest.raises(InputError) as caught:
+        html_page(read_report(copy))
+    assert str(caught.value).startswith(f"{copy}/{said}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_study_without_tracks_has_a_page(copy: Path):
+    (copy / "tracks.npz").unlink()
+    assert '<div id="tracks">' not in html_page(read_report(copy))
+
+
+# ---- in a browser ----
+
+
+@pytest.fixture(scope="module")
+def pages(browser, study: Study, tmp_path_factory: pytest.TempPathFactory) -> dict[int, Opened]:
+    """The page, alone in a folder, on a screen and on a phone."""
+    file = tmp_path_factory.mktemp("alone") / "study.html"
+    file.write_text(html_page(read_report(study.folder)))
+    return {width: Opened(browser, file, width) for width in (390, 1280)}
+
+
+@pytest.fixture
+def opened(pages: dict[int, Opened]) -> Iterator[Callable[..., Opened]]:
+    yield lambda width=1280: pages[width]
+    for one in pages.values():
+        one.check_silence()
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_every_plot_is_drawn_and_fits_the_screen(opened, width: int):
+    page = opened(width)
+    assert len(page.drawn()) == PLOTS
+    assert min(page.drawn()) > 0
+    assert page.width() <= width
+
+
+def test_drives_methods_and_the_filter_judged_can_be_chosen(opened, study: Study):
+    page = opened()
+    tracks = load_tracks(study.folder / "tracks.npz")
+    assert page.run("[...document.getElementById('drive').options].map((o) => o.text)") == [
+        t.name for t in tracks
+    ]
+    names = "document.getElementById('{}').data.map((t) => t.name)"
+    first = ["raw GPS", "PSO-UKF (paper)", "PSO-UKF (honest)", "truth", "this moment"]
+    assert page.run(names.format("map")) == first
+    page.page.check("#method-honest-pso-planar8")
+    assert "PSO-UKF, planar8 (honest)" in page.run(names.format("errors"))
+    page.page.select_option("#drive", index=1)
+    shown = "document.getElementById('{}').data.find((t) => t.name === '{}').{}"
+    honest = page.run(shown.format("map", "PSO-UKF (honest)", "x"))
+    assert honest == pytest.approx(tracks[1].series["honest-pso-ukf"]["x"], abs=1e-3)
+    assert len(page.run("[...document.getElementById('sigma').options]")) == 6 + 1
+    page.page.select_option("#sigma", label="UKF, manual: data sheet")
+    nis = page.run(shown.format("errors", "NIS", "y"))
+    assert nis == pytest.approx(tracks[1].series["ukf-datasheet.nis"]["nis"], abs=1e-3)
+    page.page.select_option("#sigma", label="none")
+    assert not {"NIS", "3 sigma"} & set(page.run(names.format("errors")))
+
+
+def test_tables_sort_also_by_intervals(opened):
+    table = opened().page.locator("table.sortable").nth(1)
+    head = table.locator("th").nth(6)
+    assert "new drives: corrected t" in head.inner_text()
+    head.locator("button").click()
+    cells = table.evaluate(
+        "(t) => [...t.tBodies[0].rows].map((r) => [r.cells[6].dataset.value, r.cells[6].innerText])"
+    )
+    known = [(float(value), text) for value, text in cells if value is not None]
+    assert [value for value, _ in known] == sorted(value for value, _ in known)
+    assert len(known) > 10
+    assert all(float(text.split(" to ")[0]) == pytest.approx(value, rel=0.01) for value, text in known)
+
+
+def test_it_prints(opened, tmp_path: Path):
+    assert 0 < opened().width_on_paper(tmp_path / "page.pdf") <= 680
