@@ -14,7 +14,7 @@ from sigmaswarm.study.statistics import summarize
 NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over drives and trials")
 DRIVE_SPREAD, BOTH_SPREAD = 0.35, 0.05
 """Standard deviations of the logarithms of the factors."""
-TRIAL_SPREADS = (0.0, 0.01, 0.03)
+TRIAL_SPREADS = (0.0, 0.01, 0.03, 0.2)
 """The same of the trial's factor: how much the optimizer's luck matters."""
 
 

@@ -46,8 +46,9 @@ def build(
     if main:
         source = folder / "main.c"
         source.write_text(main)
+    sources = [folder / "ins_gps.c", folder / "ins_gps_align.c", source]
     program = folder / "program"
-    command = [compiler, *STRICT, "-O2", *flags, folder / "ins_gps.c", source, "-lm", "-o", program]
+    command = [compiler, *STRICT, "-O2", *flags, *sources, "-lm", "-o", program]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return program
@@ -59,7 +60,7 @@ def replay(program: Path, drive: Drive) -> Replayed:
     assert done.returncode == 0, done.stderr
     rows = np.loadtxt(done.stdout.splitlines(), delimiter=",", skiprows=1)
     n = (rows.shape[1] - 1) // 2
-    return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :])
+    return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :] ** 2)
 
 
 def run_script(folder: Path, parameters: FilterParameters, drive: Drive | Path) -> Replayed:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
 
@@ -38,3 +38,17 @@ def equipped(duration: float = 24.0) -> Drive:
     course = np.interp(t, truth.time, np.unwrap(np.arctan2(truth.vy, truth.vx)))
     gps = replace(drive.gps, speed=speed, course=course)
     return replace(drive, gps=gps, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})
+
+
+@cache
+def two_receivers() -> Drive:
+    """The drive with a second receiver that has the first one's clock; some of their fixes lie on IMU samples."""
+    drive, rng = equipped(), np.random.default_rng(1)
+    gps, imu = drive.gps, drive.imu.time
+    assert gps.speed is not None
+    assert gps.course is not None
+    time = np.where(np.arange(len(gps)) % 2, gps.time, imu[np.searchsorted(imu, gps.time)])
+    again = np.repeat(np.arange(len(gps)), 2)
+    moved = rng.normal(0.0, 0.5, (2, len(again)))
+    more = {"speed": gps.speed[again], "course": gps.course[again]}
+    return replace(drive, gps=Gps(time[again], gps.x[again] + moved[0], gps.y[again] + moved[1], **more))

@@ -33,6 +33,25 @@ def simulated() -> Drive:
     return Drive("bagged", drive.imu, gps, drive.truth, "wgs84", ORIGIN)
 
 
+def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, tuned: Path):
+    from rosbags.highlevel import AnyReader
+
+    write_ros(here / "monday", messages(simulated()), "mcap")
+    assert sigmaswarm("import", "monday", "drive").code == 0
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--beside", "monday")
+    assert (ended.code, ended.err) == (0, "")
+    with AnyReader([here / "monday"]) as before, AnyReader([here / "estimate.ros2"]) as after:
+        counts = {topic: info.msgcount for topic, info in after.topics.items()}
+        assert counts.pop("/sigmaswarm/odometry") > 1000
+        assert counts == {topic: info.msgcount for topic, info in before.topics.items()}
+        assert before.start_time <= after.start_time and after.end_time <= before.end_time
+    ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.tum", "--beside", "monday")
+    assert (ended.code, ended.out, ended.err.count("\n")) == (2, "", 1)
+    ended = sigmaswarm("run", tuned, "drive", "--out", "e.ros2", "--beside", "tuesday")
+    assert ended.code == 2
+    assert "tuesday: no such bag" in ended.err
+
+
 def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     drive = simulated()
     write_ros(here / "bag", messages(drive))

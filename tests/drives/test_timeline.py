@@ -35,7 +35,7 @@ def walk(drive: Drive, start: float) -> Naive:
             steps.dt.append(gps[j] - now)
             steps.sample.append(k)
             steps.fix.append(j)
-            steps.sampled.append(gps[j] == t_k)
+            steps.sampled.append(gps[j] == t_k and j == waiting[-1])
             now = gps[j]
         if now < t_k:
             steps.dt.append(t_k - now)
@@ -56,13 +56,10 @@ def drive_of(imu_ticks: list[int], gps_ticks: list[int]) -> Drive:
     )
 
 
-ticks = st.lists(st.integers(-100, 300), unique=True)
-
-
 @st.composite
 def drives_and_starts(draw) -> tuple[Drive, float]:
     imu = draw(st.lists(st.integers(-100, 300), min_size=2, max_size=40, unique=True))
-    gps = draw(st.lists(st.integers(-150, 350), min_size=1, max_size=40, unique=True))
+    gps = draw(st.lists(st.integers(-150, 350), min_size=1, max_size=40))  # of two receivers, perhaps
     start = draw(st.integers(min(imu), max(imu) - 1)) * TICK
     return drive_of(imu, gps), start
 
@@ -93,7 +90,9 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
     drive, start = case
     line = build_timeline(drive, start)
     end = drive.imu.time[-1]
-    assert np.all(line.dt > 0)
+    again = np.flatnonzero(line.dt == 0)  # only where two fixes have one time
+    assert np.all(line.dt >= 0)
+    assert np.all(line.absorbs[again] & line.absorbs[again - 1])
     assert line.dt.sum() == end - start
     assert line.sampled[-1]
     assert line.imu_time.tolist() == [t for t in drive.imu.time if t > start]
@@ -128,6 +127,15 @@ def test_several_fixes_in_one_interval():
     assert (line.dt / TICK).tolist() == [8, 1, 1, 5, 1]
     assert line.ax.tolist() == [1, 2, 2, 2, 2]
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25]
+
+
+def test_two_fixes_of_one_time():
+    line = build_timeline(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0, np.array([0, 1, 1, 0, 0], dtype=bool))
+    assert (line.dt / TICK).tolist() == [3, 0, 5, 0, 3, 5]
+    assert line.absorbs.tolist() == [True, False, False, True, True, False]
+    assert line.hides.tolist() == [False, True, True, False, False, False]
+    assert line.sampled.tolist() == [False, False, False, True, False, True]
+    assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25, 3.25, 4.25]
 
 
 def test_fixes_up_to_the_start_and_after_the_last_sample_are_dropped():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
@@ -70,6 +70,23 @@ def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):
 
 
 @needs_gcc
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
+    p = given("planar8", kind, "all")
+    theirs = replay(build(tmp_path, p), two_receivers())
+    assert distance(theirs.mean, run_filter(two_receivers(), p).mean) < 1e-11
+
+
+@needs_gcc
+@pytest.mark.parametrize("option", ["plain", "all"])
+def test_the_same_message_again_is_left_out(tmp_path: Path, option: str):
+    program = build(tmp_path, given("planar5", "ukf", option))
+    rows = replay_rows(equipped()).splitlines()
+    twice = [row for row in rows for _ in range(2 if row.startswith("fix") else 1)]
+    np.testing.assert_array_equal(_last_row(program, twice), _last_row(program, rows))
+
+
+@needs_gcc
 def test_float_is_off_by_millimetres(tmp_path: Path):
     p = given("planar8", "ukf", "all")
     off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), equipped()).mean - run_filter(equipped(), p).mean
@@ -115,7 +132,7 @@ def _last_row(program: Path, rows: list[str]) -> np.ndarray:
 def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
     for model, kind, option in CASES:
         export_filter(given(model, kind, option), "c99", tmp_path)
-        command = ["clang", *STRICT, *flags, "-fsyntax-only", tmp_path / "ins_gps.c", tmp_path / "replay.c"]
+        command = ["clang", *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
 
@@ -125,7 +142,7 @@ def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
 def test_gcc_has_nothing_to_say_of_any_filter(tmp_path: Path, flags: tuple[str, ...]):
     for model, kind, option in CASES:
         export_filter(given(model, kind, option), "c99", tmp_path)
-        command = ["gcc", *STRICT, *flags, "-fsyntax-only", tmp_path / "ins_gps.c", tmp_path / "replay.c"]
+        command = ["gcc", *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
 

@@ -14,7 +14,7 @@ from support import make_drive
 P = tuned("planar5", "ukf", 0.01, everything=False)
 FILES = {
     "filterpy": ["run_filter.py"],
-    "c99": ["ins_gps.h", "ins_gps.c", "replay.c"],
+    "c99": ["ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c"],
     "robot_localization": ["robot_localization.yaml"],
 }
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter as FilterPyEkf
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
@@ -34,6 +34,14 @@ def difference(a: Estimate, b: Estimate) -> float:
 def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     assert difference(run_filter(equipped(), p), run_reference(equipped(), p)) < 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_compiled_is_the_textbook_s_with_two_receivers(model: str, kind: str):
+    p, initial = parameters(model, kind=kind, **OPTIONS["all"]), initial_state(equipped())
+    compiled, textbook = (run(two_receivers(), p, initial=initial) for run in (run_filter, run_reference))
+    assert difference(compiled, textbook) < 1e-9
 
 
 def test_the_options_matter():

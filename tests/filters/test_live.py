@@ -2,17 +2,20 @@
 
 import math
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.compiled.live import take_fix, take_sample
+from sigmaswarm.filters.live import MOST_WAITING, LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from support import DRIVES, needs_shared
@@ -68,6 +71,54 @@ def test_late_fixes_take_it_back_and_forward(kind: str, late: float):
     assert np.max(np.abs(means - run.mean)) > 1e-3  # in between it knew less
 
 
+@pytest.mark.parametrize("late", [0.0, 0.05])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_two_fixes_of_one_time_are_both_absorbed(model: str, kind: str, late: float):
+    p, drive = parameters(model, kind=kind, **OPTIONS["all"]), two_receivers()
+    run = run_filter(drive, p, initial=start())
+    assert run.failure is None
+    means, covariances, filter = live(drive, p, start(), late)
+    if not late:
+        np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
+    assert filter.too_late == 0
+    one = run_filter(replace(drive, gps=drive.gps.select(slice(0, None, 2))), p, initial=start())
+    assert np.max(np.abs(one.mean - run.mean)) > 1e-3
+
+
+def test_the_same_message_again_is_left_out():
+    p = parameters("planar5", **OPTIONS["all"])
+    once, twice = (LiveFilter(p, start(), nominal_interval=0.01) for _ in range(2))
+    t0 = start().time
+    for k in range(1, 101):
+        t = t0 + 0.01 * k
+        if k % 20 == 5:
+            fix = t - 0.004, (0.1 * k, -0.1 * k), (10.0, 1.0)
+            assert once.update(*fix)
+            assert twice.update(*fix)
+            assert not twice.update(*fix)
+        for filter in (once, twice):
+            filter.predict(t, (0.1, 0.2, 0.05))
+        if k % 20 == 7:
+            assert not twice.update(*fix)  # late
+    assert twice.state.mean.tobytes() == once.state.mean.tobytes()
+    assert twice.too_late == 0
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
+    plain, mixed = (LiveFilter(parameters("planar5"), start(), nominal_interval=0.01) for _ in range(2))
+    t0 = math.ceil(start().time)
+    plain.update(t0 + 0.5, (1.0, 2.0))
+    plain.predict(float(t0 + 1), (0.0, 1.0, 0.5))
+    mixed.update(np.float64(t0 + 0.5), np.array([1, 2]))
+    mixed.predict(t0 + 1, (0, np.float32(1.0), np.float16(0.5)))
+    assert mixed.state.mean.tobytes() == plain.state.mean.tobytes()
+    assert len(take_sample.signatures) == len(take_fix.signatures) == 1
+
+
 def test_fixes_older_than_the_history_are_left_out_and_counted():
     drive, p = equipped(), parameters("planar5")
     _, _, filter = live(drive, p, start(), 0.5, history=0.2)
@@ -89,21 +140,15 @@ def test_live_is_the_run_on_a_real_drive_with_a_standstill():
     )
 
 
-def test_what_it_keeps_is_bounded():
-    p = parameters("planar8", **OPTIONS["all"])
-    filter = LiveFilter(p, start(), nominal_interval=0.01)
+def test_fixes_that_wait_for_a_silent_imu_are_bounded():
+    filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01)
     t0 = start().time
-    sizes = []
-    for k in range(1, 20_001):
-        t = t0 + 0.01 * k
-        if k % 20 == 10:
-            filter.update(t - 0.004, (0.0, 0.0))
-        filter.predict(t, (0.01 * math.sin(k), 0.0, 0.0))
-        if k % 5000 == 0:
-            sizes.append(
-                [len(filter._history), len(filter._fixes), len(filter._waiting), len(filter._window)]
-            )
-    assert sizes[0] == sizes[1] == sizes[2] == sizes[3]
+    taken = [filter.update(t0 + 0.01 + 1e-4 * k, (0.0, 0.0)) for k in range(3000)]
+    assert MOST_WAITING <= sum(taken) < 2 * MOST_WAITING
+    assert filter.too_late == 3000 - sum(taken)
+    for k in range(500):
+        filter.predict(t0 + 0.5 + 0.01 * k, (0.0, 0.0, 0.0))  # the first one takes them all
+    assert filter.update(t0 + 6.0, (0.0, 0.0))  # and later there is room again
     assert not filter.state.failed
 
 

@@ -14,6 +14,7 @@ def run(
     out: Path,
     origin: str | None = None,
     truth: Path | None = None,
+    beside: Path | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
@@ -26,6 +27,7 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.csv
         sigmaswarm run tuned drives/friday --out estimate.tum --truth truth.tum
         sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
+        sigmaswarm run tuned drives/friday --out estimate.ros2 --beside friday.mcap
 
     Parameters
     ----------
@@ -39,13 +41,16 @@ def run(
         LAT,LON in degrees of x = y = 0, for maps of a drive that does not say it.
     truth
         Also write the drive's truth, in the format that this file's ending names.
+    beside
+        For --out NAME.ros2: the ROS 2 bag that the drive was imported from; its messages are copied into the new bag
+        beside the estimate, byte for byte.
     json
         Print a summary for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.errors import InputError, SigmaswarmError
-    from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
+    from sigmaswarm.export.trajectory import check_target, time_origin_of, true_trajectory, write_estimate
 
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -54,14 +59,16 @@ def run(
         raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
     place = place or read.origin
     true = true_trajectory(read) if truth else None
-    for path in (out, *([truth] if truth else [])):
-        check_target(path, place)
+    check_target(out, place, beside)
+    if truth:
+        check_target(truth, place)
     estimate = sigmaswarm.run_filter(read, parameters)
     if estimate.failure:
         raise SigmaswarmError(estimate.failure)
-    write_estimate(estimate, out, origin=place)
+    began = time_origin_of(read)
+    write_estimate(estimate, out, origin=place, time_origin=began, beside=beside)
     if truth and true:
-        write_estimate(true, truth, origin=place)
+        write_estimate(true, truth, origin=place, time_origin=began)
     first, last = float(estimate.time[0]), float(estimate.time[-1])
     if json:
         print_json({"out": str(out), "estimates": len(estimate.time), "start_s": first, "end_s": last})

@@ -67,7 +67,7 @@ class Gps(_Table):
 
     Attributes
     ----------
-    time : s, strictly increasing
+    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, which are absorbed in order
     x, y : m east and north of the drive's origin
     lat, lon, alt : deg, deg, m: the fixes as recorded, where the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation

@@ -50,23 +50,30 @@ def new_floor() -> Array:
 
 @njit(cache=True)
 def is_calm(samples: Array, last: int, floor: Array) -> bool:
-    """Whether the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated."""
-    first = last
-    while first > 0 and samples[first - 1, 0] >= samples[last, 0] - WINDOW:
+    """Whether the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated.
+
+    All three columns in one pass for the means and one for the variances: a live filter asks at each of its samples.
+    """
+    now, first = samples[last, 0], last + 1
+    ax, ay, gz = 0.0, 0.0, 0.0
+    while first > 0 and samples[first - 1, 0] >= now - WINDOW:
         first -= 1
-    if last - first < 4 or samples[last, 0] - samples[first, 0] < 0.8 * WINDOW:
+        ax += samples[first, 1]
+        ay += samples[first, 2]
+        gz += samples[first, 3]
+    n = last + 1 - first
+    if n < 5 or now - samples[first, 0] < 0.8 * WINDOW:
         return False
+    ax, ay, gz = ax / n, ay / n, gz / n
+    xx, yy, zz = 0.0, 0.0, 0.0
+    for k in range(first, last + 1):
+        xx += (samples[k, 1] - ax) ** 2
+        yy += (samples[k, 2] - ay) ** 2
+        zz += (samples[k, 3] - gz) ** 2
+    dt = now - samples[last - 1, 0]
     calm = abs(samples[last, 3]) < TURNING
-    for c in range(3):
-        mean = 0.0
-        for k in range(first, last + 1):
-            mean += samples[k, 1 + c]
-        mean /= last + 1 - first
-        variance = 0.0
-        for k in range(first, last + 1):
-            variance += (samples[k, 1 + c] - mean) ** 2
-        restless = math.sqrt(variance / (last + 1 - first))
-        dt = samples[last, 0] - samples[last - 1, 0]
+    for c, total in enumerate((xx, yy, zz)):
+        restless = math.sqrt(total / n)
         if not floor[c] < math.inf:
             floor[c] = restless
         elif restless < floor[c]:

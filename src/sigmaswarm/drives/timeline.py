@@ -1,7 +1,8 @@
 """The merged time line: which step a filter takes when, and what it absorbs at the step's end.
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
-driven by the same sample, and is absorbed at its own time. Each step uses its true dt. Process noise is the
+driven by the same sample, and is absorbed at its own time. Two fixes of one moment, as two receivers give them, are
+absorbed one after the other: the second one's step has no length. Each step uses its true dt. Process noise is the
 variance added per nominal interval (the median) and scales with dt / nominal, so over a gap in the IMU's
 samples it grows with the gap's length.
 """
@@ -81,7 +82,12 @@ def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None 
     imu = drive.imu.time[drive.imu.time > start]
     usable = (drive.gps.time > start) & (drive.gps.time <= drive.imu.time[-1])
     fix_time = drive.gps.time[usable]
-    ends = np.union1d(imu, fix_time)
+    moments = np.union1d(imu, fix_time)
+    fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
+    ends = np.repeat(moments, np.maximum(1, fixes_there))
+    meets = np.isin(ends, fix_time)
+    hides = np.zeros(len(ends), dtype=np.bool_)
+    hides[meets] = hidden[usable]
     sample = np.searchsorted(drive.imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
@@ -97,9 +103,9 @@ def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None 
         ay=drive.imu.ay[sample],
         gz=drive.imu.gz[sample],
         q_scale=dt / nominal,
-        absorbs=np.isin(ends, drive.gps.time[usable & ~hidden]),
-        hides=np.isin(ends, drive.gps.time[usable & hidden]),
-        sampled=np.isin(ends, imu),
+        absorbs=meets & ~hides,
+        hides=hides,
+        sampled=np.isin(ends, imu) & np.append(ends[1:] != ends[:-1], True),
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
         has_velocity=has_velocity,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from operator import itemgetter
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from sigmaswarm.export.features import features_of, listed, plain, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
 
-FILES = ("ins_gps.h", "ins_gps.c", "replay.c")
+FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
 
 
 def c99(parameters: FilterParameters, interval: float) -> dict[str, str]:
-    """Header, source and the replaying program, by file name; ``interval`` (s) is what Q refers to."""
+    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to."""
     features = features_of(parameters)
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
@@ -34,7 +35,9 @@ def replay_rows(drive: Drive) -> str:
     start = (initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel())
     events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
     events += [(t, 1, _row("imu", (t, *u))) for t, *u in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True)]
-    return "\n".join([_row("start", start), *(row for *_, row in sorted(events))]) + "\n"
+    return (
+        "\n".join([_row("start", start), *(row for *_, row in sorted(events, key=itemgetter(0, 1)))]) + "\n"
+    )
 
 
 def _fixes(gps: Gps) -> list[list[float]]:
@@ -72,5 +75,5 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "GYRO_NOTE": ", and all that the gyro shows is its bias" if p.model == "planar8" else "",
-        "CSV_HEADER": ",".join(["t", *names, *(f"var_{name}" for name in names)]),
+        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }

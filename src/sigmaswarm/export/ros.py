@@ -1,9 +1,15 @@
-"""An estimate as a ROS 2 bag with one topic, /sigmaswarm/odometry (nav_msgs/Odometry); needs the extra ``ros``.
+"""An estimate as a ROS 2 bag, perhaps beside the topics of one that was recorded; needs the extra ``ros``.
 
-The pose is in ``map``, east-north-up; the twist in ``base_link``, forward and left, as REP-105 and the message ask.
+The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``, east-north-up; its twist in
+``base_link``, forward and left, as REP-105 and the message ask.
 """
 
+import heapq
 import math
+import shutil
+from collections.abc import Iterator
+from contextlib import nullcontext
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +17,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.export.beside import RawMessage, recording
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 
@@ -19,31 +26,61 @@ NOT_ESTIMATED = 1e6
 """The variance that is stated for what a filter in the plane says nothing of: height, roll, pitch, the rates."""
 
 
-def ros2(estimate: Estimate, path: Path) -> None:
+def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Path | None = None) -> None:
     """Write a bag, which is a folder, with MCAP storage.
+
+    Parameters
+    ----------
+    estimate : Estimate
+    path : Path
+        Not there yet.
+    time_origin : float
+        s on the bag's clock at which the estimate's times are 0.
+    beside : Path, optional
+        A ROS 2 bag whose messages are copied into this one, byte for byte, in the order of their times.
 
     Raises
     ------
     InputError
-        If rosbags is not installed, or a time is before 0.
+        If rosbags is not installed, a time is before 0, or ``beside`` is no bag of these times, is damaged, or has the
+        topic already. Nothing is left behind then.
+
+    Warns
+    -----
+    SigmaswarmWarning
+        Of topics that could not be copied.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
         raise InputError(f"{path}: a bag needs rosbags; install it with: pip install rosbags") from None
-    if estimate.time[0] < 0:
-        raise InputError(
-            f"{path}: a bag has no times before 0 (is {estimate.time[0]:g} s); shift the drive's times"
-        )
+    first, last = (float(estimate.time[i]) + time_origin for i in (0, -1))
+    if first < 0:
+        raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")
     store = get_typestore(Stores.ROS2_HUMBLE)
-    covariances = _planes(estimate)
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
-        for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, covariances, strict=True):
-            nanoseconds = round(float(t) * 1e9)
-            message = _odometry(store.types, nanoseconds, mean, pose, twist)
-            writer.write(connection, nanoseconds, store.serialize_cdr(message, "nav_msgs/msg/Odometry"))
+    with recording(beside) if beside else nullcontext() as recorded:
+        if recorded:
+            recorded.require_span(round(first * 1e9), round(last * 1e9))
+            if TOPIC in recorded.topics:
+                raise InputError(f"{beside}: has {TOPIC} already; name the bag as it was recorded")
+        try:
+            with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+                originals = recorded.add_to(writer) if recorded else iter(())
+                connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
+                estimates = _messages(estimate, store, connection, time_origin)
+                for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
+                    writer.write(to, nanoseconds, raw)
+        except BaseException:
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+
+
+def _messages(estimate: Estimate, store: Any, connection: Any, time_origin: float) -> Iterator[RawMessage]:
+    for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, _planes(estimate), strict=True):
+        nanoseconds = round(float(t) * 1e9) + round(time_origin * 1e9)  # apart, so that no digit is lost
+        message = _odometry(store.types, nanoseconds, mean, pose, twist)
+        yield nanoseconds, connection, store.serialize_cdr(message, "nav_msgs/msg/Odometry")
 
 
 def _planes(estimate: Estimate) -> list[tuple[Array, Array]]:

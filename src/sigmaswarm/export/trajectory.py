@@ -17,7 +17,14 @@ from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import enu_to_geodetic
 
 
-def write_estimate(estimate: Estimate, path: str | Path, *, origin: Origin | None = None) -> None:
+def write_estimate(
+    estimate: Estimate,
+    path: str | Path,
+    *,
+    origin: Origin | None = None,
+    time_origin: float = 0.0,
+    beside: str | Path | None = None,
+) -> None:
     """Write an estimate in the form that the file's ending names.
 
     ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise.
@@ -33,29 +40,44 @@ def write_estimate(estimate: Estimate, path: str | Path, *, origin: Origin | Non
     path : str or Path
     origin : (latitude deg, longitude deg, altitude m), optional
         Where x = y = 0 is on the earth; the last three formats need it.
+    time_origin : float
+        s at which the estimate's times are 0 on the clock of the log that it was made of, as `time_origin_of` a drive
+        says it; for bags and maps, which have their times on that clock.
+    beside : str or Path, optional
+        .ros2: a ROS 2 bag whose messages are copied beside the estimate, byte for byte.
 
     Raises
     ------
     InputError
-        If the ending is another, the folder does not exist, or a needed origin is not given.
+        If the ending is another, the folder does not exist, a needed origin is not given, or ``beside`` can't be used.
     """
     path = Path(path)
-    check_target(path, origin)
+    check_target(path, origin, beside)
     if path.suffix in MAPS and origin is not None:  # which has been checked
         east_north_up = np.column_stack([estimate.mean[:, :2], np.zeros(len(estimate.time))])
-        MAPS[path.suffix](estimate.time, enu_to_geodetic(east_north_up, origin)[:, :2], path)
+        MAPS[path.suffix](estimate.time + time_origin, enu_to_geodetic(east_north_up, origin)[:, :2], path)
+    elif path.suffix == BAG:
+        ros2(estimate, path, time_origin=time_origin, beside=Path(beside) if beside else None)
     else:
         _WRITERS[path.suffix](estimate, path)
 
 
-def check_target(path: Path, origin: Origin | None = None) -> None:
+def time_origin_of(drive: Drive) -> float:
+    """s on its log's clock at which a drive's times are 0: what an import took off, else 0."""
+    stated = drive.metadata.get("time_origin_s", 0.0)
+    return float(stated) if isinstance(stated, int | float) else 0.0
+
+
+def check_target(path: Path, origin: Origin | None = None, beside: str | Path | None = None) -> None:
     """Raise `InputError` where `write_estimate` could not write, before any work is done."""
-    endings = [*_WRITERS, *MAPS]
+    endings = [*_WRITERS, BAG, *MAPS]
     if path.suffix not in endings:
         raise InputError(
             f"{path}: can't tell the format; end the name in {', '.join(endings[:-1])} or {endings[-1]}"
         )
-    if path.suffix == ".ros2" and path.exists():
+    if beside and path.suffix != BAG:
+        raise InputError(f"{path}: --beside copies a bag's messages into a bag; end the name in {BAG}")
+    if path.suffix == BAG and path.exists():
         raise InputError(f"{path}: exists already; delete it, or choose another name")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
@@ -128,10 +150,11 @@ def _kitti(estimate: Estimate, path: Path) -> None:
     np.savetxt(path, np.column_stack(pose), fmt="%.9f")
 
 
+BAG = ".ros2"
+"""A folder; written by `ros2`, which takes more than an estimate."""
 _WRITERS: dict[str, Callable[[Estimate, Path], None]] = {
     ".csv": _csv,
     ".mat": _mat,
     ".tum": _tum,
     ".kitti": _kitti,
-    ".ros2": ros2,
 }

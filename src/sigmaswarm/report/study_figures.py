@@ -53,7 +53,11 @@ def study_figures(study: Study) -> dict[str, Figure]:
     """
     at = turning_drive(study)
     drive = study.design.drives[at]
-    sets = {"manual": DEFAULTS} | {p: study.best_of(p, "pso-ukf", at)[1] for p in ("paper", "honest")}
+    sets = {
+        "manual": DEFAULTS,
+        "paper": study.drawn("paper", "pso-ukf", at),
+        "honest": study.drawn("honest", "pso-ukf", at),
+    }
     initial = initial_state(drive)
     estimates = {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
     return {
@@ -66,8 +70,8 @@ def study_figures(study: Study) -> dict[str, Figure]:
 
 
 def turning_drive(study: Study) -> int:
-    """Index of the drive that is drawn: the first one of the last trial's test drives that turns, else its first."""
-    _, test = study.design.split(study.design.config.trials - 1)
+    """Index of the drive that is drawn: the first one of the shown trial's test drives that turns, else its first."""
+    _, test = study.design.split(study.shown_trial)
     turning = [i for i in test if study.design.conditions[i][0] == "turns"]
     return (turning or test)[0]
 

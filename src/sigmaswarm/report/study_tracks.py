@@ -1,11 +1,11 @@
-"""Tracks of a study: a few drives that the last trial held back, by the filters that this trial tuned."""
+"""Tracks of a study: a few drives that its best trial held back, by the filters that this trial tuned."""
 
 from pathlib import Path
 
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.report.tracks import save_tracks, tracks_of
 from sigmaswarm.study.config import ProtocolName
-from sigmaswarm.study.design import ALL, Design, Task
+from sigmaswarm.study.design import ALL, Design
 from sigmaswarm.study.run import Study
 from sigmaswarm.study.scores import manual
 
@@ -27,18 +27,18 @@ def save_study_tracks(study: Study, folder: Path) -> Path:
     drives = study.design.drives
     tracks = [
         tracks_of(drives[i], _filters(study, i), drives[i].name, MOST_POINTS)
-        for i in shown_drives(study.design)
+        for i in shown_drives(study.design, study.shown_trial)
     ]
     return save_tracks(tracks, folder / "tracks.npz")
 
 
-def shown_drives(design: Design) -> list[int]:
-    """Indices of held-out drives of the last trial: one of each condition, or of each maneuver where these are many.
+def shown_drives(design: Design, trial: int) -> list[int]:
+    """Indices of drives that a trial held back: one of each condition, or of each maneuver where these are many.
 
-    Each maneuver's comes from another part of its drives, so that environments differ, too. Of drives that name no
-    condition the first ones are taken.
+    Each maneuver's comes from another part of its drives, so that environments differ, too; one that turns comes first.
+    Of drives that name no condition the first ones are taken.
     """
-    _, test = design.split(design.config.trials - 1)
+    _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}
     if len(set(named.values())) > MOST_DRIVES:
         named = {i: (maneuver, ALL) for i, (maneuver, _) in named.items()}
@@ -46,13 +46,11 @@ def shown_drives(design: Design) -> list[int]:
     if len(groups) == 1:
         return test[:MOST_DRIVES]
     members = [[i for i in test if named[i] == group] for group in groups]
-    return [own[k * len(own) // len(groups)] for k, own in enumerate(members)]
+    chosen = [own[k * len(own) // len(groups)] for k, own in enumerate(members)]
+    return sorted(chosen, key=lambda i: design.conditions[i][0] != "turns")
 
 
 def _filters(study: Study, drive: int) -> dict[str, FilterParameters]:
-    """By series. The last trial's own tunings: the best trial's may have seen the drive."""
-    design, trial = study.design, study.design.config.trials - 1
-    group = design.strata[drive] if design.config.per_condition else ALL
-    by_hand = {method: manual(method, design.drives[drive]) for method in MANUAL}
-    tuned = {f"{p}-{m}": study.parameters[Task(p, m, group, trial)] for p, m in TUNED}
-    return tuned | by_hand
+    """By series. All of one trial, which has not seen the drive; the best of others may have."""
+    by_hand = {method: manual(method, study.design.drives[drive]) for method in MANUAL}
+    return {f"{p}-{m}": study.drawn(p, m, drive) for p, m in TUNED} | by_hand

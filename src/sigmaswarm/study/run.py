@@ -27,7 +27,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.study.config import StudyConfig, read_config
+from sigmaswarm.study.config import ProtocolName, StudyConfig, read_config
 from sigmaswarm.study.design import ALL, Design, Task, make_design
 from sigmaswarm.study.results import Results, write_results
 from sigmaswarm.study.scores import score_all
@@ -76,6 +76,20 @@ class Study:
     parameters: dict[Task, FilterParameters]
     best: dict[str, FilterParameters]
     results: Results
+
+    @property
+    def shown_trial(self) -> int:
+        """The trial whose filters are drawn, on drives that it held back: the honest PSO-UKF's lowest training cost."""
+        cost: dict[int, float] = {}
+        for task, trial in self.trials.items():
+            if (task.protocol, task.method) == ("honest", "pso-ukf"):
+                cost[task.trial] = cost.get(task.trial, 0.0) + trial.cost
+        return min(cost, key=cost.__getitem__)
+
+    def drawn(self, protocol: ProtocolName, method: str, drive: int) -> FilterParameters:
+        """The shown trial's parameters for a drive, given by its index."""
+        group = self.design.strata[drive] if self.design.config.per_condition else ALL
+        return self.parameters[Task(protocol, method, group, self.shown_trial)]
 
     def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
         """Name and parameters of the best tuning that stands for a drive, given by its index."""

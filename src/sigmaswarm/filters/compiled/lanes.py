@@ -62,9 +62,8 @@ FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 
 def kernel(function, **options):
     """Compile a function. It takes the array of rows ``w``, so that it knows of one base pointer only."""
-    return njit(
-        function, error_model="numpy", fastmath=FLAGS, nogil=True, **({"forceinline": True} | options)
-    )
+    usual = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True, "forceinline": True}
+    return njit(function, **(usual | options))
 
 
 def _inline(function):

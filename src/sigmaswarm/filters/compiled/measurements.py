@@ -177,8 +177,10 @@ def _adapt(w, since, *, n):
 
     A. P. Sage and G. W. Husa, Adaptive filtering with unknown prior statistics, JACC 1969, in the steady state of
     their weights (1 - b) / (1 - b^(k+1)). R from the residual after the update, eps eps^T + H P+ H^T, positive by
-    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken.
+    construction; Q from K nu nu^T K^T + P+ - (P- - Q), of which no negative value is taken. A second fix of the same
+    moment (since = 0) says nothing of Q.
     """
+    span = since if since > 0.0 else math.inf
     for l in range(LANES):
         g11, g12, g22 = w[G11, l], w[G12, l], w[G22, l]
         weight = 1.0 - w[FORGETTING, l] if g11 > 0.0 else 0.0  # a fix that was turned away teaches nothing
@@ -190,7 +192,7 @@ def _adapt(w, since, *, n):
             c1, c2 = w[C1 + i, l], w[C2 + i, l]
             moved = c1 * e1 + c2 * e2
             shrunk = c1 * (c1 * g11 + c2 * g12) + c2 * (c1 * g12 + c2 * g22)
-            change = (moved * moved - shrunk) / since
+            change = (moved * moved - shrunk) / span
             q = w[Q0 + i, l]
             w[Q0 + i, l] = q + weight * (change if change > -q else -q)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.drives import standstill
 from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
@@ -143,15 +144,15 @@ def _load(w, initial, constants):
         w[RECENT, l] = -1.0
 
 
-def cached_by_sources(make):
+def cached_by_sources(make, **options):
     """Compile the kernel that ``make(sources)`` gives, cached under a key that holds a hash of all kernels' sources.
 
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(standstill.__file__)]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return kernel(make(digest), cache=True, forceinline=False)
+    return kernel(make(digest), **({"cache": True, "forceinline": False} | options))
 
 
 @cached_by_sources

@@ -31,7 +31,7 @@ class SageHusa:
     forgetting: float
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Learn from a fix; ``since`` is the number of nominal steps since the last one."""
+        """Learn from a fix; ``since`` is the number of nominal steps since the last one: 0 says nothing of Q."""
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -39,7 +39,7 @@ class SageHusa:
         self.measurement_noise = r + weight * (residual**2 - r**2 * np.diag(inverse))
         moved = innovation.gain @ innovation.nu
         shrunk = np.diag(innovation.gain @ innovation.variance @ innovation.gain.T)
-        change = (moved**2 - shrunk) / since
+        change = (moved**2 - shrunk) / (since if since > 0 else np.inf)
         self.process_noise = self.process_noise + weight * np.maximum(change, -self.process_noise)
 
 

@@ -16,11 +16,11 @@ _FILES = (".bag", ".db3", ".mcap")
 def recognizes(path: Path) -> bool:
     """Whether it is a bag: by its first bytes, or a folder with metadata.yaml or bags in it."""
     if path.is_dir():
-        return bool(_paths(path))
+        return bool(bag_paths(path))
     return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")
 
 
-def _paths(path: Path) -> list[Path]:
+def bag_paths(path: Path) -> list[Path]:
     """What rosbags is to open: a bag's folder itself, or the files of one that lost its metadata."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
@@ -32,7 +32,7 @@ def open_log(path: Path) -> Generator[Source]:
     """Open a bag; definitions that a ROS 2 bag does not bring along are those of the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
-    paths = _paths(path)
+    paths = bag_paths(path)
     if not paths:
         raise InputError(
             f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"

@@ -230,7 +230,9 @@ def _tracks(file: StudyFile, folder: Path) -> tuple[Section, ...]:
     if not path.exists():
         return ()
     lines = tuple(Line(s, _series_label(file, s), look, s in SHOWN) for s, look in STUDY_LOOKS.items())
-    text = ("Drives that the last trial held back, and the filters that this trial tuned on the others.",)
+    text = (
+        "Drives that the trial with the lowest training cost held back, and the filters that it tuned on the others.",
+    )
     view = TrackView(tuple(load_tracks(path)), lines, f"honest-{TUNED}")
     return (Section("Tracks and errors over time", text, tracks=view),)
 
