@@ -1,15 +1,16 @@
-# make demo   set everything up and show the whole way: simulate, tune, evaluate, pictures
-# make test   set everything up and run the tests
-# make check  the checks beside the tests: style, types, layers
-# make bench  measure, side by side with the rivals, and write docs/benchmarks.md
-# make parity how closely the filters agree, over a whole drive
+# make demo      set everything up and show the whole way: simulate, tune, evaluate, pictures
+# make test      set everything up and run the tests
+# make check     the checks beside the tests: style, types, layers
+# make bench     measure, side by side with the rivals, and write docs/benchmarks.md
+# make parity    how closely the filters agree, over a whole drive
+# make notebook  execute examples/paper.ipynb and keep its outputs in it
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check bench parity clean
+.PHONY: demo test check bench parity notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
@@ -28,6 +29,9 @@ bench: $(VENV)/bench-installed
 
 parity: $(VENV)/test-installed
 	$(BIN)/python benchmarks/parity.py
+
+notebook: $(VENV)/test-installed
+	$(BIN)/python examples/execute.py examples/paper.ipynb
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("sigmaswarm needs Python 3.11 to 3.13" if not (3, 11) <= sys.version_info[:2] <= (3, 13) else 0)'

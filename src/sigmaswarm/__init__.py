@@ -49,11 +49,15 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.presets import datasheet, preset
     from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_reference
+    from sigmaswarm.report.study_figures import study_figures
     from sigmaswarm.scoring.consistency import Consistency, consistency
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score
     from sigmaswarm.simulation.conditions import simulate_many
     from sigmaswarm.simulation.scenarios import simulate
+    from sigmaswarm.study.config import StudyConfig
+    from sigmaswarm.study.run import Study, run_study
+    from sigmaswarm.study.tables import study_tables
     from sigmaswarm.tuning.batch import BatchResult, run_batch
     from sigmaswarm.tuning.comparison import compare
     from sigmaswarm.tuning.config import TuneConfig
@@ -79,11 +83,15 @@ _HOMES = {
     "filters.live": ("LiveFilter",),
     "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_reference"),
+    "report.study_figures": ("study_figures",),
     "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),
     "simulation.conditions": ("simulate_many",),
     "simulation.scenarios": ("simulate",),
+    "study.config": ("StudyConfig",),
+    "study.run": ("Study", "run_study"),
+    "study.tables": ("study_tables",),
     "tuning.batch": ("BatchResult", "run_batch"),
     "tuning.comparison": ("compare",),
     "tuning.config": ("TuneConfig",),
@@ -119,6 +127,8 @@ __all__ = [
     "SigmaPoints",
     "SigmaswarmError",
     "SigmaswarmWarning",
+    "Study",
+    "StudyConfig",
     "Truth",
     "Tunable",
     "TuneConfig",
@@ -139,10 +149,13 @@ __all__ = [
     "run_innovations",
     "run_model",
     "run_reference",
+    "run_study",
     "simulate",
     "simulate_many",
     "split_drives",
     "split_time",
+    "study_figures",
+    "study_tables",
     "tune",
     "write_drive",
 ]

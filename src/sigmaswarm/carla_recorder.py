@@ -1305,7 +1305,6 @@ def describe(
     o, where = session.options, ENVIRONMENTS[environment]
     began = next((row.t for row in recording.rows if _passed(row, plan)), 0.0)
     about: Dict[str, Any] = {
-        "name": recording.name,
         "frame": "enu",
         "source": f"CARLA {session.version}",
         "vehicle": CAR,
@@ -1542,7 +1541,7 @@ def keep_incomplete(recording: Recording, options: Options) -> None:
         return
     parent = options.out / "incomplete"
     number = len(list(parent.glob(f"{recording.name}-*"))) if parent.exists() else 0
-    about = {"name": f"{recording.name}-{number}", "frame": "enu", "source": "CARLA, incomplete"}
+    about = {"frame": "enu", "source": "CARLA, incomplete"}
     write_drive(parent / f"{recording.name}-{number}", recording, about, options)
 
 

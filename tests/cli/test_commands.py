@@ -164,6 +164,18 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
 
 
+def test_the_tuned_filter_is_called_what_it_is(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    text = tuned.read_text().replace("[filter]\n", '[filter]\nkind = "ekf"\n')
+    Path("ekf.toml").write_text(text)
+    ended = sigmaswarm("evaluate", "ekf.toml", drives, "--out", "e")
+    assert "tuned EKF" in ended.out
+    assert sigmaswarm("report", "e", "--out", "e.html").code == 0
+    page = Path("e.html").read_text()
+    assert "<td>tuned EKF</td>" in page
+    assert '"label":"tuned EKF"' in page
+    assert "tuned UKF" not in ended.out + page
+
+
 def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4).code == 0
     ended = sigmaswarm("report", "e")
@@ -230,6 +242,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert ended.code == 0
     for words in (
         "never saw",
+        "note: ",
         "tuned UKF",
         "manual: defaults",
         "raw GPS",

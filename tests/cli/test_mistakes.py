@@ -157,6 +157,8 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
         "tune good --out t --objective rmse",
         ["'rmse'", "truth-rmse", "gps-rmse"],
     ),
+    "no-validation-drive": (nothing, "tune good --out t --validation", ["--validation", "at least 1"]),
+    "nothing-to-use": (nothing, "tune good --out t --use", ["--use", "at least 1"]),
     "unknown-scale": (nothing, "tune good --out t --scale cubic", ["cubic", "--scale", "log10"]),
     "unknown-model": (nothing, "tune good --out t --model planar9", ["planar9", "--model", "planar5"]),
     "negative-particles": (nothing, "tune good --out t --particles -3", ["particles", "-3", "2"]),

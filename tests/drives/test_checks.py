@@ -131,6 +131,15 @@ def test_gaps_in_each_file():
     assert "truth.csv: 1 gap, the longest 3.01 s" in only(without(drive, "truth", 10.0, 13.0))
 
 
+def test_a_drive_s_gaps_are_told_in_one_sentence():
+    message = only(
+        without(without(without(make_drive(), "imu", 10.0, 13.0), "gps", 10.0, 13.0), "truth", 10.0, 13.0)
+    )
+    for file in ("imu", "gps", "truth"):
+        assert message.count(f"{file}.csv: 1 gap") == 1
+    assert message.endswith("if the vehicle maneuvered there, split the drive")
+
+
 @pytest.mark.parametrize(("table", "length"), [("imu", 0.085), ("gps", 1.7), ("truth", 1.9)])
 def test_small_holes_are_no_gaps(table: str, length: float):
     assert warnings_of(without(make_drive(), table, 30.0, 30.0 + length)) == []

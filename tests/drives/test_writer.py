@@ -104,6 +104,14 @@ def test_the_same_drive_gives_the_same_bytes(tmp_path: Path):
     assert {p.name: p.read_bytes() for p in one.iterdir()} == {p.name: p.read_bytes() for p in two.iterdir()}
 
 
+def test_a_copy_that_is_renamed_is_known_by_its_new_name(tmp_path: Path):
+    folder = write_drive(make_drive(duration=10.0, name="monday"), tmp_path / "monday")
+    assert read_drive(folder).name == "monday"
+    assert read_drive(folder.rename(tmp_path / "friday")).name == "friday"
+    other = write_drive(make_drive(duration=10.0, name="monday"), tmp_path / "other")
+    assert read_drive(other).name == "monday"  # a name of its own stays
+
+
 def test_refuses_to_overwrite_unless_told(tmp_path: Path):
     first, second = (
         make_drive(duration=10.0, name="first"),

@@ -44,6 +44,24 @@ def test_the_json_has_the_form_that_the_issue_states(evaluation: Evaluation):
                 )
 
 
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({}, "tuned UKF"),
+        ({"kind": "ekf"}, "tuned EKF"),
+        ({"kind": "adaptive-ukf"}, "tuned adaptive UKF"),
+        (
+            {"model": "planar8", "process_noise": (*GOOD.process_noise, 1e-9, 1e-9, 1e-9)},
+            "tuned UKF, planar8",
+        ),
+    ],
+)
+def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
+    names = evaluate(replace(GOOD, **change), DRIVES[0]).names
+    assert list(names) == METHODS
+    assert list(names.values()) == [name, "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
+
+
 def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for drive in DRIVES:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import AlignmentError, InputError, SigmaswarmWarning
 from sigmaswarm.filters.parameters import FilterParameters
@@ -228,6 +229,10 @@ def test_drives_that_can_not_be_tuned_on_are_refused(tmp_path: Path):
         tune(replace(DRIVES[0], truth=None), objective="truth-rmse", out=tmp_path / "out")
     with pytest.raises(InputError, match=r"d0: .* no room to hide fixes"):
         tune(clip(DRIVES[0], 0.0, 12.0), objective="outage-rmse", out=tmp_path / "out")
+    gps = DRIVES[0].gps
+    silent = replace(DRIVES[0], gps=gps.select(gps.time < initial_state(DRIVES[0]).time + 1.0))
+    with pytest.raises(InputError, match=r"d0: .* no fix falls into the windows"):
+        tune(silent, objective="outage-rmse", out=tmp_path / "out")
     zero = np.zeros(len(DRIVES[0].gps))
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
     with pytest.raises(AlignmentError, match="d0: never travels 20 m"):

@@ -125,8 +125,6 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
     """The comparison as a table: every drive, the mean, and what the tuning improved."""
     from rich.table import Table
 
-    from sigmaswarm.scoring.evaluation import METHODS
-
     console = stdout()
     table = Table(title="On these drives (lower is better)", title_justify="left")
     table.add_column("drive")
@@ -135,14 +133,14 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
         table.add_column(title, justify="right")
     measures = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
     for drive in evaluation.scores:
-        for i, (method, name) in enumerate(METHODS.items()):
+        for i, (method, name) in enumerate(evaluation.names.items()):
             cells = [_number(evaluation.value(drive, method, m)) for m in measures]
             failed = " (failed)" if evaluation.scores[drive][method].failed else ""
             style = "bold" if method == "tuned" else None
             table.add_row(drive if i == 0 else "", name + failed, *cells, style=style)
         table.add_section()
     if len(evaluation.scores) > 1:
-        for i, (method, name) in enumerate(METHODS.items()):
+        for i, (method, name) in enumerate(evaluation.names.items()):
             cells = [_number(evaluation.mean(method, m)) for m in measures]
             style = "bold" if method == "tuned" else None
             table.add_row("mean" if i == 0 else "", name, *cells, style=style)
@@ -153,7 +151,7 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
         if improvement is not None:
             console.print(
                 f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
-                f"than {METHODS[over]}."
+                f"than {evaluation.names[over]}."
             )
 
 

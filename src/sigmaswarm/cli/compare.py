@@ -7,16 +7,16 @@ from cyclopts import Parameter, validators
 
 
 def compare(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
-    optimizers: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    optimizers: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     scales: Annotated[
-        list[Literal["log10", "linear"]] | None, Parameter(consume_multiple=True, negative=())
+        list[Literal["log10", "linear"]] | None, Parameter(consume_multiple=1, negative=())
     ] = None,
     seeds: int = 20,
-    test: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    test: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     objective: str = "auto",
     worst: float = 1.0,
     particles: int = 30,
@@ -25,7 +25,7 @@ def compare(
     kind: Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] = "ukf",
     use: Annotated[
         list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
-        Parameter(consume_multiple=True, negative=()),
+        Parameter(consume_multiple=1, negative=()),
     ] = None,
     polish: int = 0,
     racing: Annotated[bool, Parameter(negative=())] = False,

@@ -57,6 +57,9 @@ def demo(
         tuning = sigmaswarm.tune(
             training, objective="truth-pose", seed=seed, out=out / "tuning", progress=progress
         )
+    if not json:
+        for remark in tuning.remarks:
+            console.print(f"   note: {remark}")
     save_tuning_figures(tuning, training, out / "tuning")
     evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
     save_evaluation(evaluation, tuning.parameters, held_out, out / "evaluation")

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     fix: Path | None = None,

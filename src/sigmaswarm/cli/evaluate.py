@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path | None = None,

@@ -23,7 +23,7 @@ def import_(
     format: str | None = None,
     gps: Path | None = None,
     truth: Path | None = None,
-    map: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    map: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     time: str | None = None,
     recipe: Path | None = None,
     save_recipe: Path | None = None,

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from sigmaswarm.carla_recorder import Options
 
-_Names = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
+_Names = Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())]
 _Flag = Annotated[bool, Parameter(negative=())]
 
 
@@ -33,7 +33,7 @@ def record_carla(
 ) -> None:
     """Record drives with known truth from a CARLA server: the paper's maneuvers and weathers, a Tesla Model 3.
 
-    By default the paper's 25 conditions, 20 runs of each. Needs `pip install 'sigmaswarm[carla]'` for CARLA 0.9.16;
+    By default the paper's 25 conditions, 20 runs of each. Needs `pip install carla==0.9.16` for CARLA 0.9.16;
     for an older server run the file carla_recorder.py with its own Python, which docs/carla.md explains.
 
     Examples:

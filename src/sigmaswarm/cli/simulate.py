@@ -11,7 +11,7 @@ JITTER = 0.002
 VIBRATION = 1.0
 """The level of two recordings of real cars."""
 
-_Names = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
+_Names = Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())]
 _Flag = Annotated[bool, Parameter(negative=())]
 
 

@@ -17,7 +17,7 @@ def study(
     /,
     *,
     config: Path | None = None,
-    drives: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    drives: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     trials: _Count = None,
     runs: _Count = None,
     particles: _Count = None,

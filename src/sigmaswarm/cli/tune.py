@@ -13,11 +13,11 @@ def default(value: str) -> Parameter:
 
 
 def tune(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=True, negative=())],
+    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
-    validation: Annotated[list[Path] | None, Parameter(consume_multiple=True, negative=())] = None,
+    validation: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     objective: Annotated[str | None, default("auto")] = None,
     worst: Annotated[float | None, default("1.0")] = None,
     scale: Annotated[Literal["log10", "linear"] | None, default("log10")] = None,
@@ -31,7 +31,7 @@ def tune(
     ] = None,
     use: Annotated[
         list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
-        Parameter(consume_multiple=True, negative=()),
+        Parameter(consume_multiple=1, negative=()),
     ] = None,
     optimizer: Annotated[
         Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] | None,

@@ -54,31 +54,36 @@ def warnings_of(drive: Drive) -> list[str]:
 
 
 def _gaps(drive: Drive) -> Iterator[str]:
+    """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
         "a filter crosses a gap in one step of its true length, driven by the sample at its end, with Q "
         "scaled by length / usual interval; if the vehicle maneuvered there, split the drive"
     )
-    yield from _gaps_in("imu.csv", drive.imu.time, IMU_GAP, crossed)
-    yield from _gaps_in(
-        "gps.csv", drive.gps.time, GPS_GAP, "a filter runs on the IMU alone there; nothing to do if so meant"
-    )
+    alone = "a filter runs on the IMU alone there; nothing to do if so meant"
+    found = [
+        (_gaps_in("imu.csv", drive.imu.time, IMU_GAP), crossed),
+        (_gaps_in("gps.csv", drive.gps.time, GPS_GAP), alone),
+    ]
     if drive.truth is not None:
-        yield from _gaps_in(
-            "truth.csv", drive.truth.time, GPS_GAP, "nothing is scored there; nothing to do if so meant"
-        )
+        unscored = "nothing is scored there; nothing to do if so meant"
+        found.append((_gaps_in("truth.csv", drive.truth.time, GPS_GAP), unscored))
+    told = [(gaps, remedy) for gaps, remedy in found if gaps]
+    if told:
+        yield f"{'; '.join(gaps for gaps, _ in told)}; {told[0][1]}"
 
 
-def _gaps_in(file: str, time: Array, limit: tuple[float, float], remedy: str) -> Iterator[str]:
-    """One sentence on the intervals of ``time`` (n,), s, that exceed ``limit``, if any do."""
+def _gaps_in(file: str, time: Array, limit: tuple[float, float]) -> str:
+    """The intervals of ``time`` (n,), s, that exceed ``limit``; empty where none does."""
     interval = np.diff(time)
     usual = float(np.median(interval)) if interval.size else 0.0
     count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
-    if count:
-        i = int(np.argmax(interval))
-        yield (
-            f"{file}: {count} gap{'s' if count > 1 else ''}, the longest {interval[i]:.2f} s "
-            f"after t = {time[i]:.2f} s (usual interval {usual:.3f} s); {remedy}"
-        )
+    if not count:
+        return ""
+    i = int(np.argmax(interval))
+    return (
+        f"{file}: {count} gap{'s' if count > 1 else ''}, the longest {interval[i]:.2f} s "
+        f"after t = {time[i]:.2f} s (usual interval {usual:.3f} s)"
+    )
 
 
 def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:

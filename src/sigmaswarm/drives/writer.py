@@ -24,7 +24,8 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     Parameters
     ----------
     drive : Drive
-        Of a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again.
+        Of a "wgs84" drive lat, lon and alt are written, and reading computes x and y from them again. Its name is
+        written where the folder has another one.
     path : str or Path
         The folder to make, with its parents.
     overwrite : bool
@@ -87,6 +88,8 @@ def _texts(drive: Drive, folder: Path) -> dict[str, str]:
     about |= {key: value for key, value in drive.metadata.items() if key not in about}
     if drive.origin is None:
         del about["origin"]  # TOML has no null
+    if drive.name == folder.name:
+        del about["name"]  # reading takes the folder's: a copy that is renamed is known by its new name
     try:
         description = tomli_w.dumps(about)
     except TypeError as error:

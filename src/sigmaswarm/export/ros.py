@@ -54,9 +54,7 @@ def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Pa
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: a bag needs rosbags; install it with: pip install 'sigmaswarm[ros]'"
-        ) from None
+        raise InputError(f"{path}: a bag needs rosbags; install it with: pip install rosbags") from None
     first, last = (float(estimate.time[i]) + time_origin for i in (0, -1))
     if first < 0:
         raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")

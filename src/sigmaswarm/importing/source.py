@@ -175,6 +175,10 @@ class Rows:
         return self.guessed
 
 
+EXTRAS = {"ros": "rosbags mcap", "logs": "pyubx2 pynmeagps pyulog"}
+"""What the extras install: by these names pip finds it, wherever sigmaswarm itself comes from."""
+
+
 def library(name: str, extra: str) -> Any:
     """Import a format's library, or say in one line how to get it."""
     try:
@@ -182,7 +186,7 @@ def library(name: str, extra: str) -> Any:
     except ImportError:
         top = name.split(".")[0]
         raise InputError(
-            f"this format needs {top}, which is not installed; run: pip install 'sigmaswarm[{extra}]'"
+            f"this format needs {top}, which is not installed; run: pip install {EXTRAS[extra]}"
         ) from None
 
 

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_innovations
-from sigmaswarm.report.style import LABELS, LOOKS, new_figure, save
+from sigmaswarm.report.style import LOOKS, labels_for, new_figure, save
 from sigmaswarm.report.tracks import errors_of, estimates, three_sigma
 from sigmaswarm.scoring.consistency import GATE_95, judged
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
@@ -88,16 +88,16 @@ def convergence(tuning: Tuning) -> Figure:
 
 def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
-    initial = initial_state(drive)
+    initial, labels = initial_state(drive), labels_for(parameters)
     believed = estimates(drive, parameters, initial)
     figure, (whole, close) = new_figure(11, 5.4, 1, 2)
     x0, y0 = place_of_sharpest_turn(drive, believed["tuned"])
     for ax in (whole, close):
-        ax.plot(drive.gps.x, drive.gps.y, label=LABELS["raw_gps"], **LOOKS["raw_gps"])
+        ax.plot(drive.gps.x, drive.gps.y, label=labels["raw_gps"], **LOOKS["raw_gps"])
         for name, estimate in believed.items():
-            ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=LABELS[name], **LOOKS[name])
+            ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=labels[name], **LOOKS[name])
         if drive.truth is not None:  # on top: the tuned filter's line is wider
-            ax.plot(drive.truth.x, drive.truth.y, label=LABELS["truth"], **LOOKS["truth"])
+            ax.plot(drive.truth.x, drive.truth.y, label=labels["truth"], **LOOKS["truth"])
         ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
     whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
     half = FINE_SCALE / 2
@@ -116,17 +116,17 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
 
 def errors(drive: Drive, parameters: FilterParameters) -> Figure:
     """Position and heading error over time, with the tuned filter's own 3-sigma bounds."""
-    believed = estimates(drive, parameters, initial_state(drive))
+    believed, labels = estimates(drive, parameters, initial_state(drive)), labels_for(parameters)
     figure, (position, heading) = new_figure(9, 6, 2, 1, sharex=True)
     if drive.truth is None:
         raise InputError(f"{drive.name}: has no truth, so there is no error to draw")
     tuned = believed["tuned"]
     radius, sigma = three_sigma(tuned)
-    position.plot(tuned.time, radius, color="0.6", lw=1, label="3 sigma of the tuned UKF")
+    position.plot(tuned.time, radius, color="0.6", lw=1, label=f"3 sigma of the {labels['tuned']}")
     heading.fill_between(tuned.time, -sigma, sigma, color="0.9")
     for name, estimate in believed.items():
         distance, wrong = errors_of(estimate, drive.truth)
-        position.plot(estimate.time, distance, label=LABELS[name], **LOOKS[name])
+        position.plot(estimate.time, distance, label=labels[name], **LOOKS[name])
         heading.plot(estimate.time, wrong, **LOOKS[name])
     # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
     position.set(ylabel="position error, m", yscale="log", ylim=(0.03, None))
@@ -153,7 +153,7 @@ def comparison(evaluation: Evaluation) -> Figure:
             ax.barh(i, value, color=LOOKS[method]["color"])
             ax.annotate(f" {value:.3g}", (value, i), va="center", fontsize=8)
         ax.set(xscale="log", title=title)
-        ax.set_yticks(range(len(shown)), [LABELS[m] for m in shown], fontsize=8)
+        ax.set_yticks(range(len(shown)), [evaluation.names[m] for m in shown], fontsize=8)
         ax.invert_yaxis()
         ax.margins(x=0.25)
     return figure

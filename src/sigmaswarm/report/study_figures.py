@@ -34,6 +34,23 @@ LINES: dict[str, dict[str, Any]] = {
 def save_study_figures(study: Study, folder: Path) -> list[Path]:
     """Write all figures of a study, each as PNG and SVG; their paths."""
     folder.mkdir(exist_ok=True)
+    figures = study_figures(study)
+    return [path for name, figure in figures.items() for path in save_both(figure, folder / name)]
+
+
+def study_figures(study: Study) -> dict[str, Figure]:
+    """All figures of a study.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict of str to matplotlib.figure.Figure
+        ``convergence`` (the paper's Fig. 2), ``trajectory`` (its Fig. 3), ``boxes`` (errors over drives), ``errors``
+        (over time) and ``nis``. No global state of pyplot is touched.
+    """
     at = turning_drive(study)
     drive = study.design.drives[at]
     sets = {
@@ -43,14 +60,13 @@ def save_study_figures(study: Study, folder: Path) -> list[Path]:
     }
     initial = initial_state(drive)
     estimates = {name: run_filter(drive, p, initial=initial) for name, p in sets.items()}
-    figures = {
+    return {
         "convergence": convergence(study),
         "trajectory": trajectory(drive, estimates),
         "boxes": boxes(study),
         "errors": errors(drive, estimates),
         "nis": nis(drive, sets),
     }
-    return [path for name, figure in figures.items() for path in save_both(figure, folder / name)]
 
 
 def turning_drive(study: Study) -> int:

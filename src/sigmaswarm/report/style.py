@@ -9,7 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.scoring.evaluation import METHODS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.evaluation import METHODS, method_names
 
 # Okabe and Ito's palette (2008), and line styles that differ too, so that a grey print stays legible.
 LOOKS: dict[str, dict[str, Any]] = {
@@ -33,6 +34,11 @@ STUDY_LOOKS: dict[str, dict[str, Any]] = {
 }
 """Of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **METHODS}
+
+
+def labels_for(parameters: FilterParameters) -> dict[str, str]:
+    """`LABELS`, with the tuned filter's kind."""
+    return LABELS | method_names(parameters.kind, parameters.model)
 
 
 def new_figure(

@@ -20,13 +20,28 @@ from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
 
 METHODS = {
-    "tuned": "tuned UKF",
+    "tuned": "tuned filter",
     "defaults": "manual: defaults",
     "datasheet": "manual: data sheet",
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
 """The rows of every comparison: what files and what people call them."""
+
+KIND_NAMES = {
+    "ukf": "UKF",
+    "ekf": "EKF",
+    "adaptive-ukf": "adaptive UKF",
+    "strong-tracking-ukf": "strong tracking UKF",
+}
+"""What people call the kinds of filters."""
+
+
+def method_names(kind: str = "ukf", model: str = "planar5") -> dict[str, str]:
+    """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's."""
+    suffix = "" if model == "planar5" else f", {model}"
+    return METHODS | {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
+
 
 MEASURES: dict[str, Callable[[Score], float]] = {
     "position_rmse_m": lambda s: s.position_rmse,
@@ -45,10 +60,13 @@ class Evaluation:
     scores : mapping of drive name to mapping of method to Score
     consistency : mapping of drive name to Consistency or None
         Of the tuned filter; None where it failed or saw too few fixes.
+    names : mapping of method to str
+        What people call the methods.
     """
 
     scores: Mapping[str, Mapping[str, Score]]
     consistency: Mapping[str, Consistency | None] = field(default_factory=dict[str, Consistency | None])
+    names: Mapping[str, str] = field(default_factory=method_names)
 
     def mean(self, method: str, measure: str) -> float | None:
         """The mean of a measure over the drives that have it; None where none has, or the method failed."""
@@ -138,7 +156,7 @@ def evaluate(
             "raw_gps": score_raw_gps(drive, initial),
             "imu_only": score_imu_only(drive, initial, outage_length, outage_seed),
         }
-    return Evaluation(scores, consistent)
+    return Evaluation(scores, consistent, method_names(parameters.kind, parameters.model))
 
 
 def score_imu_only(drive: Drive, initial: InitialState, length: float, seed: int) -> Score:

@@ -39,9 +39,14 @@ def outage_replay(
 
 def forecast_replay(drive: Drive, initial: InitialState, *, seed: int = 0) -> Replay:
     """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each hidden fix is compared with its forecast."""
-    windows = balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
+    windows = forecast_windows(drive, initial, seed=seed)
     timeline = build_timeline(drive, initial.time, hidden_fixes(drive.gps.time, windows))
     return Replay(timeline, initial, Targets.none(timeline))
+
+
+def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:
+    """Windows of 3 to 5 s, shape (k, 2), all over the drive; k may be 0."""
+    return balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: int) -> Array:

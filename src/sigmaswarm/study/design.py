@@ -147,7 +147,9 @@ def _check(drives: Sequence[Drive], config: StudyConfig) -> None:
                 "tune on it with `sigmaswarm tune --objective innovation-nll`"
             )
         if drive.name in names:
-            raise InputError(f"{drive.name}: two drives have this name; rename one folder")
+            raise InputError(
+                f"{drive.name}: two drives have this name; rename a folder, or set name in its drive.toml"
+            )
         names.add(drive.name)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")

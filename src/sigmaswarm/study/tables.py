@@ -34,7 +34,7 @@ LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 """What the paper's rows are called in the timings of the live filters."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table:
     """A table of texts.
 
@@ -59,6 +59,13 @@ class Table:
         lines += [_bar(["---", *["---:"] * (len(self.header) - 1)]), *(_bar(row) for row in self.rows)]
         return "\n".join([*lines, *(["", self.note] if self.note else [])]) + "\n"
 
+    def __repr__(self) -> str:
+        return self.to_markdown()
+
+    def _repr_markdown_(self) -> str:
+        """What a notebook shows."""
+        return self.to_markdown()
+
     def to_latex(self) -> str:
         """A booktabs table."""
         body = " \\\\\n".join(" & ".join(map(_escaped, row)) for row in self.rows)
@@ -75,7 +82,20 @@ class Table:
 
 
 def study_tables(results: Results) -> list[Table]:
-    """All tables but that of the run time, which no two runs share."""
+    """All tables of a study but that of the run time, which no two runs share.
+
+    Parameters
+    ----------
+    results : Results
+        ``study.results``.
+
+    Returns
+    -------
+    list of Table
+        With their names: ``table-1`` to ``table-3`` beside the paper's, ``comparison-honest`` and ``comparison-paper``,
+        three of the conditions, ``optimum``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as
+        it is.
+    """
     return [
         table_1(results),
         table_2(results),

@@ -12,6 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import Score
+from sigmaswarm.scoring.targets import forecast_windows
 from sigmaswarm.tuning.objectives import Objective, objective_named
 
 
@@ -116,8 +117,15 @@ def replayer_for(objective: Objective, drives: Sequence[Drive], seed: int) -> Re
             )
     for drive, initial, hidden in zip(drives, replayer.initial, replayer.hidden_fixes, strict=False):
         if not hidden:
+            end, remedy = drive.imu.time[-1], "take other drives or innovation-nll"
+            span = f"from the start at {initial.time:g} s to {end:g} s"
+            if len(forecast_windows(drive, initial, seed=seed)):
+                raise InputError(
+                    f"{drive.name}: {span} no fix falls into the windows of 3 to 5 s whose fixes "
+                    f"{objective.name} hides and forecasts; {remedy}"
+                )
             raise InputError(
-                f"{drive.name}: from the start at {initial.time:g} s to {drive.imu.time[-1]:g} s there is no room to "
-                f"hide fixes for 3 to 5 s, which {objective.name} needs; take longer drives or innovation-nll"
+                f"{drive.name}: {span} there is no room to hide fixes for 3 to 5 s, which {objective.name} needs; "
+                f"take longer drives or innovation-nll"
             )
     return replayer

@@ -1,5 +1,6 @@
 """The page of an evaluation: what the tuning is worth on drives, against manual filters, raw GPS and IMU only."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from sigmaswarm.report.page.tuning import (
 )
 from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.tracks import load_tracks
-from sigmaswarm.scoring.evaluation import METHODS
+from sigmaswarm.scoring.evaluation import METHODS, method_names
 
 MEASURES = {
     "position_rmse_m": Column("position RMSE", "m"),
@@ -26,10 +27,10 @@ MEASURES = {
     "outage_drift_m": Column("outage drift", "m"),
 }
 MANUAL = ("defaults", "datasheet")
-LINES = tuple(
-    Line(m, LABELS[m], LOOKS[m], shown=m in ("truth", "tuned", "datasheet", "raw_gps"))
-    for m in ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
-)
+LINES = ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
+"""The series of the tracks, the first one on top."""
+SHOWN = ("truth", "tuned", "datasheet", "raw_gps")
+"""Those that are shown from the start."""
 
 
 def evaluation_report(folder: Path) -> Report:
@@ -37,7 +38,9 @@ def evaluation_report(folder: Path) -> Report:
     scores = load(ScoresFile, folder / "scores.json")
     asked = load(EvaluationFile, folder / "evaluation.json")
     file = load(TuningFile, folder / "tuning.toml")
-    tracks = TrackView(tuple(load_tracks(folder / "tracks.npz")), LINES, "tuned")
+    names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
+    lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES)
+    tracks = TrackView(tuple(load_tracks(folder / "tracks.npz")), lines, "tuned")
     if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
         t.name for t in tracks.drives
     ]:
@@ -54,7 +57,7 @@ def evaluation_report(folder: Path) -> Report:
         figures=_figures(scores),
         remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
         sections=(
-            _comparison(scores, asked.outage_length_s),
+            _comparison(scores, names, asked.outage_length_s),
             Section("Tracks and errors over time", tracks=tracks),
             _consistency(scores),
             parameters_section(file),
@@ -146,33 +149,35 @@ def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
     return tuple(figures)
 
 
-def _comparison(scores: ScoresFile, outage_length: float) -> Section:
+def _comparison(scores: ScoresFile, names: Mapping[str, str], outage_length: float) -> Section:
     columns = (Column("drive"), Column("method"), *MEASURES.values())
     each = [
-        _row(drive, m, methods[m])
+        (drive, names[m], *_figures_of(methods[m]))
         for drive, methods in scores.drives.items()
         for m in METHODS
         if m in methods
     ]
-    mean = [_row("mean", m, scores.mean[m]) for m in METHODS if m in scores.mean]
-    tables = [_scores("Each drive", columns, each)]
+    mean = [("mean", names[m], *_figures_of(scores.mean[m])) for m in METHODS if m in scores.mean]
+    tables = [_scores("Each drive", columns, each, names)]
     if len(scores.drives) > 1:
-        tables.insert(0, _scores("Mean over drives", columns, mean))
+        tables.insert(0, _scores("Mean over drives", columns, mean, names))
     text = (f"Lower is better. An outage lasts {outage_length:g} s. RMSE: root of the mean square error.",)
-    charts = tuple(_bars(scores, m, c) for m, c in MEASURES.items())
+    charts = tuple(_bars(scores, names, m, c) for m, c in MEASURES.items())
     return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
 
 
-def _scores(caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]]) -> Table:
-    strong = frozenset(i for i, row in enumerate(rows) if row[1] == METHODS["tuned"])
+def _scores(
+    caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]], names: Mapping[str, str]
+) -> Table:
+    strong = frozenset(i for i, row in enumerate(rows) if row[1] == names["tuned"])
     return Table(caption, columns, tuple(rows), strong)
 
 
-def _row(drive: str, method: str, measures: Measures) -> tuple[Cell, ...]:
-    return (drive, METHODS[method], *(measures.get(m) for m in MEASURES))
+def _figures_of(measures: Measures) -> tuple[Cell, ...]:
+    return tuple(measures.get(m) for m in MEASURES)
 
 
-def _bars(scores: ScoresFile, measure: str, column: Column) -> Chart | None:
+def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Column) -> Chart | None:
     """Means over the drives; the scale is logarithmic. None where no method has the measure."""
     values = {m: v for m in reversed(METHODS) if (v := _mean(scores, m, measure))}
     if not values:
@@ -181,7 +186,7 @@ def _bars(scores: ScoresFile, measure: str, column: Column) -> Chart | None:
         "type": "bar",
         "orientation": "h",
         "x": list(values.values()),
-        "y": [LABELS[m] for m in values],
+        "y": [names[m] for m in values],
         "text": [f"{v:.3g}" for v in values.values()],
         "textposition": "outside",
         "cliponaxis": False,

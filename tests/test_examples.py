@@ -1,0 +1,77 @@
+"""The notebooks of examples/: executed from the first cell to the last, and what they claim holds."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def code(path: Path) -> list[dict[str, Any]]:
+    return [cell for cell in json.loads(path.read_text())["cells"] if cell["cell_type"] == "code"]
+
+
+def texts(cell: dict[str, Any]) -> str:
+    """What a cell prints or shows as text."""
+    shown = [output.get("text") or output["data"].get("text/markdown", "") for output in cell["outputs"]]
+    return "".join("".join(text) for text in shown)
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """The cells of the paper's notebook, by their ids, executed in a fresh kernel."""
+    copy = Path(shutil.copy(EXAMPLES / "paper.ipynb", tmp_path_factory.mktemp("examples")))
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "execute.py", copy], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert [p.name for p in copy.parent.iterdir()] == ["paper.ipynb"]  # nothing is left behind
+    return {cell["id"]: cell for cell in code(copy)}
+
+
+def test_no_cell_fails_or_complains(paper: dict[str, dict[str, Any]]):
+    kinds = [(o["output_type"], o.get("name")) for cell in paper.values() for o in cell["outputs"]]
+    assert {kind for kind, _ in kinds} == {"stream", "display_data", "execute_result"}
+    assert {name for _, name in kinds} == {"stdout", None}
+
+
+def test_every_claim_holds(paper: dict[str, dict[str, Any]]):
+    claims = texts(paper["claims"]).splitlines()
+    assert len(claims) == 6
+    assert [claim for claim in claims if not claim.startswith("yes ")] == []
+
+
+def test_the_paper_s_figures_stand_beside_ours(paper: dict[str, dict[str, Any]]):
+    for name, figure in (("table-1", "21,607"), ("table-2", "2.80 [2.62, 2.98]"), ("table-3", "18.60")):
+        assert figure in texts(paper[name])
+    for name in ("sweep", "convergence", "trajectory"):
+        assert any("image/png" in output.get("data", {}) for output in paper[name]["outputs"])
+
+
+def test_what_is_checked_in_was_executed_in_order_and_is_small():
+    path = EXAMPLES / "paper.ipynb"
+    cells = code(path)
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    assert not any(output["output_type"] == "error" for cell in cells for output in cell["outputs"])
+    assert path.stat().st_size < 500_000
+    parameters = next("".join(cell["source"]) for cell in cells if cell["id"] == "parameters")
+    assert "SIZE = SMALL" in parameters
+    assert "OUT = None" in parameters
+
+
+def test_a_failing_cell_is_told_and_nothing_is_written(tmp_path: Path):
+    cell = {"cell_type": "code", "id": "a", "metadata": {}, "outputs": [], "execution_count": None}
+    notebook = {"nbformat": 4, "nbformat_minor": 5, "metadata": {}, "cells": [cell | {"source": "1 / 0"}]}
+    path = tmp_path / "bad.ipynb"
+    path.write_text(json.dumps(notebook))
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "execute.py", path], capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert "ZeroDivisionError" in done.stderr
+    assert json.loads(path.read_text()) == notebook
