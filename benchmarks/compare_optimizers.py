@@ -60,6 +60,7 @@ def cases(folder: Path) -> dict:
     return {
         "simulated, truth-rmse": (simulated, rmse, WAYS, ("log10",)),
         "simulated, innovation-nll": (simulated, nll, FEW, ("log10",)),
+        "simulated, innovation-nll, raced": (simulated, nll, ("de", "de:racing=true"), ("log10",)),
         "simulated, scales": (simulated, rmse, BASE, BOTH),
         **({"KITTI, truth-rmse": (lambda: kitti(folder), rmse, BASE, BOTH)} if real else {}),
         **({"KITTI turned, truth-rmse": (lambda: kitti_turned(folder), rmse, BASE, BOTH)} if real else {}),
