@@ -50,6 +50,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--objective", default="truth-pose")
+    parser.add_argument("--only", nargs="+", help="colorado-1, kingston-1, simulated")
     parser.add_argument("--optimizer", default="de")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
@@ -58,6 +59,8 @@ def main() -> None:
     print("|---" * 6 + "|")
     with ThreadPoolExecutor() as pool:
         for name, splits in cases(options.drives, options.seeds):
+            if options.only and name.split(",")[0] not in options.only:
+                continue
             print(f"| {name} | raw GPS | {raw(splits)} |", flush=True)
             for model, use in FILTERS:
                 rows = []

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from browsing import Opened
 from sigmaswarm.cli.app import app
@@ -159,6 +160,21 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     assert f"{file['result']['validation_cost']:.4g}" in report.lead[1]
     chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
     assert len(chart.traces) == 4
+
+
+def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path: Path):
+    tune(MONDAY, model="planar8", particles=4, generations=2, out=tmp_path)
+    path = tmp_path / "tuning.toml"
+    file = tomllib.loads(path.read_text())
+    file["within_1_percent_of_the_cost"]["q_vxy"] = [1e-5, "-"]
+    file["result"]["touched_bounds"] = ["q_vxy at its upper bound (10)"]
+    path.write_text(tomli_w.dumps(file))
+    rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
+    for name, value in zip(("q_vx", "q_vy"), file["filter"]["process_noise"][2:4], strict=True):
+        assert (rows[name][1], *rows[name][3:5]) == (value, 1e-5, "the box's end")
+        assert rows[name][6] == "at its upper bound (10)"
+    assert [rows[name][3] for name in ("r_x", "r_y")] == [file["within_1_percent_of_the_cost"]["r_xy"][0]] * 2
+    assert rows["q_theta"][6] != rows["q_vx"][6]
 
 
 def test_drives_that_were_tuned_on_are_not_called_held_out(

@@ -81,6 +81,23 @@ def test_touched_bounds_are_named(scale):
     assert space.touched(almost) == []
 
 
+@pytest.mark.parametrize(
+    ("model", "use"), [("planar8", ()), ("planar8", ("lateral",)), ("planar5", ("lateral",))]
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_noise_does_not_know_the_compass(model, use, seed: int):
+    space = search_space(model, "log10", use=use)
+    (p,) = space.decode(np.random.default_rng(seed).uniform(space.low, space.high)[None])
+    x, y, vx, vy, theta, *biases = p.process_noise
+    east, north = p.measurement_noise
+    assert (x, vx, east) == (y, vy, north)
+    assert len(biases) == {"planar5": 0, "planar8": 3}[model]
+    noises = (x, vx, theta, *biases, east)
+    assert len(set(noises)) == len(noises)  # each of its own
+    assert {"q_xy", "q_vxy", "r_xy"} <= set(space.names)
+    assert not {"q_x", "q_vy", "r_y"} & set(space.names)
+
+
 def test_the_interval_is_passed_on():
     space = search_space("planar5", "log10", 0.02)
     assert space.decode(space.low[None])[0].nominal_interval == 0.02

@@ -1,6 +1,7 @@
 """The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +96,10 @@ def parameters_section(file: TuningFile) -> Section:
     touched = {t.split()[0]: t.split(" ", 1)[-1] for t in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
     for name, value, unit, density in _parameters(file):
-        low, high = ranges.get(name, (None, None))
+        searched = _searched_as(name, ranges)
+        low, high = ranges.get(searched, (None, None))
         free = (low, high) == ("-", "-")
-        remark = "any value in the box is as good" if free else touched.get(name, "")
+        remark = "any value in the box is as good" if free else touched.get(_searched_as(name, touched), "")
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
         low, high = ranges[NOISE_SCALE]
@@ -118,6 +120,12 @@ _SCALARS_OF: dict[str, tuple[str, ...]] = {
     "bias_std": ("accel_bias_std", "gyro_bias_std"),
 }
 """What the search calls the entries of a list; those of process_noise are q and the state."""
+
+
+def _searched_as(name: str, known: Collection[str]) -> str:
+    """q_x and q_y are searched as one q_xy where a filter has the same noise to the east as to the north."""
+    both = re.sub("[xy]$", "xy", name)
+    return name if name in known else both
 
 
 def _parameters(file: TuningFile) -> Iterator[tuple[str, Cell, str, str]]:
