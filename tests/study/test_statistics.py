@@ -98,6 +98,22 @@ def test_levels_are_a_least_squares_fit():
     assert abs(trials.sum()) < 1e-12
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
+    """Three trials each hold one drive of four back; conditions differ much, and some hold one drive back thrice."""
+    chance = np.random.default_rng(seed)
+    strata = np.repeat(np.arange(25), 4)
+    level = 10.0 ** chance.uniform(-1, 3, 25)
+    values = np.full((3, 100), NAN)
+    for trial in range(3):
+        held_out = 4 * np.arange(25) + chance.integers(0, 4, 25)
+        values[trial, held_out] = (level * chance.uniform(0.9, 1.1, 25))[strata[held_out]]
+    found = s.summarize(values, [str(k) for k in strata], 1 / 3, rng())
+    low, high = found.bootstrap_interval
+    assert low < found.mean < high
+    assert high - low < 0.2 * found.mean  # as drives of a condition differ, not as conditions do
+
+
 def test_a_failed_filter_has_no_intervals():
     failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
     found = s.summarize(failed, STRATA, 2 / 3, rng())

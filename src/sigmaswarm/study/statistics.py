@@ -152,9 +152,10 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
     if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
         return math.nan, math.nan
     drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
-    by_drive = _drive_weights([strata[i] for i in np.flatnonzero(kept).tolist()], rng)
+    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], known[:, kept].sum(axis=0)
+    by_drive = _drive_weights(own, rng, times.astype(np.float64))
     by_trial = _weights(len(trial_levels), rng)
-    return _middle(by_drive @ drive_levels / len(drive_levels) + by_trial @ trial_levels / len(trial_levels))
+    return _middle(by_drive @ drive_levels / times.sum() + by_trial @ trial_levels / len(trial_levels))
 
 
 def levels(values: Array) -> tuple[Array, Array]:
@@ -167,18 +168,21 @@ def levels(values: Array) -> tuple[Array, Array]:
     return (filled.sum(axis=0) - trials @ counted) / counted.sum(axis=0), trials
 
 
-def _drive_weights(strata: Sequence[str], rng: np.random.Generator) -> Array:
+def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
     """How much each drive counts in each resample, shape (RESAMPLES, n): within each stratum by itself.
 
-    Where all strata have one drive only, they are thrown together.
+    A drive that counts several ``times``, shape (n,), does so here, too; each stratum keeps its share. Where all strata
+    have one drive only, they are thrown together.
     """
     names = np.array(strata)
+    times = np.ones(len(names)) if times is None else times
     groups = [np.flatnonzero(names == name) for name in dict.fromkeys(strata)]
     if max(len(group) for group in groups) < 2:
         groups = [np.arange(len(names))]
     weight = np.empty((RESAMPLES, len(names)))
     for group in groups:
-        weight[:, group] = _weights(len(group), rng)
+        drawn = _weights(len(group), rng) * times[group]
+        weight[:, group] = drawn * (times[group].sum() / drawn.sum(axis=1, keepdims=True))
     return weight
 
 
