@@ -77,10 +77,9 @@ def test_resampling_stays_within_strata():
 def test_trials_are_resampled_too():
     """Drives that are all alike leave open what the trials do."""
     each = np.array([1.0, 2.0, 3.0, 4.0])
-    values = np.repeat(each[:, np.newaxis], 5, axis=1)
-    low, high = s.crossed_bootstrap(values, ["all"] * 5, rng())
-    theirs = stats.bootstrap((each,), np.mean, method="percentile", rng=rng()).confidence_interval
-    assert (low, high) == pytest.approx(tuple(theirs), abs=0.26)  # of quarters
+    low, high = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 5, axis=1), ["all"] * 5, rng())
+    assert 0.99 < low < 1.7
+    assert 3.3 < high < 4.01
     assert s.crossed_bootstrap(np.full((3, 5), 2.0), ["all"] * 5, rng()) == (2.0, 2.0)
 
 
@@ -96,6 +95,31 @@ def test_levels_are_a_least_squares_fit():
     drives, trials = s.levels(values)
     np.testing.assert_allclose(drives[drive] + trials[trial], fitted, atol=1e-12)
     assert abs(trials.sum()) < 1e-12
+
+
+@pytest.mark.parametrize("n", [2, 3, 10])
+def test_a_mean_varies_as_much_as_theory_says(n: int):
+    """Drawing n of n would give a variance too small by (n - 1) / n: half of it for two drives."""
+    values = np.random.default_rng(n).normal(size=3 * n)
+    strata = np.repeat(np.arange(3), n)
+    found = s._drive_weights([str(k) for k in strata], rng()) @ values / len(values)
+    theory = sum(np.var(values[strata == k], ddof=1) * n for k in range(3)) / (3 * n) ** 2
+    assert np.var(found) == pytest.approx(theory, rel=0.15)
+
+
+def test_strata_of_one_drive_are_thrown_together():
+    values = np.array([1.0, 5.0, 9.0])
+    assert s.bootstrap(np.asarray, [values], list("abc"), rng()) == s.bootstrap(
+        np.asarray, [values], list("aaa"), rng()
+    )
+
+
+def test_few_trials_have_students_tails():
+    """Where all drives are alike, the interval is about the t interval of the trials' means."""
+    each = np.array([1.0, 2.0, 4.0, 3.0, 2.5])
+    found = s.crossed_bootstrap(np.repeat(each[:, np.newaxis], 4, axis=1), ["all"] * 4, rng())
+    wanted = stats.t.interval(0.95, 4, each.mean(), stats.sem(each))
+    assert found[1] - found[0] == pytest.approx(wanted[1] - wanted[0], rel=0.15)
 
 
 @pytest.mark.parametrize("seed", range(5))

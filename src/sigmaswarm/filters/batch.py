@@ -4,7 +4,6 @@ What is done once a drive and a chunk costs time beside a kernel that takes 0.2 
 other threads wait: so it is done for all drives together.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -66,6 +65,7 @@ class Replay:
     timeline: Timeline
     initial: InitialState
     targets: Targets
+    _arrays: dict[tuple[bool, bool, bool], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
     def steps(self) -> Array:
@@ -78,16 +78,14 @@ class Replay:
         """How many fixes are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
-    @cached_property
-    def fixes_alone(self) -> "DriveArrays":
-        """What the kernel reads where a filter takes fixes alone."""
-        return self.arrays(False, False, False)
-
     def arrays(self, velocity: bool, lateral: bool, standstill: bool) -> "DriveArrays":
         """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
-        line, targets = self.timeline, self.targets
-        flags = flags_of(line, velocity, lateral, standstill)
-        return self.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+        taken = velocity, lateral, standstill
+        if taken not in self._arrays:
+            line, targets = self.timeline, self.targets
+            flags = flags_of(line, *taken)
+            self._arrays[taken] = self.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+        return self._arrays[taken]
 
 
 DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]
@@ -243,7 +241,7 @@ def _run_chunk(
     for i, replay in enumerate(replays):
         run.run_lanes(
             n,
-            *(replay.arrays(*taken) if any(taken) else replay.fixes_alone),
+            *replay.arrays(*taken),
             initial[i],
             chunk.constants(replay.timeline.nominal_interval),
             sums[i],
@@ -275,14 +273,9 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
     """The first wanted step of each interval of time."""
     chosen = np.zeros(len(wanted), dtype=np.bool_)
     at = np.flatnonzero(wanted)
-    slots = np.floor((line.end[at] - line.start) / interval + 1e-6)  # as `slot`
+    slots = np.floor((line.end[at] - line.start) / interval + 1e-6)  # as the live filter's `_slot`
     chosen[at[np.unique(slots, return_index=True)[1]]] = True
     return chosen
-
-
-def slot(time: float, start: float, interval: float) -> int:
-    """Which interval a moment lies in; a constraint is absorbed at most once in each."""
-    return math.floor((time - start) / interval + 1e-6)
 
 
 def start_of(initial: InitialState, parameter_sets: Sequence[FilterParameters]) -> tuple[Array, Array]:

@@ -119,7 +119,7 @@ def _summary(scores: ScoreTable) -> list[dict[str, Any]]:
                 chosen = [
                     i
                     for i, c in enumerate(design.conditions)
-                    if maneuver == ALL or c == (maneuver, environment)
+                    if (maneuver, environment) == (ALL, ALL) or c == (maneuver, environment)
                 ]
                 strata = [design.strata[i] for i in chosen]
                 found = summarize(values[:, chosen], strata, ratio, _rng(design))

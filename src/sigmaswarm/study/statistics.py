@@ -145,7 +145,9 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
 
     As in A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007: what the choice of drives leaves
     open and what the optimizer does are both in it, each with its own number of repetitions. But what is resampled are
-    the levels of drives and of trials, since in scores themselves the trials would differ by their drives as well.
+    the levels of drives and of trials, since in scores themselves the trials would differ by their drives as well. The
+    tails that are cut off are Student's, in normal scale (T. C. Hesterberg, What teachers should know about the
+    bootstrap, The American Statistician 69, 2015): with few trials or drives, quantiles alone would be too narrow.
     """
     known = ~np.isnan(values)
     kept, trials = known.any(axis=0), known.any(axis=1)
@@ -153,9 +155,15 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
         return math.nan, math.nan
     drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
     own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], known[:, kept].sum(axis=0)
-    by_drive = _drive_weights(own, rng, times.astype(np.float64))
-    by_trial = _weights(len(trial_levels), rng)
-    return _middle(by_drive @ drive_levels / times.sum() + by_trial @ trial_levels / len(trial_levels))
+    by_drive = _drive_weights(own, rng, times.astype(np.float64)) @ drive_levels / times.sum()
+    by_trial = _weights(len(trial_levels), rng) @ trial_levels / len(trial_levels)
+    variances = np.array([np.var(by_drive), np.var(by_trial)])
+    freedom = np.array([max(len(own) - len(set(own)), 1), len(trial_levels) - 1])
+    if not variances.any():
+        return _middle(by_drive + by_trial)
+    # Satterthwaite's degrees of freedom of the sum of the two.
+    together = float(variances.sum() ** 2 / np.sum(variances**2 / freedom))
+    return _middle(by_drive + by_trial, float(stats.norm.cdf(stats.t.ppf((1 - LEVEL) / 2, together))))
 
 
 def levels(values: Array) -> tuple[Array, Array]:
@@ -172,7 +180,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
     """How much each drive counts in each resample, shape (RESAMPLES, n): within each stratum by itself.
 
     A drive that counts several ``times``, shape (n,), does so here, too; each stratum keeps its share. Where all strata
-    have one drive only, they are thrown together.
+    have one drive, they are thrown together; one such stratum among larger ones adds nothing to an interval's width.
     """
     names = np.array(strata)
     times = np.ones(len(names)) if times is None else times
@@ -195,12 +203,12 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
     return counts.astype(np.float64) * (n / (n - 1))
 
 
-def _middle(values: Array) -> Interval:
-    """The middle 95% of bootstrapped values."""
+def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
+    """The bootstrapped values but for the two tails, each of this share."""
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
-    low, high = np.quantile(values, [0.025, 0.975])
+    low, high = np.quantile(values, [tail, 1 - tail])
     return float(low), float(high)
 
 

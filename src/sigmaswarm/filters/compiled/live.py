@@ -61,7 +61,7 @@ def _step(
     w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
     *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
-    """Predict, then absorb what happens at the step's end (bits as in `run`)."""
+    """Predict, then absorb what happens at the step's end, as in `run`, but for a last bit."""
     if dt > 0.0:
         predict(w, dt, ax, ay, gz, q_scale)
     if happens & FIX:
@@ -110,7 +110,7 @@ def _step_to(v, n, to, ax, ay, gz, happens, zx, zy, zu, zv):
 
 @_plain
 def _slot(t, start, interval):
-    """As `batch.slot`."""
+    """Which interval a moment lies in, as `batch._every` says it; a constraint is absorbed once in each."""
     return math.floor((t - start) / interval + 1e-6)
 
 

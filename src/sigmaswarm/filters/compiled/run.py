@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives import standstill
+from sigmaswarm.drives import standstill, timeline
 from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
@@ -150,7 +150,8 @@ def cached_by_sources(make, **options):
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
-    files = [*sorted(Path(__file__).parent.glob("*.py")), Path(standstill.__file__)]
+    frozen = standstill, timeline  # what kernels take from elsewhere
+    files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(str(module.__file__)) for module in frozen)]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     return kernel(make(digest), **({"cache": True, "forceinline": False} | options))
 
