@@ -14,6 +14,8 @@ from sigmaswarm.study.statistics import summarize
 NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over drives and trials")
 DRIVE_SPREAD, BOTH_SPREAD = 0.35, 0.05
 """Standard deviations of the logarithms of the factors."""
+DESIGNS = ((25, 20, 20), (10, 3, 5), (2, 4, 5))
+"""Conditions, runs of each, trials: the paper's study, the notebook's, and a very small one."""
 TRIAL_SPREADS = (0.0, 0.01, 0.03, 0.2)
 """The same of the trial's factor: how much the optimizer's luck matters."""
 
@@ -60,14 +62,16 @@ def main() -> None:
     parser.add_argument("--studies", type=int, default=2000)
     studies = parser.parse_args().studies
     error = 1.96 * np.sqrt(0.95 * 0.05 / studies)
-    print(
-        f"{studies} simulated studies of 25 conditions x 20 runs, 20 trials; 95% is known to +-{error:.1%}\n"
-    )
-    print("| spread of the optimizer | " + " | ".join(NAMES) + " |")
-    print("|---:|" + "---:|" * len(NAMES))
-    for luck in TRIAL_SPREADS:
-        shares = " | ".join(f"{share:.1%}" for share in coverage(studies, luck, seed=round(1000 * luck)))
-        print(f"| {luck:.0%} | {shares} |")
+    print(f"{studies} simulated studies of each design; 95% is known to +-{error:.1%}\n")
+    print("| conditions x runs, trials | spread of the optimizer | " + " | ".join(NAMES) + " |")
+    print("|---|---:|" + "---:|" * len(NAMES))
+    for conditions, runs, trials in DESIGNS:
+        for luck in TRIAL_SPREADS:
+            found = coverage(
+                studies, luck, round(1000 * luck), conditions=conditions, runs=runs, trials=trials
+            )
+            shares = " | ".join(f"{share:.1%}" for share in found)
+            print(f"| {conditions} x {runs}, {trials} | {luck:.0%} | {shares} |", flush=True)
 
 
 if __name__ == "__main__":
