@@ -167,9 +167,9 @@ def table_2(results: Results) -> Table:
         ),
         tuple(rows),
         "The interval over trials (as in the paper) says what optimizer and split leave open; it covers the mean of "
-        "new drives only about half of the time. The other two are made for those: in a study of full size the bootstrap "
-        "covers it 95% of the time (small ones: 85 to 95%), the corrected t as often or more, as it is too wide where the "
-        "optimizer's luck varies much.",
+        "new drives only about half of the time. The other two are made for those: in a study of full size the "
+        "bootstrap covers it 95% of the time (in small ones 85 to 95%), the corrected t as often or more, as it is too "
+        "wide where the optimizer's luck varies much.",
     )
 
 
