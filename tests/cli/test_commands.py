@@ -151,6 +151,10 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     improvement = said["improvement_percent"]["defaults"]["position_rmse_m"]
     assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
     assert "4 s outage" in ended.out
+    consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
+    careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
+    assert careful
+    assert f"On {careful} of 2 drives the filter is too careful: its errors are smaller" in ended.out
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
         said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]

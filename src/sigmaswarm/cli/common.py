@@ -156,8 +156,10 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
 
 
 def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
-    """Whether the tuned filter's covariances say what its errors are."""
+    """Whether the tuned filter's covariances say what its errors are: the figures, and what they mean."""
     from rich.table import Table
+
+    from sigmaswarm.scoring.consistency import verdicts
 
     table = Table(title="Does the tuned filter know its own errors?", title_justify="left")
     table.add_column("drive")
@@ -174,6 +176,9 @@ def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
             ]
         table.add_row(drive, *cells)
     console.print(table)
+    found = [(c.mean_nis, c.nis_band, c.mean_nees) if c else None for c in evaluation.consistency.values()]
+    for said in verdicts(found):
+        console.print(f"{said[0].upper()}{said[1:]}.")
 
 
 def _number(value: float | None) -> str:
