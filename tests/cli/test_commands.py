@@ -155,6 +155,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
     assert f"On {careful} of 2 drives the filter is too careful: its errors are smaller" in ended.out
+    assert ended.out.endswith("next: sigmaswarm report e\n")
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
         said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]
@@ -252,6 +253,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         "raw GPS",
         "lower than manual: defaults",
         "pictures:",
+        "next:         sigmaswarm report show/evaluation\n",
     ):
         assert words in ended.out
     pictures = list(Path("show").rglob("*.png"))

@@ -71,6 +71,8 @@ def evaluate(
     print_evaluation(result, outage_length)
     for path in written:
         stdout().print(f"wrote {path}")
+    page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
+    stdout().print(f"next: {page}", markup=False)
 
 
 def _warn_of_training_drives(tuning: Path, drives: "list[Drive]") -> None:
