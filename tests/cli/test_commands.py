@@ -203,6 +203,12 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert said["tuned"]["outage_drift_m"] > 0
     assert not list(Path("e").glob("*-error.png"))
     assert is_picture(Path("e/comparison.png"))
+    shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00").out
+    reason = (
+        "no truth.csv: only the drift over outages, against hidden fixes, and the consistency can be told"
+    )
+    assert f"\nurban-clear-03 has {reason}" in shown
+    assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):

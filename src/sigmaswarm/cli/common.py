@@ -121,8 +121,10 @@ def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Genera
             bar.stop()
 
 
-def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> None:
-    """The comparison as a table: every drive, the mean, and what the tuning improved."""
+def print_evaluation(
+    evaluation: "Evaluation", outage_length: float = 5.0, without_truth: Sequence[str] = ()
+) -> None:
+    """The comparison as a table: every drive, the mean, and what the tuning improved; why it has gaps."""
     from rich.table import Table
 
     console = stdout()
@@ -145,6 +147,12 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
             style = "bold" if method == "tuned" else None
             table.add_row("mean" if i == 0 else "", name, *cells, style=style)
     console.print(table)
+    if without_truth:
+        console.print(
+            f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
+            "over outages, against hidden fixes, and the consistency can be told.",
+            markup=False,
+        )
     _print_consistency(evaluation, console)
     for over in ("defaults", "datasheet", "raw_gps"):
         improvement = evaluation.improvement(over)

@@ -68,7 +68,8 @@ def evaluate(
     if json:
         print_json(result.to_dict())
         return
-    print_evaluation(result, outage_length)
+    blind = [name for name, drive in zip(result.scores, read, strict=True) if drive.truth is None]
+    print_evaluation(result, outage_length, blind)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
