@@ -220,6 +220,8 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "compare-no-test-drive": (nothing, "compare good --out c --test nowhere", ["nowhere", "does not exist"]),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
+    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "tuning comes first"]),
+    "run-swapped": (nothing, "run good tuning.toml --out x.csv", ["good: is a drive", "tuning comes first"]),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not a readable TOML file"]),
     "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
