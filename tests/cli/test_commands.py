@@ -151,6 +151,11 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     improvement = said["improvement_percent"]["defaults"]["position_rmse_m"]
     assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
     assert "4 s outage" in ended.out
+    consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
+    careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
+    assert careful
+    assert f"On {careful} of 2 drives the filter is too careful: its errors are smaller" in ended.out
+    assert ended.out.endswith("next: sigmaswarm report e\n")
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
         said["drives"]["urban-clear-01"]["tuned"]["position_rmse_m"]
@@ -198,6 +203,12 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert said["tuned"]["outage_drift_m"] > 0
     assert not list(Path("e").glob("*-error.png"))
     assert is_picture(Path("e/comparison.png"))
+    shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00").out
+    reason = (
+        "no truth.csv: only the drift over outages, against hidden fixes, and the consistency can be told"
+    )
+    assert f"\nurban-clear-03 has {reason}" in shown
+    assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")
 
 
 def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -248,6 +259,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         "raw GPS",
         "lower than manual: defaults",
         "pictures:",
+        "next:         sigmaswarm report show/evaluation\n",
     ):
         assert words in ended.out
     pictures = list(Path("show").rglob("*.png"))

@@ -18,7 +18,9 @@ needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not i
 
 def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path):
     ended = sigmaswarm("export", tuned, "--to", "robot_localization", "--out", "ros")
-    assert (ended.code, ended.out) == (0, "wrote ros/robot_localization.yaml\n")
+    wrote, following = ended.out.splitlines()
+    assert (ended.code, wrote) == (0, "wrote ros/robot_localization.yaml")
+    assert following.startswith("next: ") and "ros/robot_localization.yaml" in following
     ended = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--json")
     assert json.loads(ended.out) == {"written": ["py/run_filter.py"]}
 
@@ -26,7 +28,8 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
 @needs_gcc
 def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
-    assert sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive).code == 0
+    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive)
+    assert ended.code == 0
     assert sigmaswarm("run", tuned, drive, "--out", "ours.csv").code == 0
     (command,) = re.findall(r"^cc .*", (ROOT / "docs" / "export.md").read_text(), re.MULTILINE)
     subprocess.run(command, cwd="c", shell=True, check=True)
@@ -36,6 +39,19 @@ def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: P
     header = Path("ours.csv").read_text().splitlines()[0]
     assert Path("c/theirs.csv").read_text().splitlines()[0] == header
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-9)
+    (following,) = re.findall(
+        r"^next: (.*)", ended.out, re.MULTILINE
+    )  # what export itself says, from outside
+    assert command in following
+    subprocess.run(following, shell=True, check=True)
+    assert Path("c/estimate.csv").read_bytes() == Path("c/theirs.csv").read_bytes()
+
+
+def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
+    said = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py").out
+    assert said.endswith("next: python py/run_filter.py DRIVE estimate.csv\n")
+    said = sigmaswarm("export", tuned, "--to", "c99", "--out", "c").out
+    assert said.endswith("-o replay\n")  # nothing to replay yet
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import shlex
 import sys
 import tomllib
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 import sigmaswarm as library
 from importing.bags import messages, write_mcap, write_ros
 from importing.logs import EPOCH, a_drive
+from sigmaswarm.cli.app import app
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
 
@@ -60,6 +62,11 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "note: /imu/data is in the frame 'imu_link'" in ended.out
     assert "wrote drives/monday: 40.0 s" in ended.out
     assert "importing" in ended.err  # progress
+    then = ended.out.splitlines()[-1]
+    assert then.startswith("then: sigmaswarm tune drives/monday --out tuned --model planar8 --use lateral")
+    app.parse_args(
+        shlex.split(then)[2:], exit_on_error=False, print_error=False
+    )  # a command that the program takes
 
     got = library.read_drive(here / "drives" / "monday")
     assert got.metadata["time_origin_s"] == EPOCH

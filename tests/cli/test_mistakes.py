@@ -150,7 +150,9 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "unknown-command": (nothing, "tone good", ["tone", "tune"]),
     "unknown-option": (nothing, "tune good --out t --partikles 3", ["--partikles"]),
     "no-drive": (nothing, "tune --out t", ["DRIVE"]),
-    "no-out": (nothing, "tune good", ["--out"]),
+    "no-out": (nothing, "tune good", ["--out is missing: name a folder for the result"]),
+    "misspelt-out": (nothing, "tune good --ouy t", ["--out", "Did you mean"]),
+    "empty-out": (nothing, "tune good --out", ["--out", "requires an argument"]),
     "folder-without-drives": (folder("empty"), "tune empty --out t", ["empty", "holds no drive", "imu.csv"]),
     "unknown-objective": (
         nothing,
@@ -216,10 +218,12 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "compare-unknown-scale": (nothing, "compare good --out c --scales cubic", ["cubic", "log10"]),
     "compare-no-seeds": (nothing, "compare good --out c --seeds 0", ["seeds = 0"]),
     "compare-no-workers": (nothing, "compare good --out c --workers 0", ["workers", "0"]),
-    "compare-no-out": (nothing, "compare good", ["--out"]),
+    "compare-no-out": (nothing, "compare good", ["--out is missing: name a folder for the result"]),
     "compare-no-test-drive": (nothing, "compare good --out c --test nowhere", ["nowhere", "does not exist"]),
     "compare-out-is-a-file": (file("c"), "compare good --out c", ["c:", "folder", "--out"]),
     "no-tuning": (nothing, "evaluate nowhere good", ["nowhere", "no such file"]),
+    "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "tuning comes first"]),
+    "run-swapped": (nothing, "run good tuning.toml --out x.csv", ["good: is a drive", "tuning comes first"]),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
     "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not a readable TOML file"]),
     "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
@@ -235,7 +239,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "run-no-suffix": (nothing, "run tuning.toml good --out x", ["x:", ".csv", ".tum"]),
     "run-no-such-folder": (nothing, "run tuning.toml good --out no/x.csv", ["no", "no such folder"]),
     "run-out-is-a-folder": (folder("x.csv"), "run tuning.toml good --out x.csv", ["x.csv", "folder"]),
-    "run-no-out": (nothing, "run tuning.toml good", ["--out"]),
+    "run-no-out": (nothing, "run tuning.toml good", ["--out is missing: name a file for the result"]),
     "run-two-drives": (nothing, "run tuning.toml good good --out x.csv", ["good"]),
     "run-negative-variance": (
         file(

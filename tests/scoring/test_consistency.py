@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.consistency import GATE_95, consistency, judged
+from sigmaswarm.scoring.consistency import GATE_95, consistency, judged, verdicts
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 
@@ -72,3 +72,25 @@ def test_an_evaluation_tells_of_it():
     assert told["mean_nis"] == found.mean_nis
     assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such
     assert told["mean_nees"] == Replayer([drive], outages=False).scores([parameters])[0, 0].mean_nees
+
+
+def test_the_verdicts_count_the_drives_of_each_kind():
+    band = (1.8, 2.2)
+    sure, careful, right = (2.3, band, 2.5), (1.0, band, 1.1), (2.0, band, float("nan"))
+    said = verdicts([sure, careful, careful, right, None])
+    assert [line.split(":")[0] for line in said] == [
+        "on 1 of 5 drives the filter is too sure of itself",
+        "on 2 of 5 drives the filter is too careful",
+        "on 1 of 5 drives the filter is consistent",
+        "on 1 of 5 drives the filter failed or saw too few fixes to judge its consistency",
+    ]
+    assert verdicts([careful])[0].endswith("its errors are smaller than its covariances say")
+    assert verdicts([]) == []
+
+
+def test_a_truth_that_contradicts_the_fixes_is_told():
+    """Errors that neighbouring fixes share hide from NIS."""
+    (careful, sure) = verdicts([(0.43, (1.8, 2.2), 15.4)])
+    assert "too careful" in careful
+    assert "too sure of its position all the same" in sure
+    assert len(verdicts([(3.0, (1.8, 2.2), 15.4)])) == 1

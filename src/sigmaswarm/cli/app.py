@@ -4,7 +4,7 @@ import sys
 import warnings
 from typing import Any, NoReturn
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, MissingArgumentError
 
 import sigmaswarm
 from sigmaswarm.cli.compare import compare
@@ -56,7 +56,8 @@ def main() -> NoReturn:
         app(exit_on_error=False, print_error=False)
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        print(f"sigmaswarm: {' '.join(str(error).split()).removesuffix('.')}{hint}", file=sys.stderr)
+        said = _forgotten_out(error) or " ".join(str(error).split()).removesuffix(".")
+        print(f"sigmaswarm: {said}{hint}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         saved = (
@@ -73,6 +74,16 @@ def main() -> NoReturn:
         print(f"sigmaswarm: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)
     sys.exit(0)
+
+
+def _forgotten_out(error: Exception) -> str | None:
+    """What to say where --out is left out altogether; its value alone missing is told by Cyclopts."""
+    if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
+        return None
+    if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
+        return None
+    what = "file" if "run" in (error.command_chain or ()) else "folder"
+    return f"--out is missing: name a {what} for the result"
 
 
 _default_showwarning = warnings.showwarning

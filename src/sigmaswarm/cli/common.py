@@ -121,8 +121,10 @@ def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Genera
             bar.stop()
 
 
-def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> None:
-    """The comparison as a table: every drive, the mean, and what the tuning improved."""
+def print_evaluation(
+    evaluation: "Evaluation", outage_length: float = 5.0, without_truth: Sequence[str] = ()
+) -> None:
+    """The comparison as a table: every drive, the mean, and what the tuning improved; why it has gaps."""
     from rich.table import Table
 
     console = stdout()
@@ -145,6 +147,12 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
             style = "bold" if method == "tuned" else None
             table.add_row("mean" if i == 0 else "", name, *cells, style=style)
     console.print(table)
+    if without_truth:
+        console.print(
+            f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
+            "over outages, against hidden fixes, and the consistency can be told.",
+            markup=False,
+        )
     _print_consistency(evaluation, console)
     for over in ("defaults", "datasheet", "raw_gps"):
         improvement = evaluation.improvement(over)
@@ -156,8 +164,10 @@ def print_evaluation(evaluation: "Evaluation", outage_length: float = 5.0) -> No
 
 
 def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
-    """Whether the tuned filter's covariances say what its errors are."""
+    """Whether the tuned filter's covariances say what its errors are: the figures, and what they mean."""
     from rich.table import Table
+
+    from sigmaswarm.scoring.consistency import verdicts
 
     table = Table(title="Does the tuned filter know its own errors?", title_justify="left")
     table.add_column("drive")
@@ -174,6 +184,9 @@ def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
             ]
         table.add_row(drive, *cells)
     console.print(table)
+    found = [(c.mean_nis, c.nis_band, c.mean_nees) if c else None for c in evaluation.consistency.values()]
+    for said in verdicts(found):
+        console.print(f"{said[0].upper()}{said[1:]}.")
 
 
 def _number(value: float | None) -> str:

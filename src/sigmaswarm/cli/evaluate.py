@@ -68,9 +68,12 @@ def evaluate(
     if json:
         print_json(result.to_dict())
         return
-    print_evaluation(result, outage_length)
+    blind = [name for name, drive in zip(result.scores, read, strict=True) if drive.truth is None]
+    print_evaluation(result, outage_length, blind)
     for path in written:
         stdout().print(f"wrote {path}")
+    page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
+    stdout().print(f"next: {page}", markup=False)
 
 
 def _warn_of_training_drives(tuning: Path, drives: "list[Drive]") -> None:

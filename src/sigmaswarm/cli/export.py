@@ -51,3 +51,15 @@ def export(
         return
     for path in written:
         stdout().print(f"wrote {path}")
+    stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}", markup=False)
+
+
+def _next_step(to: str, out: Path, *, replay: bool) -> str:
+    """How to go on with what was written."""
+    if to == "filterpy":
+        return f"python {out / 'run_filter.py'} DRIVE estimate.csv"
+    if to == "c99":
+        build = f"cd {out} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay"
+        return build + (" && ./replay < replay.csv > estimate.csv" if replay else "")
+    file = out / "robot_localization.yaml"
+    return f"read what {file} says, then give it to robot_localization with --params-file"

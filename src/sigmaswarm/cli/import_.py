@@ -181,6 +181,8 @@ def _import(
         _tell(imported, out)
         print_diagnosis(diagnosis)
         stdout().print(f"next: sigmaswarm plot {out}", markup=False)
+        better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
+        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}", markup=False)
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

@@ -50,14 +50,15 @@ def tune(
     """Tune a filter on drives, and keep it in OUT/tuning.toml.
 
     Put the drives first, then the options. Truth is not needed: without truth.csv the filter is tuned to forecast
-    the fixes. Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
+    the fixes, which tells planar5's position but hardly its heading: planar8 with lateral tells both. Keep some
+    drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
 
     Examples:
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
+        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
         sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
         sigmaswarm tune drives/training --out tuned --validation drives/monday --objective innovation-nll
-        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
         sigmaswarm tune drives/training --out tuned --racing
         sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume

@@ -145,6 +145,10 @@ class FilterParameters:
         """
         path = Path(path)
         if path.is_dir():
+            if (path / "imu.csv").exists() and not (path / "tuning.toml").exists():
+                raise InputError(
+                    f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
+                )
             path = path / "tuning.toml"
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -4,6 +4,7 @@ Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Trac
 section 5.4.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,8 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 
 GATE_95 = float(chi2.ppf(0.95, 2))
 """NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
+FAR_NEES = 4.0
+"""Mean NEES from which on errors are plainly too large: by a factor of 1.4, as it has no band."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
@@ -97,6 +100,32 @@ def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consist
         white_p=float(chi2.sf(ljung_box, 2 * LAGS)),
         mean_nees=mean_nees,
     )
+
+
+def verdicts(found: Sequence[tuple[float, tuple[float, float], float | None] | None]) -> list[str]:
+    """What the consistency on several drives says of a filter, a sentence each, for people.
+
+    Parameters
+    ----------
+    found : sequence of (mean NIS, its 95% band, mean NEES or None) or None
+        One for each drive; None where it can't be judged.
+    """
+    judged = [entry for entry in found if entry]
+    sure = sum(nis > high for nis, (_, high), _ in judged)
+    careful = sum(nis < low for nis, (low, _), _ in judged)
+    consistent = len(judged) - sure - careful
+    hidden = sum(nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in judged)
+    said = (
+        (sure, "is too sure of itself: its errors are larger than its covariances say"),
+        (careful, "is too careful: its errors are smaller than its covariances say"),
+        (consistent, "is consistent: its forecasts miss the fixes by as much as its covariances say"),
+        (
+            hidden,
+            "is too sure of its position all the same (NEES): only the truth tells errors that fixes share",
+        ),
+        (len(found) - len(judged), "failed or saw too few fixes to judge its consistency"),
+    )
+    return [f"on {count} of {len(found)} drives the filter {what}" for count, what in said if count]
 
 
 def _autocorrelation(values: Array) -> Array:
