@@ -193,6 +193,29 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     )
 
 
+def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
+):
+    found = evaluate(FilterParameters.load(folders[0]), BLIND)
+    save(found, folders[0], [BLIND], tmp_path / "e")
+    report = read_report(tmp_path / "e")
+    assert any("The drive has no truth" in sentence for sentence in report.lead)
+    for section in report.sections[:3]:
+        for table in section.tables:
+            for i, column in enumerate(table.columns):
+                assert any(row[i] is not None for row in table.rows), column
+    (scores,) = report.sections[0].tables
+    assert [c.title for c in scores.columns] == ["drive", "method", "outage drift"]
+    assert [row[1] for row in scores.rows] == [
+        "tuned UKF",
+        "manual: defaults",
+        "manual: data sheet",
+        "IMU only",
+    ]
+    assert "NEES" not in report.sections[2].text[0]
+    assert not any("no truth" in sentence for sentence in read_report(folders[1]).lead)
+
+
 def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluation]):
     tuned, out, _ = folders
     command, bound, _ = app.parse_args(
