@@ -104,3 +104,48 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
     page.settle()
     assert page.run("document.getElementById('errors').data.length") == 0
     assert "choose a filter" in page.page.inner_text("#errors")
+
+
+@pytest.mark.parametrize(
+    ("field", "typed", "then"),
+    [
+        ("from", "200", ("0.00", "30.00")),  # after the drive
+        ("to", "200", ("0.00", "30.00")),
+        ("to", "-5", ("0.00", "30.00")),
+        ("from", "-5", ("0.00", "30.00")),
+        ("to", "", ("0.00", "30.00")),
+        ("from", "12", ("12.00", "30.00")),
+    ],
+)
+def test_the_fields_of_time_say_what_is_drawn(page: Opened, field: str, typed: str, then: tuple[str, str]):
+    ask(page, field, typed)
+    assert fields(page) == then
+    assert page.page.is_visible("#limits") == (typed not in ("", "12"))
+    shown = page.run("document.getElementById('errors').layout.xaxis.range") or [0, 30]
+    assert shown[1] == pytest.approx(30, abs=2)  # an automatic range has margins
+
+
+def test_a_window_that_ends_before_it_begins_is_put_back(page: Opened):
+    ask(page, "from", "10")
+    ask(page, "to", "20")
+    ask(page, "to", "5")
+    assert fields(page) == ("10.00", "20.00")
+    assert "from before to, within 0.00 to 30.00 s" in page.page.inner_text("#limits")
+    assert page.run("document.getElementById('errors').layout.xaxis.range") == [10, 20]
+    ask(page, "from", "25")  # on along the drive
+    assert fields(page)[0] == "25.00"
+    ask(page, "to", "28")
+    assert fields(page) == ("25.00", "28.00")
+    assert not page.page.is_visible("#limits")
+    ask(page, "to", "")
+    assert fields(page) == ("25.00", "30.00")
+
+
+def ask(page: Opened, field: str, typed: str) -> None:
+    page.page.fill(f"#{field}", typed)
+    page.page.locator(f"#{field}").blur()
+    page.settle()
+
+
+def fields(page: Opened) -> tuple[str, str]:
+    return page.page.input_value("#from"), page.page.input_value("#to")

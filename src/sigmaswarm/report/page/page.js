@@ -200,6 +200,7 @@
     state.window = wanted;
     const [low, high] = wanted ?? wholeTime();
     [el("from").value, el("to").value] = [low, high].map((v) => v.toFixed(2));
+    el("limits").textContent = "";
   }
 
   function wholeTime() {
@@ -251,10 +252,24 @@
     el("sigma").addEventListener("change", drawErrors);
     el("methods").addEventListener("change", draw);
     el("whole").addEventListener("click", () => { setWindow(null); draw(); });
-    el("window").addEventListener("change", () => {
-      const [low, high] = [Number(el("from").value), Number(el("to").value)];
-      if (low < high) { setWindow([low, high]); draw(); }
+    el("window").addEventListener("change", (event) => askForWindow(event.target.id));
+  }
+
+  // The fields always say what is drawn: what can't be is put back. An empty field is the drive's own end.
+  function askForWindow(changed) {
+    const whole = wholeTime();
+    const wanted = ["from", "to"].map((id, i) => {
+      if (el(id).validity.badInput) return NaN;
+      return el(id).value === "" ? whole[i] : Number(el(id).value);
     });
+    const kept = [Math.max(wanted[0], whole[0]), Math.min(wanted[1], whole[1])];
+    // Who moves on along the drive says "from" first: "to" is still the old one.
+    if (changed === "from" && kept[0] >= kept[1]) kept[1] = whole[1];
+    const sound = kept[0] < kept[1];
+    const asIs = sound && kept.every((v, i) => Math.abs(v - wanted[i]) < 0.01);
+    setWindow(sound ? kept : state.window);
+    el("limits").textContent = asIs ? "" : `from before to, within ${whole.map((v) => v.toFixed(2)).join(" to ")} s`;
+    if (sound) draw();
   }
 
   function linkTime() {
