@@ -106,6 +106,36 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
     assert "choose a filter" in page.page.inner_text("#errors")
 
 
+def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
+    for method, name in (
+        ("datasheet", "manual: data sheet"),
+        ("imu_only", "IMU only"),
+        ("tuned", "tuned UKF"),
+    ):
+        page.page.check(f"#method-{method}")
+        page.settle()
+        drawn = page.run(
+            "(() => { const map = document.getElementById('map');"
+            f"const at = map.data.findIndex((t) => t.name === '{name}');"
+            "const line = map.querySelector('.scatterlayer .trace' + map.calcdata[at][0].trace.uid + ' path.js-line');"
+            "return getComputedStyle(line).strokeDasharray.match(/[0-9]+/g); })()"
+        )
+        swatch = page.run(
+            f"document.querySelector('#method-{method} + svg line').getAttribute('stroke-dasharray')"
+        )
+        assert swatch.split() == (drawn or []), name
+    assert page.run("document.querySelectorAll('#method-raw_gps + svg circle').length") == 3
+
+
+def test_on_a_phone_a_shadow_says_that_a_table_goes_on(browser, folder: Path, page: Opened):
+    phone = Opened(browser, folder / "page.html", 390)
+    for table in phone.page.locator(".wide").all():
+        attachment = table.evaluate("(t) => getComputedStyle(t).backgroundAttachment")
+        assert attachment == "local, local, scroll, scroll"
+    assert phone.width() <= 390
+    phone.check_silence()
+
+
 @pytest.mark.parametrize(
     ("field", "typed", "then"),
     [

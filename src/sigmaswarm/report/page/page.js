@@ -233,6 +233,21 @@
 
   const option = (value, text) => Object.assign(document.createElement("option"), { value, textContent: text });
 
+  // The dashes are as long as plotly.js draws them.
+  const DASHES = { solid: "", dash: "9 9", dashdot: "9 3 3 3", dot: "3 3" };
+
+  function swatch(color, dash) {
+    const svg = (kind, attributes) => {
+      const node = document.createElementNS("http://www.w3.org/2000/svg", kind);
+      Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+      return node;
+    };
+    const picture = svg("svg", { class: "swatch", viewBox: "0 0 27 6", "aria-hidden": "true" });
+    if (dash === "none") picture.append(...[4, 13.5, 23].map((cx) => svg("circle", { cx, cy: 3, r: 2.5, fill: color })));
+    else picture.append(svg("line", { x1: 0, x2: 27, y1: 3, y2: 3, stroke: color, "stroke-width": 2.5, "stroke-dasharray": DASHES[dash] }));
+    return picture;
+  }
+
   function makeControls() {
     data.tracks.drives.forEach((drive, i) => el("drive").append(option(i, drive.name)));
     for (const { series, label } of LINES) {
@@ -242,10 +257,8 @@
     el("sigma").value = data.tracks.main;
     for (const { series, label: text, color, dash, shown: checked } of LINES) {
       const box = Object.assign(document.createElement("input"), { type: "checkbox", id: `method-${series}`, checked });
-      const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
-      swatch.style.borderTop = `3px ${dash === "solid" ? "solid" : dash === "dash" ? "dashed" : "dotted"} ${color}`;
       const label = document.createElement("label");
-      label.append(box, swatch, text);
+      label.append(box, swatch(color, dash), text);
       el("methods").append(label);
     }
     el("drive").addEventListener("change", chooseDrive);
