@@ -149,6 +149,17 @@ def test_comparison_has_bars_for_every_method():
         assert ax.get_xscale() == "log"
 
 
+def test_comparison_without_truth_has_no_empty_panels():
+    blind = replace(DRIVE, truth=None)
+    figure = comparison(evaluate(GOOD, blind))
+    assert [ax.get_title() for ax in figure.axes] == ["drift over an outage, m"]
+    assert all(ax.patches for ax in figure.axes)
+    short = replace(make_drive(duration=12.0, seed=1, name="short"), truth=None)
+    (ax,) = comparison(evaluate(GOOD, short)).axes
+    assert "nothing can be compared" in ax.texts[0].get_text()
+    assert not ax.axison
+
+
 def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning):
     evaluation = evaluate(GOOD, DRIVE)
     makers = {

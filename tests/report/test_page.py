@@ -177,6 +177,28 @@ def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path:
     assert rows["q_theta"][6] != rows["q_vx"][6]
 
 
+def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
+    tune(MONDAY, model="planar8", use=["lateral"], particles=4, generations=2, out=tmp_path)
+    path = tmp_path / "tuning.toml"
+    file = tomllib.loads(path.read_text())
+    file["result"]["touched_bounds"] = ["rear_axle at its upper bound (4)"]
+    path.write_text(tomli_w.dumps(file))
+    rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
+    said = "how far the IMU is ahead of the rear axle; negative: behind it"
+    assert rows["rear_axle"][2] == "m"
+    assert str(rows["rear_axle"][6]).startswith(said)
+    assert "rear axle" not in str(rows["lateral_noise"][6])
+
+
+@pytest.mark.parametrize(("optimizer", "has_swarm"), [("de", False), ("pso", True)])
+def test_the_configuration_has_the_settings_of_its_optimizer(tmp_path: Path, optimizer: str, has_swarm: bool):
+    tune(MONDAY, optimizer=optimizer, particles=4, generations=2, out=tmp_path)
+    config = read_report(tmp_path).config
+    assert config["optimizer"] == optimizer
+    for name in ("inertia", "cognitive", "social", "zero_velocity_at_bounds"):
+        assert (name in config) == has_swarm
+
+
 def test_drives_that_were_tuned_on_are_not_called_held_out(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation]
 ):
@@ -191,6 +213,29 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     assert (
         "NaN" not in html_page(report).rsplit("</script>", 3)[0].split('id="data">')[1].split("</script>")[0]
     )
+
+
+def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation]
+):
+    found = evaluate(FilterParameters.load(folders[0]), BLIND)
+    save(found, folders[0], [BLIND], tmp_path / "e")
+    report = read_report(tmp_path / "e")
+    assert any("The drive has no truth" in sentence for sentence in report.lead)
+    for section in report.sections[:3]:
+        for table in section.tables:
+            for i, column in enumerate(table.columns):
+                assert any(row[i] is not None for row in table.rows), column
+    (scores,) = report.sections[0].tables
+    assert [c.title for c in scores.columns] == ["drive", "method", "outage drift"]
+    assert [row[1] for row in scores.rows] == [
+        "tuned UKF",
+        "manual: defaults",
+        "manual: data sheet",
+        "IMU only",
+    ]
+    assert "NEES" not in report.sections[2].text[0]
+    assert not any("no truth" in sentence for sentence in read_report(folders[1]).lead)
 
 
 def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluation]):

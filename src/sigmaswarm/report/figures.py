@@ -139,20 +139,24 @@ def errors(drive: Drive, parameters: FilterParameters) -> Figure:
 
 
 def comparison(evaluation: Evaluation) -> Figure:
-    """Bars of the mean scores of each method; the scale is logarithmic."""
+    """Bars of the mean scores of each method, where there are any: without truth no errors; logarithmic."""
     titles = {
         "position_rmse_m": "position RMSE, m",
         "heading_rmse_deg": "heading error, deg",
         "outage_drift_m": "drift over an outage, m",
     }
-    figure, axes = new_figure(11, 3.4, 1, 3)
-    for ax, (measure, title) in zip(axes, titles.items(), strict=True):
-        values = {m: evaluation.mean(m, measure) for m in METHODS}
-        shown = {m: v for m, v in values.items() if v}
+    values = {t: {m: v for m in METHODS if (v := evaluation.mean(m, t))} for t in titles}
+    told = {measure: shown for measure, shown in values.items() if shown}
+    n = max(len(told), 1)
+    figure, axes = new_figure(11 if n > 1 else 6.4, 3.4, 1, n)
+    if not told:
+        axes[0].set_axis_off()
+        axes[0].text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
+    for ax, (measure, shown) in zip(axes, told.items(), strict=bool(told)):
         for i, (method, value) in enumerate(shown.items()):
             ax.barh(i, value, color=LOOKS[method]["color"])
             ax.annotate(f" {value:.3g}", (value, i), va="center", fontsize=8)
-        ax.set(xscale="log", title=title)
+        ax.set(xscale="log", title=titles[measure])
         ax.set_yticks(range(len(shown)), [evaluation.names[m] for m in shown], fontsize=8)
         ax.invert_yaxis()
         ax.margins(x=0.25)

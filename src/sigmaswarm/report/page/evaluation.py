@@ -1,13 +1,13 @@
 """The page of an evaluation: what the tuning is worth on drives, against manual filters, raw GPS and IMU only."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import evaluate_command
 from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Line, Report, Section, Table, TrackView
-from sigmaswarm.report.page.schema import EvaluationFile, Measures, ScoresFile, TuningFile, load
+from sigmaswarm.report.page.schema import EvaluationFile, ScoresFile, TuningFile, load
 from sigmaswarm.report.page.tuning import (
     convergence_section,
     data_section,
@@ -29,6 +29,10 @@ MEASURES = {
 MANUAL = ("defaults", "datasheet")
 LINES = ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
+NO_TRUTH = (
+    "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
+    "fixes are hidden from it, measured against those fixes, and whether the tuned filter knows its own errors (NIS)."
+)
 SHOWN = ("truth", "tuned", "datasheet", "raw_gps")
 """Those that are shown from the start."""
 
@@ -50,15 +54,19 @@ def evaluation_report(folder: Path) -> Report:
         )
     seen = frozenset(d.sha256 for d in file.data)
     held_out = [d.sha256 not in seen for d in asked.data]
+    blind = all(d.has_truth is False for d in asked.data)
+    without = (
+        (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
+    )
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(_result(scores, held_out, known=bool(seen)), what_was_tuned(file)),
+        lead=(_result(scores, held_out, known=bool(seen)), *without, what_was_tuned(file)),
         figures=_figures(scores),
         remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
         sections=(
             _comparison(scores, names, asked.outage_length_s),
-            Section("Tracks and errors over time", tracks=tracks),
+            Section("Tracks over time" if blind else "Tracks and errors over time", tracks=tracks),
             _consistency(scores),
             parameters_section(file),
             *convergence_section(file, folder),
@@ -150,31 +158,33 @@ def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
 
 
 def _comparison(scores: ScoresFile, names: Mapping[str, str], outage_length: float) -> Section:
-    columns = (Column("drive"), Column("method"), *MEASURES.values())
-    each = [
-        (drive, names[m], *_figures_of(methods[m]))
-        for drive, methods in scores.drives.items()
-        for m in METHODS
-        if m in methods
+    """Of what can be told: without truth there is neither a column of errors nor a row of raw GPS."""
+    told = [m for m in MEASURES if any(_mean(scores, method, m) is not None for method in METHODS)] or [
+        *MEASURES
     ]
-    mean = [("mean", names[m], *_figures_of(scores.mean[m])) for m in METHODS if m in scores.mean]
+    methods = [m for m in METHODS if m != "raw_gps" or any(_mean(scores, m, t) is not None for t in told)]
+    columns = (Column("drive"), Column("method"), *(MEASURES[m] for m in told))
+    each = [
+        (drive, names[m], *(found[m].get(t) for t in told))
+        for drive, found in scores.drives.items()
+        for m in methods
+        if m in found
+    ]
+    mean = [("mean", names[m], *(_mean(scores, m, t) for t in told)) for m in methods if m in scores.mean]
     tables = [_scores("Each drive", columns, each, names)]
     if len(scores.drives) > 1:
         tables.insert(0, _scores("Mean over drives", columns, mean, names))
-    text = (f"Lower is better. An outage lasts {outage_length:g} s. RMSE: root of the mean square error.",)
+    rmse = " RMSE: root of the mean square error." if "position_rmse_m" in told else ""
+    text = (f"Lower is better. An outage lasts {outage_length:g} s.{rmse}",)
     charts = tuple(_bars(scores, names, m, c) for m, c in MEASURES.items())
     return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
 
 
 def _scores(
-    caption: str, columns: tuple[Column, ...], rows: list[tuple[Cell, ...]], names: Mapping[str, str]
+    caption: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cell, ...]], names: Mapping[str, str]
 ) -> Table:
     strong = frozenset(i for i, row in enumerate(rows) if row[1] == names["tuned"])
     return Table(caption, columns, tuple(rows), strong)
-
-
-def _figures_of(measures: Measures) -> tuple[Cell, ...]:
-    return tuple(measures.get(m) for m in MEASURES)
 
 
 def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Column) -> Chart | None:
@@ -203,29 +213,24 @@ def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Co
 
 
 def _consistency(scores: ScoresFile) -> Section:
-    titles = ("drive", "fixes", "mean NIS", "consistent from", "to", "inside 95% gate", "mean NEES")
-    columns = [*map(Column, titles), Column("correlation to the next fix"), Column("p of whiteness")]
-    columns[5] = Column("inside 95% gate", "%")
+    judged = scores.consistency
+    nees = any(c and c.mean_nees is not None for c in judged.values())  # only where truth is known
+    titles = ("drive", "fixes", "mean NIS", "consistent from", "to")
+    columns = [*map(Column, titles), Column("inside 95% gate", "%"), *([Column("mean NEES")] if nees else [])]
+    columns += [Column("correlation to the next fix"), Column("p of whiteness")]
     rows: list[tuple[Cell, ...]] = []
-    for drive, c in scores.consistency.items():
+    for drive, c in judged.items():
         if c is None:
-            rows.append((drive, *([None] * 8)))
+            rows.append((drive, *([None] * (len(columns) - 1))))
             continue
         inside = 100 * c.share_inside_95_gate
+        known = (c.mean_nees,) if nees else ()
         rows.append(
-            (
-                drive,
-                c.n_fixes,
-                c.mean_nis,
-                *c.nis_band_95,
-                inside,
-                c.mean_nees,
-                c.autocorrelation[0],
-                c.white_p,
-            )
+            (drive, c.n_fixes, c.mean_nis, *c.nis_band_95, inside, *known, c.autocorrelation[0], c.white_p)
         )
     text = (
-        "Does the tuned filter know its own errors? NIS and NEES average 2 where it does; above 2 it is too sure of "
-        "itself, below too careful. Innovations of a consistent filter are white: no correlation from fix to fix.",
+        f"Does the tuned filter know its own errors? {'NIS and NEES average' if nees else 'NIS averages'} 2 where it "
+        "does; above 2 it is too sure of itself, below too careful. Innovations of a consistent filter are white: no "
+        "correlation from fix to fix.",
     )
     return Section("Consistency", text, (Table("", tuple(columns), tuple(rows)),))

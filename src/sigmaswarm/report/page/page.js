@@ -59,7 +59,7 @@
   const LINES = data.tracks?.lines ?? [];
   const DRAWN = LINES.map((line) => line.series).reverse(); // the last one on top
   const look = (name) => LINES.find((line) => line.series === name);
-  const state = { drive: null, window: null };
+  const state = { drive: null, window: null, known: true }; // known: the drive has truth
 
   const shown = (name) => el(`method-${name}`)?.checked && state.drive.series[name];
   const inWindow = (t) => !state.window || (t >= state.window[0] && t <= state.window[1]);
@@ -109,74 +109,98 @@
     }), EXPLORED);
   }
 
-  const PANELS = [
-    { axis: "y", column: "position_error", sigma: "position_3sigma" },
-    { axis: "y2", column: "heading_error", sigma: "heading_3sigma" },
-  ];
+  const GREY = { mode: "lines", hoverinfo: "skip", line: { color: "#8a9199", width: 1 } };
 
-  const nisShown = () => state.drive.series[`${el("sigma").value}.nis`];
-
-  function errorTraces() {
-    const traces = [];
-    for (const panel of PANELS) {
-      const s = state.drive.series[el("sigma").value];
-      const line = { mode: "lines", yaxis: panel.axis, hoverinfo: "skip", line: { color: "#8a9199", width: 1 } };
-      if (s?.[panel.sigma]) {
-        traces.push({ ...line, x: s.time, y: s[panel.sigma], name: "3 sigma" });
-        if (panel.axis === "y2") {
-          traces.push({ ...line, x: s.time, y: s[panel.sigma].map((v) => (v === null ? v : -v)), name: "-3 sigma",
-            fill: "tonexty", fillcolor: "rgba(138,145,153,.18)" });
-        }
-      }
-      for (const name of DRAWN.filter((n) => shown(n)?.[panel.column])) {
-        traces.push({ x: state.drive.series[name].time, y: state.drive.series[name][panel.column],
-          yaxis: panel.axis, name: look(name).label, ...style(name) });
-      }
-    }
-    const nis = nisShown();
-    if (nis) {
-      traces.push({ x: nis.time, y: nis.nis, yaxis: "y3", name: "NIS", mode: "markers",
-        marker: { color: look(el("sigma").value).color, size: 4 } });
-    }
-    return traces;
+  function bounds(column, mirrored) {
+    const s = state.drive.series[el("sigma").value];
+    if (!s?.[column]) return [];
+    const above = { ...GREY, x: s.time, y: s[column], name: "3 sigma" };
+    if (!mirrored) return [above];
+    return [above, { ...GREY, x: s.time, y: s[column].map((v) => (v === null ? v : -v)), name: "-3 sigma",
+      fill: "tonexty", fillcolor: "rgba(138,145,153,.18)" }];
   }
 
+  function errorsOf(column) {
+    return DRAWN.filter((n) => shown(n)?.[column]).map((name) => ({
+      x: state.drive.series[name].time, y: state.drive.series[name][column], name: look(name).label, ...style(name) }));
+  }
+
+  function nisTraces() {
+    const nis = state.drive.series[`${el("sigma").value}.nis`];
+    if (!nis) return [];
+    return [{ x: nis.time, y: nis.nis, name: "NIS", mode: "markers",
+      marker: { color: look(el("sigma").value).color, size: 4 } }];
+  }
+
+  const finite = (traces) => traces.flatMap((t) => t.y).filter((v) => v !== null);
+
+  // Position, heading and NIS, of which only those are drawn that have something to show.
+  function panels() {
+    const position = [...bounds("position_3sigma", false), ...errorsOf("position_error")];
+    const heading = [...bounds("heading_3sigma", true), ...errorsOf("heading_error")];
+    const what = state.known ? "" : " 3 sigma";
+    return [
+      { title: `position${what}, m`, traces: position, scale: { type: "log", range: positionRange(position) } },
+      { title: `heading${what}, deg`, traces: heading, scale: { range: headingRange(heading) } },
+      { title: "NIS", traces: nisTraces(), scale: { type: "log", range: logRange(nisTraces(), 0.01, 20) }, gate: true },
+    ].filter((panel) => finite(panel.traces).length);
+  }
+
+  const PANEL_HEIGHT = 188; // px
+  const GAP = 0.04; // between panels, of the plot's height
+
   function drawErrors() {
-    const side = (text, domain, more) => axis({ title: { text, font: { size: 12 } }, domain, ...more });
+    const drawn = panels();
+    const height = (1 - GAP * (drawn.length - 1)) / drawn.length;
     const origin = state.drive.origin ? ` since t = ${state.drive.origin} s` : "";
-    const time = axis({ title: { text: `time, s${origin}` }, anchor: "y3", zeroline: false,
-      ...(state.window ? { range: state.window } : { autorange: true }) });
-    const gate = { type: "line", xref: "paper", x0: 0, x1: 1, yref: "y3", y0: data.gate, y1: data.gate,
-      line: { color: "#51585f", width: 1, dash: "dash" } };
-    const traces = errorTraces();
-    Plotly.react("errors", traces, {
-      ...layout({ height: 620, showlegend: false, margin: { l: 60 } }),
-      xaxis: time,
-      yaxis: side("position, m", [0.68, 1], { type: "log", range: logRange(traces, "y", 0.03, 1) }),
-      yaxis2: side("heading, deg", [0.34, 0.64], headingRange()),
-      yaxis3: side("NIS", [0, 0.3], { type: "log", range: logRange(traces, "y3", 0.01, 20) }),
-      shapes: nisShown() ? [gate] : [],
-    }, EXPLORED);
+    const wanted = { ...layout({ height: 56 + PANEL_HEIGHT * Math.max(drawn.length, 1), showlegend: false, margin: { l: 60 } }) };
+    const traces = drawn.flatMap((panel, i) => {
+      const id = i ? `${i + 1}` : "";
+      const top = 1 - i * (height + GAP);
+      wanted[`yaxis${id}`] = axis({ title: { text: panel.title, font: { size: 12 } },
+        domain: [Math.max(top - height, 0), top], ...panel.scale });
+      if (panel.gate) {
+        wanted.shapes = [{ type: "line", xref: "paper", x0: 0, x1: 1, yref: `y${id}`, y0: data.gate, y1: data.gate,
+          line: { color: "#51585f", width: 1, dash: "dash" } }];
+      }
+      return panel.traces.map((trace) => ({ ...trace, yaxis: `y${id}` }));
+    });
+    // The time stands below the lowest panel, whichever that is.
+    wanted.xaxis = axis({ title: { text: `time, s${origin}` }, anchor: drawn.length > 1 ? `y${drawn.length}` : "y",
+      zeroline: false, ...(state.window ? { range: state.window } : { autorange: true }) });
+    if (!drawn.length) {
+      wanted.xaxis = { visible: false };
+      wanted.yaxis = { visible: false };
+      wanted.annotations = [{ text: "Nothing to draw: choose a filter above.", xref: "paper", yref: "paper",
+        x: 0.5, y: 0.5, showarrow: false }];
+    }
+    Plotly.react("errors", traces, wanted, EXPLORED);
   }
 
   // From what is small enough to be nothing, up to the largest value drawn: exponents, as plotly.js wants them.
-  function logRange(traces, axisName, low, high) {
-    const values = traces.filter((t) => t.yaxis === axisName).flatMap((t) => t.y);
-    return [low, values.reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
+  function logRange(traces, low, high) {
+    return [low, finite(traces).reduce((a, b) => Math.max(a, 1.3 * b), high)].map(Math.log10);
+  }
+
+  // Where there are no errors, the bounds fill their panel.
+  function positionRange(traces) {
+    const values = finite(traces).filter((v) => v > 0);
+    if (state.known || !values.length) return logRange(traces, 0.03, 1);
+    return logRange(traces, values.reduce((a, b) => Math.min(a, b)) / 1.5, 0);
   }
 
   // As far as the main filter goes; a lost heading must not hide a good one.
-  function headingRange() {
-    const s = state.drive.series[data.tracks.main];
-    const values = [...(s?.heading_error ?? [])].filter((v) => v !== null).map(Math.abs);
-    const most = Math.min(180, 1.2 * values.reduce((a, b) => Math.max(a, b), 4));
-    return { range: [-most, most] };
+  function headingRange(traces) {
+    const errors = state.known ? [{ y: state.drive.series[data.tracks.main]?.heading_error ?? [] }] : traces;
+    const most = finite(errors).map(Math.abs).reduce((a, b) => Math.max(a, b), state.known ? 4 : 0.1);
+    return [-1, 1].map((side) => side * Math.min(180, 1.2 * most));
   }
 
   function setWindow(wanted) {
     state.window = wanted;
     const [low, high] = wanted ?? wholeTime();
     [el("from").value, el("to").value] = [low, high].map((v) => v.toFixed(2));
+    el("limits").textContent = "";
   }
 
   function wholeTime() {
@@ -199,12 +223,30 @@
 
   function chooseDrive() {
     state.drive = data.tracks.drives[Number(el("drive").value)];
+    state.known = finite(Object.values(state.drive.series).map((s) => ({ y: s.position_error ?? [] }))).length > 0;
+    el("over-time").textContent = state.known ? "Errors over time" : "3 sigma over time";
+    el("no-truth").hidden = state.known;
     for (const name of DRAWN) el(`method-${name}`).disabled = !state.drive.series[name];
     setWindow(null);
     draw();
   }
 
   const option = (value, text) => Object.assign(document.createElement("option"), { value, textContent: text });
+
+  // The dashes are as long as plotly.js draws them.
+  const DASHES = { solid: "", dash: "9 9", dashdot: "9 3 3 3", dot: "3 3" };
+
+  function swatch(color, dash) {
+    const svg = (kind, attributes) => {
+      const node = document.createElementNS("http://www.w3.org/2000/svg", kind);
+      Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+      return node;
+    };
+    const picture = svg("svg", { class: "swatch", viewBox: "0 0 27 6", "aria-hidden": "true" });
+    if (dash === "none") picture.append(...[4, 13.5, 23].map((cx) => svg("circle", { cx, cy: 3, r: 2.5, fill: color })));
+    else picture.append(svg("line", { x1: 0, x2: 27, y1: 3, y2: 3, stroke: color, "stroke-width": 2.5, "stroke-dasharray": DASHES[dash] }));
+    return picture;
+  }
 
   function makeControls() {
     data.tracks.drives.forEach((drive, i) => el("drive").append(option(i, drive.name)));
@@ -215,20 +257,32 @@
     el("sigma").value = data.tracks.main;
     for (const { series, label: text, color, dash, shown: checked } of LINES) {
       const box = Object.assign(document.createElement("input"), { type: "checkbox", id: `method-${series}`, checked });
-      const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
-      swatch.style.borderTop = `3px ${dash === "solid" ? "solid" : dash === "dash" ? "dashed" : "dotted"} ${color}`;
       const label = document.createElement("label");
-      label.append(box, swatch, text);
+      label.append(box, swatch(color, dash), text);
       el("methods").append(label);
     }
     el("drive").addEventListener("change", chooseDrive);
     el("sigma").addEventListener("change", drawErrors);
     el("methods").addEventListener("change", draw);
     el("whole").addEventListener("click", () => { setWindow(null); draw(); });
-    el("window").addEventListener("change", () => {
-      const [low, high] = [Number(el("from").value), Number(el("to").value)];
-      if (low < high) { setWindow([low, high]); draw(); }
+    el("window").addEventListener("change", (event) => askForWindow(event.target.id));
+  }
+
+  // The fields always say what is drawn: what can't be is put back. An empty field is the drive's own end.
+  function askForWindow(changed) {
+    const whole = wholeTime();
+    const wanted = ["from", "to"].map((id, i) => {
+      if (el(id).validity.badInput) return NaN;
+      return el(id).value === "" ? whole[i] : Number(el(id).value);
     });
+    const kept = [Math.max(wanted[0], whole[0]), Math.min(wanted[1], whole[1])];
+    // Who moves on along the drive says "from" first: "to" is still the old one.
+    if (changed === "from" && kept[0] >= kept[1]) kept[1] = whole[1];
+    const sound = kept[0] < kept[1];
+    const asIs = sound && kept.every((v, i) => Math.abs(v - wanted[i]) < 0.01);
+    setWindow(sound ? kept : state.window);
+    el("limits").textContent = asIs ? "" : `from before to, within ${whole.map((v) => v.toFixed(2)).join(" to ")} s`;
+    if (sound) draw();
   }
 
   function linkTime() {

@@ -11,10 +11,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import tune_command
 from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
 from sigmaswarm.report.page.schema import Data, End, TuningFile, load
+from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 
 BEST, MEDIAN = "#0072B2", "#E69F00"
 """The colors of `figures.convergence`."""
+
+MEANINGS = {"rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it"}
+"""Of parameters whose name and unit leave open what they measure, or from where."""
 
 
 def tuning_report(folder: Path) -> Report:
@@ -99,7 +103,8 @@ def parameters_section(file: TuningFile) -> Section:
         searched = _searched_as(name, ranges)
         low, high = ranges.get(searched, (None, None))
         free = (low, high) == ("-", "-")
-        remark = "any value in the box is as good" if free else touched.get(_searched_as(name, touched), "")
+        found = "any value in the box is as good" if free else touched.get(_searched_as(name, touched), "")
+        remark = "; ".join(said for said in (MEANINGS.get(name, ""), found) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
         low, high = ranges[NOISE_SCALE]
@@ -218,7 +223,12 @@ def data_section(title: str, data: list[Data], seen: frozenset[str] | None = Non
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
-    """The configuration; of a model of the user's own its name and fingerprint."""
+    """The configuration that the search used: no swarm's coefficients of another optimizer.
+
+    Of a model of the user's own its name and fingerprint.
+    """
+    if config.get("optimizer", "pso") != "pso":  # tunings from before there was a choice are of pso
+        config = {key: value for key, value in config.items() if key not in SWARM}
     model = config.get("model")
     if isinstance(model, dict):
         return config | {"model": {k: model[k] for k in ("name", "sha256") if k in model}}
