@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from sigmaswarm.report.comparison_figure import save_comparison
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.comparison import compare
 from sigmaswarm.tuning.paired import holm, median_interval, wilcoxon
-from sigmaswarm.tuning.summary import Comparison
+from sigmaswarm.tuning.summary import FEWEST_SEEDS, Comparison
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -129,8 +130,21 @@ def test_the_tables_say_what_the_runs_were(whole):
         for c in comparison.contenders[1:]
     ]
     assert comparison.frame["cost_p"].to_list()[1:] == holm(np.array(raw)).tolist()
-    assert "3 seeds, 24 evaluations each" in (folder / "comparison.md").read_text()
+    said = (folder / "comparison.md").read_text()
+    assert "3 seeds, 24 evaluations each" in said
+    assert said.endswith("\n\nToo few seeds for a test: 6 or more.\n")
+    assert ", p - |" in said and "p = " not in said
     assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 24
+
+
+def test_with_enough_seeds_the_table_has_tests(whole):
+    few = whole[0]
+    enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
+    assert enough.seeds == 6 == FEWEST_SEEDS
+    assert "p = " in enough.markdown()
+    assert "Too few" not in enough.markdown() and "p -" not in enough.markdown()
+    assert wilcoxon(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
+    assert wilcoxon(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05
 
 
 def test_the_curves_are_a_naive_count(whole):

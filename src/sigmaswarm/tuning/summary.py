@@ -13,6 +13,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.contenders import Contender
 from sigmaswarm.tuning.paired import holm, median_interval, wilcoxon
 
+FEWEST_SEEDS = 6
+"""With fewer pairs a two-sided signed-rank test can't reach 5%: its lowest p is 2^(1 - pairs)."""
+
 MEASURES = {
     "cost": "training cost",
     "held_out_cost": "held-out cost",
@@ -189,7 +192,7 @@ class Comparison:
         titles = ["optimizer", "scale", *(MEASURES[m] for m in self._columns), "steps", "touched bounds"]
         lines = [titles, ["---"] * len(titles)]
         for row in self.frame.iter_rows(named=True):
-            cells = [_cell(row, measure) for measure in self._columns]
+            cells = [_cell(row, measure, tested=self.seeds >= FEWEST_SEEDS) for measure in self._columns]
             touched = row["touched_bounds"].replace(" ", ", ") or "-"
             lines.append(
                 [f"`{row['optimizer']}`", row["scale"], *cells, f"{row['steps_share']:.0%}", touched]
@@ -204,12 +207,18 @@ class Comparison:
             "Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
             f"parameter ended on a bound. Trained on {', '.join(self.drives)}; "
             f"held out: {', '.join(self.test) or 'none'}."
+            + ("" if self.seeds >= FEWEST_SEEDS else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more.")
         )
 
 
-def _cell(row: dict[str, Any], measure: str) -> str:
+def _cell(row: dict[str, Any], measure: str, *, tested: bool) -> str:
     middle, low, high, worst, p = (
         row[f"{measure}_{part}"] for part in ("median", "low", "high", "worst", "p")
     )
-    said = "" if p is None else f", p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}"
+    if p is None:
+        said = ""
+    elif not tested:
+        said = ", p -"
+    else:
+        said = f", p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}"
     return f"{middle:.4g} [{low:.4g}, {high:.4g}], {worst:.4g}{said}"
