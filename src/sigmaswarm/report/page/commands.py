@@ -10,7 +10,7 @@ STATED = ("objective", "particles", "generations", "trials", "seed")
 """Options that the command names even at their defaults."""
 OTHERS = (
     *("worst", "scale", "model", "kind", "use"),
-    *("optimizer", "polish", "inertia", "zero_velocity_at_bounds", "patience"),
+    *("optimizer", "polish", "racing", "inertia", "zero_velocity_at_bounds", "patience"),
 )
 """Options that it names where they are not at their defaults."""
 ONLY_IN_PYTHON = ("cognitive", "social", "outage_seed")
