@@ -16,9 +16,13 @@ from sigmaswarm.filters.batch import (
     LATERAL_INTERVAL,
     STANDSTILL_INTERVAL,
     STANDSTILL_RATE_NOISE,
-    slot,
     start_of,
 )
+
+
+def slot(time, start, interval):
+    """Which interval a moment lies in; a constraint is absorbed at most once in each."""
+    return math.floor((time - start) / interval + 1e-6)
 
 
 def process8(s, dt, u):
