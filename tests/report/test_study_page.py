@@ -193,9 +193,10 @@ def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
     found = section(tmp_path, "Convergence")
     assert [c.title for c in found.tables[0].columns][1] == "drives"
     assert [t["name"] for t in found.charts[0].traces if t.get("name")] == ["cruise-clear", "turns-clear"]
-    turning = load_tracks(tmp_path / "tracks.npz")[1]
+    turning = load_tracks(tmp_path / "tracks.npz")[0]
+    assert turning.name.startswith("turns")
     drive = next(d for d in done.design.drives if d.name == turning.name)
-    estimate = run_filter(drive, done.parameters[Task("honest", "pso-ukf", "turns-clear", 1)])
+    estimate = run_filter(drive, done.parameters[Task("honest", "pso-ukf", "turns-clear", done.shown_trial)])
     assert turning.series["honest-pso-ukf"]["x"][-1] == pytest.approx(estimate.mean[-1, 0], rel=1e-6)
 
 
