@@ -66,7 +66,6 @@ def cases(folder: Path) -> dict:
         **({"KITTI turned, truth-rmse": (lambda: kitti_turned(folder), rmse, BASE, BOTH)} if real else {}),
         **({"colorado-1, truth-rmse": (lambda: colorado(folder), rmse, BASE, BOTH)} if real else {}),
         **({"colorado-1, innovation-nll": (lambda: colorado(folder), nll, BASE, BOTH)} if real else {}),
-        **({"KITTI, innovation-nll": (lambda: kitti(folder), nll, BASE, BOTH)} if real else {}),
     }
 
 
