@@ -102,30 +102,40 @@ def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consist
     )
 
 
-def verdicts(found: Sequence[tuple[float, tuple[float, float], float | None] | None]) -> list[str]:
-    """What the consistency on several drives says of a filter, a sentence each, for people.
+Judged = Sequence[tuple[float, tuple[float, float], float | None] | None]
+"""Of each drive: mean NIS, its 95% band, mean NEES or None; None where it can't be judged."""
 
-    Parameters
-    ----------
-    found : sequence of (mean NIS, its 95% band, mean NEES or None) or None
-        One for each drive; None where it can't be judged.
-    """
+
+def verdicts(found: Judged) -> list[str]:
+    """What the consistency on several drives says of a filter, a sentence each, for people."""
+    return list(verdicts_by_kind(found).values())
+
+
+def verdicts_by_kind(found: Judged) -> dict[str, str]:
+    """The same by kind: ``sure``, ``careful``, ``consistent``, ``hidden``, ``failed``, where they hold for a drive."""
     judged = [entry for entry in found if entry]
     sure = sum(nis > high for nis, (_, high), _ in judged)
     careful = sum(nis < low for nis, (low, _), _ in judged)
     consistent = len(judged) - sure - careful
     hidden = sum(nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in judged)
-    said = (
-        (sure, "is too sure of itself: its errors are larger than its covariances say"),
-        (careful, "is too careful: its errors are smaller than its covariances say"),
-        (consistent, "is consistent: its forecasts miss the fixes by as much as its covariances say"),
-        (
+    said = {
+        "sure": (sure, "is too sure of itself: its errors are larger than its covariances say"),
+        "careful": (careful, "is too careful: its errors are smaller than its covariances say"),
+        "consistent": (
+            consistent,
+            "is consistent: its forecasts miss the fixes by as much as its covariances say",
+        ),
+        "hidden": (
             hidden,
             "is too sure of its position all the same (NEES): only the truth tells errors that fixes share",
         ),
-        (len(found) - len(judged), "failed or saw too few fixes to judge its consistency"),
-    )
-    return [f"on {count} of {len(found)} drives the filter {what}" for count, what in said if count]
+        "failed": (len(found) - len(judged), "failed or saw too few fixes to judge its consistency"),
+    }
+    return {
+        kind: f"on {count} of {len(found)} drives the filter {what}"
+        for kind, (count, what) in said.items()
+        if count
+    }
 
 
 def _autocorrelation(values: Array) -> Array:

@@ -19,6 +19,7 @@ from sigmaswarm.report.page.tuning import (
 )
 from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.tracks import load_tracks
+from sigmaswarm.scoring.consistency import verdicts_by_kind
 from sigmaswarm.scoring.evaluation import METHODS, method_names
 
 MEASURES = {
@@ -85,20 +86,9 @@ def _remarks(scores: ScoresFile, held_out: list[bool]) -> list[str]:
     said = (
         [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
     )
-    wrong = [(c.mean_nis, c.nis_band_95) for c in scores.consistency.values() if c]
-    sure = sum(nis > high for nis, (_, high) in wrong)
-    careful = sum(nis < low for nis, (low, _) in wrong)
-    of = f"on {{}} of {len(scores.drives)} drives the filter"
-    if sure:
-        said.append(
-            f"{of.format(sure)} is too sure of itself: its errors are larger than its covariances say"
-        )
-    if careful:
-        said.append(f"{of.format(careful)} is too careful: its errors are smaller than its covariances say")
-    failed = sum(c is None for c in scores.consistency.values())
-    if failed:
-        said.append(f"{of.format(failed)} failed or saw too few fixes to judge its consistency")
-    return said
+    judged = [(c.mean_nis, c.nis_band_95, c.mean_nees) if c else None for c in scores.consistency.values()]
+    told = verdicts_by_kind(judged)
+    return said + [told[kind] for kind in ("sure", "careful", "failed") if kind in told]
 
 
 def _without_validation(said: tuple[str, ...]) -> tuple[str, ...]:
