@@ -56,6 +56,10 @@ class Design:
         """Indices of a group's drives."""
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
 
+    def group_of(self, drive: int) -> str:
+        """The group whose filter stands for a drive, given by its index."""
+        return self.strata[drive] if self.config.per_condition else ALL
+
     def split(self, trial: int) -> tuple[list[int], list[int]]:
         """Indices of a trial's training and test drives: each condition split by itself."""
         train: list[int] = []

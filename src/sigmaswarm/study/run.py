@@ -88,12 +88,11 @@ class Study:
 
     def drawn(self, protocol: ProtocolName, method: str, drive: int) -> FilterParameters:
         """The shown trial's parameters for a drive, given by its index."""
-        group = self.design.strata[drive] if self.design.config.per_condition else ALL
-        return self.parameters[Task(protocol, method, group, self.shown_trial)]
+        return self.parameters[Task(protocol, method, self.design.group_of(drive), self.shown_trial)]
 
     def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
         """Name and parameters of the best tuning that stands for a drive, given by its index."""
-        group = self.design.strata[drive] if self.design.config.per_condition else ALL
+        group = self.design.group_of(drive)
         name = f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
         return name, self.best[name]
 
