@@ -81,9 +81,8 @@ class LiveFilter:
         self._n = p.n_states
         self._plausible = batch.plausible(p)
         self._takes_velocity = p.velocity_noise is not None
-        samples = max(
-            1, int(np.ceil(1.25 * history / nominal_interval))
-        )  # an IMU may run faster than it says
+        # More than the history takes: an IMU may run faster than it says.
+        samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
         in_window = max(8, int(WINDOW / nominal_interval) + 2)
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
         self._belief = _believe(p, initial, nominal_interval, lever_arm)
