@@ -15,7 +15,11 @@ from sigmaswarm.report.page.study_schema import (
 )
 from sigmaswarm.report.style import STUDY_LOOKS
 
-COLORS = {UNTUNED: "#51585f", "paper": "#D55E00", "honest": "#0072B2"}
+COLORS = {
+    UNTUNED: "#51585f",
+    "paper": STUDY_LOOKS["paper-pso-ukf"]["color"],
+    "honest": STUDY_LOOKS["honest-pso-ukf"]["color"],
+}
 """Of the protocols."""
 OTHER = {"color": "#009E73"}
 """The look of a tuned method that has no tracks."""
