@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-import sigmaswarm
 from sigmaswarm.report.page.record import Cell, Column, Line, Report, Section, Table, TrackView
 from sigmaswarm.report.tracks import Tracks
 from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.versions import __version__
 
 _DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
 """plotly.js' names of matplotlib's line styles."""
@@ -49,7 +49,7 @@ def page(report: Report) -> str:
         remarks=_remarks(report),
         sections="".join(_section(section, numbers) for section in report.sections),
         repeat=_repeat(report),
-        version=escape(sigmaswarm.__version__),
+        version=escape(__version__),
         style=assets.joinpath("page.css").read_text(encoding="utf-8"),
         plotly=get_plotlyjs(),
         script=assets.joinpath("page.js").read_text(encoding="utf-8"),
