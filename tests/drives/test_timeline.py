@@ -130,7 +130,8 @@ def test_several_fixes_in_one_interval():
 
 
 def test_two_fixes_of_one_time():
-    line = build_timeline(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0, np.array([0, 1, 1, 0, 0], dtype=bool))
+    line = build_timeline(drive_of([0, 8, 16], [3, 3, 8, 8, 11]), 0.0)
+    line = line.hiding(np.array([0, 1, 1, 0, 0], dtype=bool))
     assert (line.dt / TICK).tolist() == [3, 0, 5, 0, 3, 5]
     assert line.absorbs.tolist() == [True, False, False, True, True, False]
     assert line.hides.tolist() == [False, True, True, False, False, False]

@@ -14,6 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.report.draw.png import save
 from sigmaswarm.report.figures import (
     comparison,
     convergence,
@@ -22,7 +23,6 @@ from sigmaswarm.report.figures import (
     save_tuning_figures,
     tracks,
 )
-from sigmaswarm.report.style import save
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.tune import tune

@@ -159,7 +159,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
         assert any(name in remark for remark in report.remarks)
     assert f"{file['result']['validation_cost']:.4g}" in report.lead[1]
     chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
-    assert len(chart.traces) == 4
+    assert len(chart.marks) == 4
 
 
 def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path: Path):
@@ -289,7 +289,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
         lambda f: (f / "tuning.toml").write_text(
             '[filter]\nalpha = 1\n[result]\ncost = "x"\nobjective = "o"'
         ),
-        "tuning.toml: result.cost: Input should be a valid number",
+        "tuning.toml: result.cost: should be a valid number",
     ),
     "no evaluation.json": (lambda f: (f / "evaluation.json").unlink(), "evaluation.json: no such file"),
     "damaged tracks": (lambda f: (f / "tracks.npz").write_bytes(b"PK\3\4"), "tracks.npz: not readable"),

@@ -41,7 +41,7 @@ DRIVE = replace(make_drive(duration=40.0, jitter=0.3, seed=2), metadata={"gps_le
 def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
     """Innovations nu and S at all fixes, and which of them were hidden, from the filter in NumPy."""
     start = initial_state(drive)
-    line = build_timeline(drive, start.time, hidden)
+    line = build_timeline(drive, start.time).hiding(hidden)
     car = TextbookCar(line, parameters, start)
     h = gps_position(tuple(line.lever), parameters.latency)
     found, fixes = [], iter(line.fixes)

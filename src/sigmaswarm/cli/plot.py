@@ -33,8 +33,9 @@ def plot(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.report.draw.png import save
     from sigmaswarm.report.drive_figure import drive_figure
-    from sigmaswarm.report.style import check_file, save
+    from sigmaswarm.report.style import check_file
 
     if out is not None:
         check_file(out)

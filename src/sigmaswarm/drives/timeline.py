@@ -72,13 +72,20 @@ class Timeline:
         """Whether the car is seen to stand at the step's end, (k,); found out only for a filter that asks."""
         return standing(self.drive)[self.sample]
 
+    def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
+        """The same steps with fixes that a filter does not get to see; all other arrays are shared.
 
-def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None = None) -> Timeline:
-    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
+        ``hidden``, shape (number of the drive's fixes,), says which.
+        """
+        time = self.drive.gps.time
+        hides = np.zeros(len(self.end), dtype=np.bool_)
+        hides[self.absorbs] = hidden[(time > self.start) & (time <= self.drive.imu.time[-1])]
+        seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
+        return replace(self, absorbs=self.absorbs & ~hides, hides=hides, drive=seen)
 
-    ``hidden``, shape (number of fixes,), says which of the fixes a filter does not get to see.
-    """
-    hidden = np.zeros(len(drive.gps), dtype=np.bool_) if hidden is None else hidden
+
+def build_timeline(drive: Drive, start: float) -> Timeline:
+    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out."""
     imu = drive.imu.time[drive.imu.time > start]
     usable = (drive.gps.time > start) & (drive.gps.time <= drive.imu.time[-1])
     fix_time = drive.gps.time[usable]
@@ -86,8 +93,6 @@ def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None 
     fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
     ends = np.repeat(moments, np.maximum(1, fixes_there))
     meets = np.isin(ends, fix_time)
-    hides = np.zeros(len(ends), dtype=np.bool_)
-    hides[meets] = hidden[usable]
     sample = np.searchsorted(drive.imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
@@ -103,8 +108,8 @@ def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None 
         ay=drive.imu.ay[sample],
         gz=drive.imu.gz[sample],
         q_scale=dt / nominal,
-        absorbs=meets & ~hides,
-        hides=hides,
+        absorbs=meets,
+        hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=np.isin(ends, imu) & np.append(ends[1:] != ends[:-1], True),
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
@@ -112,7 +117,7 @@ def build_timeline(drive: Drive, start: float, hidden: NDArray[np.bool_] | None 
         lever=drive.lever_arm,
         cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
         sample=sample,
-        drive=replace(drive, gps=drive.gps.select(~hidden)) if hidden.any() else drive,
+        drive=drive,
         imu_time=imu,
         nominal_interval=nominal,
     )

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sigmaswarm.files import write_whole
-from sigmaswarm.report.style import new_figure, save
+from sigmaswarm.report.draw.png import new_figure, save
 from sigmaswarm.tuning.summary import MEASURES, Comparison
 
 # Okabe and Ito's palette (2008), as in `style`; lines repeat it with other dashes.

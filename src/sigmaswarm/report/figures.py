@@ -13,7 +13,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_json, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_innovations
-from sigmaswarm.report.style import LOOKS, labels_for, new_figure, save
+from sigmaswarm.report.draw.png import look, new_figure, save
+from sigmaswarm.report.style import LOOKS, labels_for
 from sigmaswarm.report.tracks import errors_of, estimates, three_sigma
 from sigmaswarm.scoring.consistency import GATE_95, judged
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation
@@ -88,11 +89,11 @@ def tracks(drive: Drive, parameters: FilterParameters) -> Figure:
     figure, (whole, close) = new_figure(11, 5.4, 1, 2)
     x0, y0 = place_of_sharpest_turn(drive, believed["tuned"])
     for ax in (whole, close):
-        ax.plot(drive.gps.x, drive.gps.y, label=labels["raw_gps"], **LOOKS["raw_gps"])
+        ax.plot(drive.gps.x, drive.gps.y, label=labels["raw_gps"], **look(LOOKS["raw_gps"]))
         for name, estimate in believed.items():
-            ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=labels[name], **LOOKS[name])
+            ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], label=labels[name], **look(LOOKS[name]))
         if drive.truth is not None:  # on top: the tuned filter's line is wider
-            ax.plot(drive.truth.x, drive.truth.y, label=labels["truth"], **LOOKS["truth"])
+            ax.plot(drive.truth.x, drive.truth.y, label=labels["truth"], **look(LOOKS["truth"]))
         ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
     whole.plot(*initial.mean[:2], "k^", ms=7, label="start")
     half = FINE_SCALE / 2
@@ -121,8 +122,8 @@ def errors(drive: Drive, parameters: FilterParameters) -> Figure:
     heading.fill_between(tuned.time, -sigma, sigma, color="0.9")
     for name, estimate in believed.items():
         distance, wrong = errors_of(estimate, drive.truth)
-        position.plot(estimate.time, distance, label=labels[name], **LOOKS[name])
-        heading.plot(estimate.time, wrong, **LOOKS[name])
+        position.plot(estimate.time, distance, label=labels[name], **look(LOOKS[name]))
+        heading.plot(estimate.time, wrong, **look(LOOKS[name]))
     # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
     position.set(ylabel="position error, m", yscale="log", ylim=(0.03, None))
     heading.set(ylabel="heading error, deg", xlabel="time, s", ylim=(-30, 30))
@@ -149,7 +150,7 @@ def comparison(evaluation: Evaluation) -> Figure:
         axes[0].text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
     for ax, (measure, shown) in zip(axes, told.items(), strict=bool(told)):
         for i, (method, value) in enumerate(shown.items()):
-            ax.barh(i, value, color=LOOKS[method]["color"])
+            ax.barh(i, value, color=LOOKS[method].color)
             ax.annotate(f" {value:.3g}", (value, i), va="center", fontsize=8)
         ax.set(xscale="log", title=titles[measure])
         ax.set_yticks(range(len(shown)), [evaluation.names[m] for m in shown], fontsize=8)
@@ -166,7 +167,7 @@ def consistency_figure(drive: Drive, parameters: FilterParameters) -> Figure:
         raise InputError(f"{drive.name}: the filter failed or saw too few fixes to judge its consistency")
     nis = innovations.nis
     figure, (over_time, histogram, lags) = new_figure(11, 3.4, 1, 3)
-    over_time.plot(innovations.time, nis, ".", ms=3, color=LOOKS["tuned"]["color"])
+    over_time.plot(innovations.time, nis, ".", ms=3, color=LOOKS["tuned"].color)
     over_time.axhline(GATE_95, color="0.3", lw=1, ls="--")
     over_time.annotate("95% gate", (innovations.time[0], GATE_95), fontsize=8, va="bottom")
     over_time.set(xlabel="time, s", ylabel="NIS", yscale="log", ylim=(1e-2, None))
@@ -182,7 +183,7 @@ def consistency_figure(drive: Drive, parameters: FilterParameters) -> Figure:
     at = np.arange(1, len(found.autocorrelation) + 1)
     lags.axhspan(-found.white_band, found.white_band, color="0.9")
     lags.axhline(0, color="0.5", lw=0.8)
-    lags.vlines(at, 0, found.autocorrelation, color=LOOKS["tuned"]["color"], lw=3)
+    lags.vlines(at, 0, found.autocorrelation, color=LOOKS["tuned"].color, lw=3)
     lags.set(xlabel="fixes apart", ylabel="autocorrelation", ylim=(-1, 1))
     lags.set_title("innovations (grey: white, 95%)", loc="left")
     return figure

@@ -16,8 +16,9 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.report.draw.png import look, new_figure, save_both
 from sigmaswarm.report.figures import FINE_SCALE, place_of_sharpest_turn
-from sigmaswarm.report.style import LOOKS, STUDY_LOOKS, new_figure, save_both
+from sigmaswarm.report.style import LOOKS, STUDY_LOOKS
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.run import Study
@@ -27,8 +28,8 @@ from sigmaswarm.study.statistics import drive_means
 # Okabe and Ito's blue and orange; the lines differ in style, too.
 LINES: dict[str, dict[str, Any]] = {
     "manual": {"color": "#E69F00", "lw": 1.0, "ls": "--", "label": "UKF, manual: defaults"},
-    "paper": {**STUDY_LOOKS["paper-pso-ukf"], "label": "PSO-UKF (paper: against the GPS)"},
-    "honest": {**STUDY_LOOKS["honest-pso-ukf"], "label": "PSO-UKF (honest: against truth)"},
+    "paper": {**look(STUDY_LOOKS["paper-pso-ukf"]), "label": "PSO-UKF (paper: against the GPS)"},
+    "honest": {**look(STUDY_LOOKS["honest-pso-ukf"]), "label": "PSO-UKF (honest: against truth)"},
 }
 
 
@@ -82,12 +83,12 @@ def convergence(study: Study) -> Figure:
     figure, axes = new_figure(10, 4, 1, 2)
     rows = [row for row in study.results.content["convergence"] if row["method"] == "pso-ukf"]
     for ax, protocol in zip(axes, ("paper", "honest"), strict=True):
-        look = LINES[protocol]
+        line = LINES[protocol]
         for i, row in enumerate(r for r in rows if r["protocol"] == protocol):
             generation = np.arange(1, len(row["median"]) + 1)
-            ax.fill_between(generation, row["low"], row["high"], color=look["color"], alpha=0.2, lw=0,
+            ax.fill_between(generation, row["low"], row["high"], color=line["color"], alpha=0.2, lw=0,
                             label="10 to 90% of the trials" if i == 0 else None)  # fmt: skip
-            ax.plot(generation, row["median"], color=look["color"], ls=look["ls"], lw=1.8,
+            ax.plot(generation, row["median"], color=line["color"], ls=line["ls"], lw=1.8,
                     label="median" if i == 0 else None)  # fmt: skip
             ax.axvline(row["stable"], color="0.3", lw=1, ls=":",
                        label=f"within 1% from generation {row['stable']}" if i == 0 else None)  # fmt: skip
@@ -103,11 +104,11 @@ def trajectory(drive: Drive, estimates: Mapping[str, Estimate]) -> Figure:
     """Truth, GPS, manual and tuned filters where the car turns most (the paper's Fig. 3)."""
     figure, (ax,) = new_figure(6.4, 5.6)
     x0, y0 = place_of_sharpest_turn(drive, estimates["honest"])
-    ax.plot(drive.gps.x, drive.gps.y, label="GPS", **LOOKS["raw_gps"])
+    ax.plot(drive.gps.x, drive.gps.y, label="GPS", **look(LOOKS["raw_gps"]))
     for name, estimate in estimates.items():
         ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], **LINES[name])
     if drive.truth is not None:
-        ax.plot(drive.truth.x, drive.truth.y, label="truth", **LOOKS["truth"])
+        ax.plot(drive.truth.x, drive.truth.y, label="truth", **look(LOOKS["truth"]))
     half = FINE_SCALE / 2
     ax.set(xlabel="east, m", ylabel="north, m", aspect="equal", adjustable="datalim")
     ax.set_xlim(x0 - half, x0 + half, auto=True)
@@ -169,9 +170,9 @@ def _wrong(drive: Drive, estimate: Estimate) -> Array:
 
 
 def _banded(ax: Axes, time: Array, error: Array, sigma: Array, name: str) -> None:
-    look = {key: value for key, value in LINES[name].items() if key != "label"}
+    line = {key: value for key, value in LINES[name].items() if key != "label"}
     ax.fill_between(time, -sigma, sigma, color="0.88", lw=0)
-    ax.plot(time, error, **look)
+    ax.plot(time, error, **line)
     # The error sets the scale: a band that is far wider would hide it, one far narrower is seen.
     reach = float(np.nanmax(np.abs(error))) if np.isfinite(error).any() else 1.0
     ax.set_ylim(-1.5 * reach - 1e-3, 1.5 * reach + 1e-3)

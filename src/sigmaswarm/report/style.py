@@ -1,36 +1,39 @@
-"""One look for all figures: colors that the color-blind can tell apart, legible in grey, the same bytes each time."""
+"""One look for all pictures: colors that the color-blind can tell apart, and lines that stay legible in grey."""
 
 from pathlib import Path
-from typing import Any
-
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import whole_file
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.report.views.charts import Dash, Look
 from sigmaswarm.scoring.evaluation import METHODS, method_names
 
-# Okabe and Ito's palette (2008), and line styles that differ too, so that a grey print stays legible.
-LOOKS: dict[str, dict[str, Any]] = {
-    "truth": {"color": "#000000", "lw": 1.2, "ls": "-"},
-    "tuned": {"color": "#0072B2", "lw": 2.2, "ls": "-"},
-    "defaults": {"color": "#E69F00", "lw": 0.8, "ls": "--", "alpha": 0.5},
-    "datasheet": {"color": "#CC79A7", "lw": 1.2, "ls": "-."},
-    "imu_only": {"color": "#D55E00", "lw": 1.2, "ls": ":"},
-    "raw_gps": {"color": "#009E73", "lw": 0, "ls": "none", "marker": ".", "ms": 4, "alpha": 0.7},
+# M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
+BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
+VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
+SLATE, GREY, SILVER, MIST = "#51585f", "#999999", "#cccccc", "#e5e5e5"
+
+MANY = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
+"""For as many lines as there are; `DASHES` tells those apart that repeat a color."""
+DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
+
+# Line styles differ, too, so that a grey print stays legible.
+LOOKS: dict[str, Look] = {
+    "truth": Look(BLACK, 1.2),
+    "tuned": Look(BLUE, 2.2),
+    "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
+    "datasheet": Look(PURPLE, 1.2, "dashdot"),
+    "imu_only": Look(VERMILION, 1.2, "dot"),
+    "raw_gps": Look(GREEN, 0.0, "none", "dot", 4.0, 0.7),
 }
-STUDY_LOOKS: dict[str, dict[str, Any]] = {
+STUDY_LOOKS: dict[str, Look] = {
     "truth": LOOKS["truth"],
     "honest-pso-ukf": LOOKS["tuned"],
-    "paper-pso-ukf": {"color": "#D55E00", "lw": 1.4, "ls": "-."},
-    "honest-pso-ekf": {"color": "#56B4E9", "lw": 1.4, "ls": "-"},
-    "honest-pso-planar8": {"color": "#332288", "lw": 1.4, "ls": "--"},
+    "paper-pso-ukf": Look(VERMILION, 1.4, "dashdot"),
+    "honest-pso-ekf": Look(SKY, 1.4),
+    "honest-pso-planar8": Look(INDIGO, 1.4, "dash"),
     "ukf-datasheet": LOOKS["datasheet"],
     "ukf-defaults": LOOKS["defaults"],
-    "imu_only": {"color": "#51585F", "lw": 1.2, "ls": ":"},
+    "imu_only": Look("#51585F", 1.2, "dot"),
     "raw_gps": LOOKS["raw_gps"],
 }
 """Of the series in a study's tracks, the first one on top."""
@@ -40,35 +43,6 @@ LABELS = {"truth": "truth", **METHODS}
 def labels_for(parameters: FilterParameters) -> dict[str, str]:
     """`LABELS`, with the tuned filter's kind."""
     return LABELS | method_names(parameters.kind, parameters.model)
-
-
-def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, **kw: object
-) -> tuple[Figure, list[Axes]]:
-    """A figure of that size in inches, with a list of its axes; no global state of pyplot is touched."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False, **kw).ravel().tolist()  # pyright: ignore
-    for ax in axes:
-        ax.grid(True, color="0.9", lw=0.6)
-        ax.set_axisbelow(True)
-        ax.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def save(figure: Figure, path: Path) -> Path:
-    """Write a PNG, with nothing in it that changes from one run to the next."""
-    with whole_file(path) as file:
-        figure.savefig(file, format="png", dpi=130, metadata={"Software": None})
-    return path
-
-
-def save_both(figure: Figure, stem: Path) -> list[Path]:
-    """Write a PNG and an SVG, with no date in either."""
-    path = stem.with_name(f"{stem.name}.svg")
-    with rc_context({"svg.hashsalt": "sigmaswarm"}), whole_file(path) as file:
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:

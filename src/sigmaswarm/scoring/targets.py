@@ -40,7 +40,7 @@ def outage_replay(
 def forecast_replay(drive: Drive, initial: InitialState, *, seed: int = 0) -> Replay:
     """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each hidden fix is compared with its forecast."""
     windows = forecast_windows(drive, initial, seed=seed)
-    timeline = build_timeline(drive, initial.time, hidden_fixes(drive.gps.time, windows))
+    timeline = build_timeline(drive, initial.time).hiding(hidden_fixes(drive.gps.time, windows))
     return Replay(timeline, initial, Targets.none(timeline))
 
 

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import evaluate_command
-from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.report.page.schema import EvaluationFile, ScoresFile, TuningFile, load
 from sigmaswarm.report.page.tuning import (
     convergence_section,
@@ -17,8 +15,10 @@ from sigmaswarm.report.page.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.report.style import LABELS, LOOKS
+from sigmaswarm.report.style import LABELS, LOOKS, SLATE
 from sigmaswarm.report.tracks import load_tracks
+from sigmaswarm.report.views.charts import Axis, Bars, Chart, Look
+from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import verdicts_by_kind
 from sigmaswarm.scoring.evaluation import METHODS, method_names
 
@@ -179,27 +179,19 @@ def _scores(
 
 def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Column) -> Chart | None:
     """Means over the drives; the scale is logarithmic. None where no method has the measure."""
-    values = {m: v for m in reversed(METHODS) if (v := _mean(scores, m, measure))}
+    values = {m: v for m in METHODS if (v := _mean(scores, m, measure))}
     if not values:
         return None
-    trace: dict[str, Any] = {
-        "type": "bar",
-        "orientation": "h",
-        "x": list(values.values()),
-        "y": [names[m] for m in values],
-        "text": [f"{v:.3g}" for v in values.values()],
-        "textposition": "outside",
-        "cliponaxis": False,
-        "marker": {"color": [LOOKS[m]["color"] for m in values]},
-        "showlegend": False,
-    }
-    layout = {
-        "xaxis": {"type": "log", "title": {"text": f"{column.title}, {column.unit}"}, "dtick": 1},
-        "yaxis": {"automargin": True},
-        "height": 230,
-        "margin": {"r": 56},
-    }
-    return Chart(f"{column.title}, mean over drives", (trace,), layout)
+    bars = Bars(
+        "x",
+        range(len(values)),
+        tuple(values.values()),
+        Look(SLATE, 0.0),
+        colors=tuple(LOOKS[m].color for m in values),
+        texts=tuple(f"{v:.3g}" for v in values.values()),
+    )
+    named = Axis(categories=tuple(names[m] for m in values))
+    return Chart(f"{column.title}, mean over drives", (bars,), Axis(column.heading, "log"), named)
 
 
 def _consistency(scores: ScoresFile) -> Section:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.evaluation import evaluation_report
-from sigmaswarm.report.page.record import Report
 from sigmaswarm.report.page.study import study_report
 from sigmaswarm.report.page.tuning import tuning_report
+from sigmaswarm.report.views.record import Report
 
 ADAPTERS: dict[str, Callable[[Path], Report]] = {
     "scores.json": evaluation_report,

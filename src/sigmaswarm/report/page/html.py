@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.report.page.record import Cell, Column, Line, Report, Section, Table, TrackView
+from sigmaswarm.report.draw import plotly
+from sigmaswarm.report.draw.text import shown
 from sigmaswarm.report.tracks import Tracks
+from sigmaswarm.report.views.record import Cell, Column, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.versions import __version__
-
-_DASHES = {"-": "solid", "--": "dash", "-.": "dashdot", ":": "dot", "none": "none"}
-"""plotly.js' names of matplotlib's line styles."""
-
 
 LONG = 24
 """Characters of a cell above which it needs some width, lest it become a tall column of words."""
@@ -34,7 +32,7 @@ def page(report: Report) -> str:
     assets = files("sigmaswarm.report.page")
     charts = [chart for section in report.sections for chart in section.charts]
     data = {
-        "charts": [{"traces": list(c.traces), "layout": c.layout} for c in charts],
+        "charts": [plotly.content(chart) for chart in charts],
         "tracks": next((_view(section.tracks) for section in report.sections if section.tracks), None),
         "gate": GATE_95,
     }
@@ -69,7 +67,7 @@ def _view(view: TrackView) -> dict[str, Any]:
 
 
 def _line(line: Line) -> dict[str, Any]:
-    look = {"color": line.look["color"], "dash": _DASHES[line.look["ls"]], "width": max(line.look["lw"], 1.2)}
+    look = {"color": line.look.color, "dash": line.look.dash, "width": max(line.look.width, 1.2)}
     return {"series": line.series, "label": line.label, "shown": line.shown, **look}
 
 
@@ -118,7 +116,7 @@ def _table(table: Table) -> str:
     head = "".join(_head(column) for column in table.columns)
     strong = [' class="strong"' if i in table.strong else "" for i in range(len(table.rows))]
     rows = zip(strong, table.rows, strict=True)
-    body = "".join(f"<tr{look}>{''.join(map(_cell, row))}</tr>" for look, row in rows)
+    body = "".join(f"<tr{look}>{''.join(map(_cell, row, table.columns))}</tr>" for look, row in rows)
     caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
     return (
         f'<div class="wide" tabindex="0" role="region" aria-label="table"><table class="sortable">{caption}'
@@ -127,12 +125,11 @@ def _table(table: Table) -> str:
 
 
 def _head(column: Column) -> str:
-    unit = f", {escape(column.unit)}" if column.unit else ""
-    return f'<th scope="col"><button type="button">{escape(column.title)}{unit}</button></th>'
+    return f'<th scope="col"><button type="button">{escape(column.heading)}</button></th>'
 
 
-def _cell(cell: Cell) -> str:
-    """Numbers to four digits, ranges to three; all of them in the attribute that the table is sorted by."""
+def _cell(cell: Cell, column: Column) -> str:
+    """With the number that the table is sorted by."""
     if isinstance(cell, str):
         look = ' class="long"' if len(cell) > LONG else ""
         return f"<td{look}>{escape(cell)}</td>"
@@ -140,13 +137,7 @@ def _cell(cell: Cell) -> str:
     known = [end for end in ends if end is not None and math.isfinite(end)]
     if len(known) < len(ends):
         return '<td class="number">–</td>'
-    shown = " to ".join(_number(end, 5 - len(ends)) for end in known)
-    return f'<td class="number" data-value="{known[0]!r}">{shown}</td>'
-
-
-def _number(value: float, digits: int) -> str:
-    whole = value == int(value) or abs(value) >= 10**digits
-    return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
+    return f'<td class="number" data-value="{known[0]!r}">{shown(cell, column)}</td>'
 
 
 def _repeat(report: Report) -> str:

@@ -3,7 +3,6 @@
 from math import inf
 from pathlib import Path
 
-from sigmaswarm.report.page.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.report.page.schema import load
 from sigmaswarm.report.page.study_charts import convergence_charts, means_chart, spread_chart
 from sigmaswarm.report.page.study_schema import (
@@ -31,6 +30,7 @@ from sigmaswarm.report.page.study_tables import (
 )
 from sigmaswarm.report.style import STUDY_LOOKS
 from sigmaswarm.report.tracks import load_tracks
+from sigmaswarm.report.views.record import Figure, Line, Report, Section, TrackView
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0

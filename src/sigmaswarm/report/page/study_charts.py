@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from sigmaswarm.report.page.record import Chart
+from sigmaswarm.report.draw.plotly import Ready as Chart
 from sigmaswarm.report.page.study_schema import (
     EVERYWHERE,
     UNTUNED,
@@ -14,14 +14,15 @@ from sigmaswarm.report.page.study_schema import (
     StudyFile,
 )
 from sigmaswarm.report.style import STUDY_LOOKS
+from sigmaswarm.report.views.charts import Look
 
 COLORS = {
     UNTUNED: "#51585f",
-    "paper": STUDY_LOOKS["paper-pso-ukf"]["color"],
-    "honest": STUDY_LOOKS["honest-pso-ukf"]["color"],
+    "paper": STUDY_LOOKS["paper-pso-ukf"].color,
+    "honest": STUDY_LOOKS["honest-pso-ukf"].color,
 }
 """Of the protocols."""
-OTHER = {"color": "#009E73"}
+OTHER = Look("#009E73")
 """The look of a tuned method that has no tracks."""
 LEGEND = {"orientation": "h", "y": 1.01, "yanchor": "bottom"}
 ROW = 26
@@ -163,7 +164,7 @@ def convergence_charts(file: StudyFile) -> tuple[Chart, ...]:
         if any(b.group != EVERYWHERE for b in mine):  # a line a condition: only one method finds room
             mine = [b for b in mine if b.method == mine[0].method]
         looks = [STUDY_LOOKS.get(f"{b.protocol}-{b.method}", OTHER) for b in mine]
-        traces = [t for b, look in zip(mine, looks, strict=True) for t in _band(file, b, look["color"])]
+        traces = [t for b, look in zip(mine, looks, strict=True) for t in _band(file, b, look.color)]
         if traces:
             cost = {
                 "title": {"text": f"cost: {asked.get('objective', '')}, m", "standoff": 8},

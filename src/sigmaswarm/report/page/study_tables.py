@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from statistics import median
 from typing import Any
 
-from sigmaswarm.report.page.record import Cell, Column, Table
 from sigmaswarm.report.page.study_schema import EVERYWHERE, UNTUNED, StudyFile, Summary, Tuned
+from sigmaswarm.report.views.record import Cell, Column, Table
 from sigmaswarm.study.tables import LIVE_NAMES, ROWS
 
 TUNED, POSITION, HEADING, DRIFT = "pso-ukf", "position_rmse_m", "heading_rmse_deg", "outage_drift_m"

@@ -2,20 +2,21 @@
 
 import re
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.page.commands import tune_command
-from sigmaswarm.report.page.record import Cell, Chart, Column, Figure, Report, Section, Table
 from sigmaswarm.report.page.schema import Data, End, TuningFile, load
+from sigmaswarm.report.style import BLUE, ORANGE
+from sigmaswarm.report.views.charts import Axis, Chart, Curve, Look
+from sigmaswarm.report.views.record import Cell, Column, Figure, Report, Section, Table
 from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
-
-BEST, MEDIAN = "#0072B2", "#E69F00"
-"""The colors of `figures.convergence`."""
 
 MEANINGS = {"rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it"}
 """Of parameters whose name and unit leave open what they measure, or from where."""
@@ -168,40 +169,32 @@ def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
         history = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
     except (pl.exceptions.PolarsError, OSError):
         raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
-    traces: list[dict[str, Any]] = []
+    curves: list[Curve] = []
     for (trial,), rows in history.group_by("trial", maintain_order=True):
         best = trial == file.result.best_trial
-        for column, label, color, dash in (
-            ("best_cost", "best so far", BEST, "solid"),
-            ("median_cost", "median of the generation", MEDIAN, "dash"),
+        for column, label, look in (
+            ("best_cost", "best so far", Look(BLUE, 1.0, opacity=0.35)),
+            ("median_cost", "median of the generation", Look(ORANGE, 1.0, "dash", opacity=0.35)),
         ):
-            traces.append(
-                {
-                    "x": rows["generation"].to_list(),
-                    "y": [v if v is not None and abs(v) < float("inf") else None for v in rows[column]],
-                    "name": f"{label}, trial {trial}",
-                    "line": {"color": color, "dash": dash, "width": 2 if best else 1},
-                    "opacity": 1.0 if best else 0.35,
-                    "showlegend": best,
-                }
-            )
-    layout = {
-        "xaxis": {"title": {"text": "generation"}},
-        "yaxis": {"title": {"text": f"cost: {file.result.objective}"}, "type": _axis(traces)},
-    }
+            look = replace(look, width=2.0, opacity=1.0) if best else look
+            name = f"{label}, trial {trial}" if best else ""
+            values = rows[column].fill_null(float("nan")).to_numpy()
+            curves.append(Curve(rows["generation"].to_numpy(), values, look, name))
+    y = Axis(f"cost: {file.result.objective}", _scale(curves))
     costs = file.result.trial_costs
     text = (f"The best of {len(costs)} trials is drawn strong.",) if len(costs) > 1 else ()
     rows = tuple((float(i), cost) for i, cost in enumerate(costs))
     table = Table(
         "Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({file.result.best_trial})
     )
-    chart = Chart("Cost over generations", tuple(traces), layout)
+    chart = Chart("Cost over generations", tuple(curves), Axis("generation"), y)
     return (Section("Convergence", text, (table,) if len(costs) > 1 else (), (chart,)),)
 
 
-def _axis(traces: list[dict[str, Any]]) -> str:
+def _scale(curves: list[Curve]) -> Literal["linear", "log"]:
     """Logarithmic where it can be: a likelihood's cost may be negative."""
-    return "log" if all(v is None or v > 0 for t in traces for v in t["y"]) else "linear"
+    known = np.concatenate([np.asarray(curve.y, np.float64) for curve in curves])
+    return "log" if np.all(known[np.isfinite(known)] > 0) else "linear"
 
 
 def data_section(title: str, data: list[Data], seen: frozenset[str] | None = None) -> Section:

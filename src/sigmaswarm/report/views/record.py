@@ -1,10 +1,12 @@
-"""What a page shows, whatever folder it was made from."""
+"""The vocabulary of views: cells, tables, sections, and the report that a page is made of."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from sigmaswarm.report.draw.plotly import Ready
 from sigmaswarm.report.tracks import Tracks
+from sigmaswarm.report.views.charts import Chart, Look
 
 Range = tuple[float | None, float | None]
 """From and to, such as an interval; a table sorts it by where it begins."""
@@ -23,15 +25,30 @@ class Figure:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table; a unit, if it has one."""
+    """A column of a table.
+
+    Attributes
+    ----------
+    title : str
+    unit : str
+        If it has one.
+    number : callable, optional
+        How a number, or each end of a range, is written; by default to four digits, a range's ends to three.
+    """
 
     title: str
     unit: str = ""
+    number: Callable[[float], str] | None = None
+
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table that readers can sort.
+    """A table.
 
     Attributes
     ----------
@@ -40,22 +57,15 @@ class Table:
     rows : tuple of tuple of Cell, each of length n
     strong : frozenset of int
         The rows that matter most.
+    note : str
+        What has to be known to read it.
     """
 
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     strong: frozenset[int] = frozenset()
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A plot: traces and layout, of JSON types, as plotly.js takes them. At most two broad ones stand in a row."""
-
-    title: str
-    traces: tuple[Mapping[str, Any], ...]
-    layout: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    broad: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -64,8 +74,7 @@ class Line:
 
     series: str
     label: str
-    look: Mapping[str, Any]
-    """As matplotlib takes it: color, lw, ls."""
+    look: Look
     shown: bool = False
 
 
@@ -94,7 +103,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
-    charts: tuple[Chart, ...] = ()
+    charts: tuple[Chart | Ready, ...] = ()
     tracks: TrackView | None = None
 
 
