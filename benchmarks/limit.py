@@ -20,7 +20,8 @@ from typing import ClassVar
 import llvmlite.binding as llvm
 import numpy as np
 
-from sigmaswarm import datasheet, initial_state, simulate
+from sigmaswarm import datasheet, simulate
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import batch
 from sigmaswarm.filters.compiled import lanes, measurements, planar5, run
 from sigmaswarm.scoring.targets import tracking_replay
@@ -93,7 +94,7 @@ def count() -> None:
 def kernel_call(fixes: bool = True):
     """A call of `run_lanes` over ten minutes with one parameter set in all lanes, and its number of steps."""
     drive = simulate("urban", duration=600.0, seed=1)
-    replay = tracking_replay(drive, initial_state(drive))
+    replay = tracking_replay(prepared(drive))
     steps, flags, *others, ends = replay.arrays(False, False, False)
     rows = batch.start_rows([replay], batch.Chunk((datasheet(drive),)))[0]
 

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.box import box_table
-from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.batch import Replay, Sums, run_replays
 from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
@@ -31,7 +31,7 @@ compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compi
 @cache
 def short_replay() -> Replay:
     drive = make_drive(duration=12, jitter=0.3, seed=3)
-    return tracking_replay(drive, initial_state(drive))
+    return tracking_replay(prepared(drive))
 
 
 @cache

@@ -10,6 +10,7 @@ import pytest
 from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.batch import Replay, Targets, run_replays
 from sigmaswarm.filters.parameters import FilterParameters
@@ -28,8 +29,7 @@ EVERY_FILTER = [
 
 @cache
 def replay_of(make, of=tracking_replay) -> Replay:
-    drive = make()
-    return of(drive, initial_state(drive))
+    return of(prepared(make()))
 
 
 def as_bits(recording: Recording) -> dict[str, bytes]:

@@ -68,12 +68,6 @@ class Replay:
     _arrays: dict[tuple[bool, bool, bool], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
-    def steps(self) -> Array:
-        """dt (s), ax, ay (m/s2), gz (rad/s) and the scale of Q of each step, shape (k, 5)."""
-        line = self.timeline
-        return np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale])
-
-    @cached_property
     def n_hidden(self) -> int:
         """How many fixes are hidden from the filter."""
         return int(self.timeline.hides.sum())
@@ -84,7 +78,7 @@ class Replay:
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
-            self._arrays[taken] = self.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+            self._arrays[taken] = line.steps, flags, line.fixes, line.lever, targets.rows, targets.end
         return self._arrays[taken]
 
 

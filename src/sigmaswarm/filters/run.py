@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.batch import Replay, Targets
@@ -45,13 +46,13 @@ class Estimate:
 
 
 def run_filter(
-    drive: Drive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
 ) -> Estimate:
     """Run the compiled filter over a drive.
 
     Parameters
     ----------
-    drive : Drive
+    drive : Drive or PreparedDrive
         Its truth, if any, is not looked at.
     parameters : FilterParameters
     initial : InitialState, optional
@@ -70,14 +71,16 @@ def run_filter(
     replay = _replay(drive, initial)
     if not len(replay.timeline.imu_time):
         start = replay.initial.time
-        raise InputError(f"{drive.name}: no IMU sample after the start at {start:g} s; start earlier")
+        raise InputError(
+            f"{replay.timeline.drive.name}: no IMU sample after the start at {start:g} s; start earlier"
+        )
     recording = Recording(replay, parameters)
     whole = recording.whole()
     return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
 
 
 def run_innovations(
-    drive: Drive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
 ) -> Innovations:
     """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
 
@@ -89,11 +92,11 @@ def run_innovations(
     return recording.innovations
 
 
-def _replay(drive: Drive, initial: InitialState | None) -> Replay:
+def _replay(drive: Drive | PreparedDrive, initial: InitialState | None) -> Replay:
     """The whole drive, compared with nothing."""
-    initial = initial or initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
-    return Replay(timeline, initial, Targets.none(timeline))
+    ready = prepared(drive, initial)
+    timeline = ready.timeline()
+    return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
 def run_reference(
