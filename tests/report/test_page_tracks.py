@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     GOOD.save(root / "by-hand.toml")
     out = root / "evaluation"
     out.mkdir()
-    found = evaluate(GOOD, [KNOWN, BLIND])
+    found = evaluate([KNOWN, BLIND], GOOD)
     (out / "scores.json").write_text(json.dumps(found.to_dict()))
     save_evidence(found, root / "by-hand.toml", [KNOWN, BLIND], out)
     return out

@@ -61,7 +61,7 @@ def demo(
         for remark in tuning.remarks:
             console.print(f"   note: {remark}")
     save_tuning_figures(tuning, training, out / "tuning")
-    evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
+    evaluation = sigmaswarm.evaluate(held_out, tuning.parameters)
     save_evaluation(evaluation, tuning.parameters, held_out, out / "evaluation")
     save_evidence(evaluation, out / "tuning", held_out, out / "evaluation")
     if json:

@@ -58,7 +58,7 @@ def evaluate(
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
     _warn_of_training_drives(tuning, read)
-    result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
+    result = sigmaswarm.evaluate(read, parameters, outage_length=outage_length, outage_seed=outage_seed)
     written: list[Path] = []
     if out:
         written = save_evaluation(result, parameters, read, out)
