@@ -76,7 +76,7 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
         folder = out / f"{case.replace(', ', '-')}-{model}"
         found = compare(
             drives,
-            test=test,
+            validation=test,
             optimizers=optimizers,
             scales=scales,
             seeds=seeds,

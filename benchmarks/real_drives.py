@@ -54,7 +54,7 @@ def rows(training, test, options):
                 tune(training, objective=objective, optimizer=options.optimizer, seed=s, executor=pool)
                 for s in range(options.seeds)
             ]
-            evaluations = [evaluate(tuning.parameters, test) for tuning in tunings]
+            evaluations = [evaluate(test, tuning.parameters) for tuning in tunings]
             figures = [[e.mean("tuned", m) for m in MEASURES] for e in evaluations]
             yield f"**tuned, {objective}**", [spread(column) for column in np.array(figures, float).T]
     for method in ("raw_gps", "defaults", "datasheet", "imu_only"):

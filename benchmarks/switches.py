@@ -74,7 +74,7 @@ def main() -> None:
                         seed=seed,
                         executor=pool,
                     )
-                    scores = evaluate(tuning.parameters, test)
+                    scores = evaluate(test, tuning.parameters)
                     figures = [scores.mean("tuned", m) for m in MEASURES]
                     rows.append([*figures, *quantiles(errors(d, tuning.parameters) for d in test)])
                 label = " + ".join((model, *use))
@@ -101,7 +101,7 @@ def errors(drive: Drive, parameters: FilterParameters) -> np.ndarray:
 def raw(splits) -> str:
     """The same measures of the fixes themselves."""
     test = splits[0][1]
-    scores = evaluate(FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2), test)
+    scores = evaluate(test, FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2))
     gps = []
     for drive in test:
         fixes = drive.gps.select(drive.gps.time >= initial_state(drive).time)

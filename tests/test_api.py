@@ -1,15 +1,23 @@
-"""The names and shapes that other programs rely on, as the issue states them."""
+"""The names and shapes that other programs rely on."""
 
 import inspect
+import json
 import subprocess
 import sys
+import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 
 import sigmaswarm
+from sigmaswarm.cli.compare import compare
+from sigmaswarm.cli.tune import tune
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.options import DEFAULTS, CompareOptions, Option, TuneOptions
 from support import make_drive
 
 PROMISED = [
@@ -59,7 +67,7 @@ def test_importing_the_package_imports_nothing_heavy():
         ("initial_state", ["drive"], []),
         ("run_filter", ["drive", "parameters"], ["initial"]),
         ("run_batch", ["drives", "parameter_sets"], ["objective"]),
-        ("evaluate", ["parameters", "drives"], []),
+        ("evaluate", ["drives", "parameters"], []),
         ("tune", ["drives"], []),
         ("FilterParameters", ["alpha", "beta", "kappa", "process_noise", "measurement_noise", "model"], []),
     ],
@@ -129,7 +137,7 @@ def test_the_whole_way_through_files(tmp_path: Path):
     parameters = sigmaswarm.FilterParameters.load(tmp_path / "out" / "tuning.toml")
     assert sigmaswarm.run_batch([drive], [parameters]).costs[0] == tuning.cost
     assert (
-        sigmaswarm.evaluate(parameters, [drive]).to_dict()["mean"]["tuned"]["position_rmse_m"] == tuning.cost
+        sigmaswarm.evaluate([drive], parameters).to_dict()["mean"]["tuned"]["position_rmse_m"] == tuning.cost
     )
     estimate = sigmaswarm.run_filter(drive, parameters)
     direct = sigmaswarm.run_filter(DRIVE, tuning.parameters)
@@ -137,7 +145,7 @@ def test_the_whole_way_through_files(tmp_path: Path):
 
 
 def test_truth_never_reaches_a_filter(tmp_path: Path):
-    """The issue's own words: estimates are bit-identical with truth.csv deleted."""
+    """Estimates are bit-identical with truth.csv deleted."""
     sigmaswarm.write_drive(DRIVE, tmp_path / "drive")
     with_truth = sigmaswarm.read_drive(tmp_path / "drive")
     (tmp_path / "drive" / "truth.csv").unlink()
@@ -147,3 +155,62 @@ def test_truth_never_reaches_a_filter(tmp_path: Path):
     for run in (sigmaswarm.run_filter, sigmaswarm.run_reference):
         a, b = run(with_truth, SET), run(without, SET)
         assert (a.mean.tobytes(), a.covariance.tobytes()) == (b.mean.tobytes(), b.covariance.tobytes())
+
+
+# --- Options of a tuning: said once ---------------------------------------------------------------------------------
+
+
+def test_the_options_are_the_config_s():
+    """Names, types and defaults of what `tune` takes in Python and on the command line, and of what checks them."""
+    hints = get_type_hints(TuneOptions)
+    fields = TuneConfig.model_fields
+    assert set(hints) == set(DEFAULTS) == set(fields)
+    assert {name: field.default for name, field in fields.items()} == DEFAULTS
+    plain = {name: Sequence[Option] if name == "use" else field.annotation for name, field in fields.items()}
+    assert plain == hints
+    assert set(get_type_hints(CompareOptions)) == set(hints) - {"seed", "optimizer", "scale"}
+    assert TuneConfig().model_dump() == DEFAULTS
+
+
+@pytest.mark.parametrize(("command", "asked"), [(tune, TuneOptions), (compare, CompareOptions)])
+def test_the_command_line_has_the_options(command, asked: type):
+    parameters = inspect.signature(command).parameters
+    assert set(get_type_hints(asked)) <= set(parameters)
+    assert all(parameters[name].default is None for name in get_type_hints(asked))
+
+
+def test_a_type_checker_knows_the_options(tmp_path: Path):
+    pytest.importorskip("pyright", reason="pyright is not installed (dependency group check)")
+    (tmp_path / "right.py").write_text(
+        "import sigmaswarm\n\n\ndef f(d: sigmaswarm.Drive, p: sigmaswarm.FilterParameters) -> None:\n"
+        '    sigmaswarm.tune([d], particles=4, use=["gate"], model="planar8")\n'
+        '    sigmaswarm.compare(d, validation=[d], kind="ekf", particles=4)\n'
+        "    sigmaswarm.evaluate([d], p)\n"
+    )
+    (tmp_path / "wrong.py").write_text(
+        "import sigmaswarm\n\n\ndef f(d: sigmaswarm.Drive, p: sigmaswarm.FilterParameters) -> None:\n"
+        "    sigmaswarm.tune([d], partikles=4)\n"
+        '    sigmaswarm.tune([d], particles="many")\n'
+        '    sigmaswarm.tune([d], use=["gates"])\n'
+        '    sigmaswarm.compare([d], optimizer="pso")\n'
+        "    sigmaswarm.evaluate(p, [d])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "--outputjson", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = [e for e in json.loads(done.stdout)["generalDiagnostics"] if e["severity"] == "error"]
+    assert {Path(e["file"]).name for e in found} == {"wrong.py"}
+    assert {e["range"]["start"]["line"] for e in found} == {4, 5, 6, 7, 8}
+
+
+def test_arguments_in_the_old_order_are_told():
+    with pytest.raises(sigmaswarm.InputError, match="evaluate takes the drives first"):
+        sigmaswarm.evaluate(SET, [DRIVE])
+
+
+def test_the_version_is_said_once():
+    stated = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["version"]
+    assert stated == sigmaswarm.__version__

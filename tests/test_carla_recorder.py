@@ -142,7 +142,7 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
         found = sigmaswarm.diagnose(drive).findings
         assert not [f for f in found if f.severity == "serious"], (drive.name, found)
     tuning = sigmaswarm.tune(drives[1:], objective="truth-pose", particles=8, generations=3)
-    scores = sigmaswarm.evaluate(tuning.parameters, drives[:1])
+    scores = sigmaswarm.evaluate(drives[:1], tuning.parameters)
     assert np.isfinite(tuning.cost)
     improvement = scores.improvement(over="defaults")
     assert improvement is not None

@@ -135,7 +135,7 @@ def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: 
     ended = sigmaswarm("evaluate", tuned, drives, "--json")
     said = json.loads(ended.out)
     read = [read_drive(drives / f"urban-clear-0{i}") for i in range(2)]
-    assert said == library.evaluate(FilterParameters.load(tuned), read).to_dict()
+    assert said == library.evaluate(read, FilterParameters.load(tuned)).to_dict()
     assert list(said["drives"]) == ["urban-clear-00", "urban-clear-01"]
     assert list(said["mean"]) == METHODS
     assert list(here.iterdir()) == []
@@ -239,7 +239,9 @@ def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
 
 
 def test_split_in_time(sigmaswarm, drives: Path, here: Path):
-    ended = sigmaswarm("split", drives / "urban-clear-00", "parts", "--train-fraction", 0.5, "--json")
+    ended = sigmaswarm(
+        "split", drives / "urban-clear-00", "--out", "parts", "--train-fraction", 0.5, "--json"
+    )
     assert json.loads(ended.out) == {"drives": ["parts/urban-clear-00-train", "parts/urban-clear-00-test"]}
     train, test = (read_drive(f"parts/urban-clear-00-{part}") for part in ("train", "test"))
     assert train.imu.time[-1] < 20 <= test.imu.time[0]

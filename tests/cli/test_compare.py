@@ -10,14 +10,14 @@ def test_compare_writes_and_prints_its_table(sigmaswarm, drives: Path, here: Pat
     few = ["--seeds", 2, "--particles", 6, "--generations", 3]
     asked = ["--optimizers", "pso", "de:racing=true", "--scales", "log10", "linear", *few]
     one, other = sorted(drives.iterdir())
-    ended = sigmaswarm("compare", one, *asked, "--test", other, "--out", "c")
+    ended = sigmaswarm("compare", one, *asked, "--validation", other, "--out", "c")
     assert ended.code == 0, ended.err
     assert (here / "c/comparison.md").read_text().strip() in ended.out
     frame = pl.read_csv(here / "c/comparison.csv")
     assert frame["optimizer"].to_list() == ["pso", "de:racing=true"] * 2
     assert frame["scale"].to_list() == ["log10"] * 2 + ["linear"] * 2
     assert (here / "c/comparison.png").read_bytes().startswith(b"\x89PNG")
-    again = sigmaswarm("compare", one, *asked, "--test", other, "--out", "c", "--resume")
+    again = sigmaswarm("compare", one, *asked, "--validation", other, "--out", "c", "--resume")
     assert (again.code, again.out) == (0, ended.out)
 
 

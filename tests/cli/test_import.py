@@ -39,7 +39,7 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
     from rosbags.highlevel import AnyReader
 
     write_ros(here / "monday", messages(simulated()), "mcap")
-    assert sigmaswarm("import", "monday", "drive").code == 0
+    assert sigmaswarm("import", "monday", "--out", "drive").code == 0
     ended = sigmaswarm("run", tuned, "drive", "--out", "estimate.ros2", "--beside", "monday")
     assert (ended.code, ended.err) == (0, "")
     with AnyReader([here / "monday"]) as before, AnyReader([here / "estimate.ros2"]) as after:
@@ -57,7 +57,7 @@ def test_from_a_bag_to_a_bag_with_the_estimate(sigmaswarm: Command, here: Path, 
 def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     drive = simulated()
     write_ros(here / "bag", messages(drive))
-    ended = sigmaswarm("import", "bag", "drives/monday", "--origin", "50,8,100")
+    ended = sigmaswarm("import", "bag", "--out", "drives/monday", "--origin", "50,8,100")
     assert ended.code == 0, ended.err
     assert "note: /imu/data is in the frame 'imu_link'" in ended.out
     assert "wrote drives/monday: 40.0 s" in ended.out
@@ -110,8 +110,8 @@ def test_show_writes_nothing_and_its_recipe_can_be_used(sigmaswarm: Command, her
     assert [path.name for path in here.iterdir()] == ["log.mcap"]
     ended = sigmaswarm("import", "log.mcap", "--show", "--json", "--save-recipe", "recipe.toml")
     assert {table["table"] for table in json.loads(ended.out)["tables"]} >= {"/imu/data", "/gps/fix"}
-    first = sigmaswarm("import", "log.mcap", "a")
-    second = sigmaswarm("import", "log.mcap", "b", "--recipe", "recipe.toml", "--json")
+    first = sigmaswarm("import", "log.mcap", "--out", "a")
+    second = sigmaswarm("import", "log.mcap", "--out", "b", "--recipe", "recipe.toml", "--json")
     assert first.code == second.code == 0
     assert json.loads(second.out)["fixes"] == 60
     for file in ("imu.csv", "gps.csv", "truth.csv"):
@@ -124,6 +124,7 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
         *(
             "import",
             "log.mcap",
+            "--out",
             "out",
             "--mount",
             "-90",
@@ -148,20 +149,20 @@ def test_options_reach_the_drive(sigmaswarm: Command, here: Path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("nowhere", "out"), "nowhere does not exist"),
-        (("log.mcap",), "name the drive's folder"),
-        (("log.mcap", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
-        (("log.mcap", "out", "--format", "ros"), "log.mcap"),
-        (("notes.md", "out"), "of no format that is known"),
-        (("log.mcap", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
-        (("log.mcap", "out", "--mount", "sideways"), "mount 'sideways'"),
-        (("log.mcap", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),
-        (("log.mcap", "out", "--map", "ax=open('x')"), "is not allowed"),
-        (("log.mcap", "out", "--map", "wheel=1"), "no column 'wheel'"),
-        (("log.mcap", "out", "--recipe", "none.toml"), "none.toml: can't be read"),
-        (("log.mcap", "out", "--gps-offset", "100"), "do not overlap"),
-        (("log.mcap", "full"), "is not part of a drive"),
-        (("cut.mcap", "out"), "cut.mcap: is cut short or broken"),
+        (("nowhere", "--out", "out"), "nowhere does not exist"),
+        (("log.mcap",), "--out is missing: name the drive's folder"),
+        (("log.mcap", "--out", "out", "--format", "rosbag"), "--format 'rosbag' is unknown; perhaps"),
+        (("log.mcap", "--out", "out", "--format", "ros"), "log.mcap"),
+        (("notes.md", "--out", "out"), "of no format that is known"),
+        (("log.mcap", "--out", "out", "--imu-topic", "/imu7"), "no topic '/imu7'"),
+        (("log.mcap", "--out", "out", "--mount", "sideways"), "mount 'sideways'"),
+        (("log.mcap", "--out", "out", "--origin", "1,2"), "--origin '1,2' is not 3 numbers"),
+        (("log.mcap", "--out", "out", "--map", "ax=open('x')"), "is not allowed"),
+        (("log.mcap", "--out", "out", "--map", "wheel=1"), "no column 'wheel'"),
+        (("log.mcap", "--out", "out", "--recipe", "none.toml"), "none.toml: can't be read"),
+        (("log.mcap", "--out", "out", "--gps-offset", "100"), "do not overlap"),
+        (("log.mcap", "--out", "full"), "is not part of a drive"),
+        (("cut.mcap", "--out", "out"), "cut.mcap: is cut short or broken"),
     ],
 )
 def test_mistakes_are_one_line(sigmaswarm: Command, here: Path, arguments: tuple[str, ...], said: str):
@@ -204,7 +205,7 @@ def test_a_missing_library_is_named(
     monkeypatch.setitem(sys.modules, library_name, None)  # as if it were not installed
     with pytest.raises(ImportError):
         importlib.import_module(library_name)
-    ended = sigmaswarm("import", file, "out")
+    ended = sigmaswarm("import", file, "--out", "out")
     assert ended.code == 2
     extras = tomllib.loads(PYPROJECT.read_text())["project"]["optional-dependencies"]
     packages = " ".join(name.split(">")[0] for name in extras[extra])

@@ -41,7 +41,9 @@ def end(*arguments: object, **environment: str) -> tuple[int, str, str]:
 def test_records_a_drive(tmp_path: Path):
     python_with("0.9.16")
     with stand_in(tmp_path) as server:
-        code, out, err = end(tmp_path / "d", "--port", server.port, *BRAKE, "--seed", 4, HOME=str(tmp_path))
+        code, out, err = end(
+            "--out", tmp_path / "d", "--port", server.port, *BRAKE, "--seed", 4, HOME=str(tmp_path)
+        )
     assert code == 0, err
     assert "recorded 1 drive(s)" in out
     drive = sigmaswarm.read_drive(tmp_path / "d" / "brake-clear-00")
@@ -51,7 +53,7 @@ def test_records_a_drive(tmp_path: Path):
 def test_interrupted_it_puts_the_server_in_order(tmp_path: Path):
     python_with("0.9.16")
     with stand_in(tmp_path) as server:
-        process = start(tmp_path / "d", "--port", server.port, *BRAKE, HOME=str(tmp_path))
+        process = start("--out", tmp_path / "d", "--port", server.port, *BRAKE, HOME=str(tmp_path))
         assert process.stderr is not None
         assert "brake-clear-00" in process.stderr.readline()
         time.sleep(0.3)
@@ -77,7 +79,7 @@ def test_a_client_that_is_missing_or_dies(client: str, code: int, said: str, tmp
 
     (tmp_path / "carla.py").write_text(client)
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    got, _, err = end(tmp_path / "d", *BRAKE, PYTHONPATH=path)
+    got, _, err = end("--out", tmp_path / "d", *BRAKE, PYTHONPATH=path)
     assert got == code
     assert re.search(f"^sigmaswarm: .*{said}", err)
     assert err.count("\n") == 1
@@ -99,11 +101,11 @@ def test_every_option_reaches_the_recorder(monkeypatch: pytest.MonkeyPatch, tmp_
              "timeout": 7.0, "patience": 8.0, "brake_sweep": True, "resume": True}  # fmt: skip
     assert set(given) == set(inspect.signature(record_carla).parameters) - {"out"}
     with pytest.raises(SystemExit):
-        record_carla(tmp_path, **given)
+        record_carla(out=tmp_path, **given)
     took = dataclasses.asdict(options_of(handed[0][2:]))
     renamed = {"maneuver": "maneuvers", "environment": "environments"}
     wanted = {renamed.get(k, k): tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     assert took == {"out": tmp_path, **wanted}
     with pytest.raises(SystemExit):
-        record_carla(tmp_path)
+        record_carla(out=tmp_path)
     assert options_of(handed[1][2:]) == Options(tmp_path)

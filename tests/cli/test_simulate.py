@@ -27,29 +27,31 @@ def digests(folder: str) -> dict[str, str]:
 
 
 def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
-    said = json.loads(sigmaswarm("simulate", "a", *SOME, "--workers", 1, "--json").out)
+    said = json.loads(sigmaswarm("simulate", "--out", "a", *SOME, "--workers", 1, "--json").out)
     assert said == {"drives": [f"a/{name}" for name in NAMES], "written": 8, "kept": 0}
-    ended = sigmaswarm("simulate", "b", *SOME, "--workers", 2)
+    ended = sigmaswarm("simulate", "--out", "b", *SOME, "--workers", 2)
     assert ended.out.splitlines() == ["wrote 8 drive(s) to b", "next: sigmaswarm plot b/turns-rain-00"]
     assert "8/8 drives" in ended.err
     assert len(digests("a")) == 8 * 4
     assert digests("a") == digests("b")
     assert len({v for k, v in digests("a").items() if k.endswith("imu.csv")}) == 8
-    other = sigmaswarm("simulate", "c", *SOME[:-1], 8)
+    other = sigmaswarm("simulate", "--out", "c", *SOME[:-1], 8)
     assert other.code == 0
     assert not set(digests("a").values()) & set(digests("c").values())
 
 
 def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
-    sigmaswarm("simulate", "whole", *SOME)
-    sigmaswarm("simulate", "part", "--maneuver", "turns", "--environment", "rain", "--runs", 1, "--seed", 7)
+    sigmaswarm("simulate", "--out", "whole", *SOME)
+    sigmaswarm(
+        "simulate", "--out", "part", "--maneuver", "turns", "--environment", "rain", "--runs", 1, "--seed", 7
+    )
     kept = Path("part/turns-rain-00/imu.csv")
     touched = kept.stat().st_mtime_ns
-    said = json.loads(sigmaswarm("simulate", "part", *SOME, "--resume", "--json").out)
+    said = json.loads(sigmaswarm("simulate", "--out", "part", *SOME, "--resume", "--json").out)
     assert (said["written"], said["kept"], len(said["drives"])) == (7, 1, 8)
     assert kept.stat().st_mtime_ns == touched
     assert digests("part") == digests("whole")
-    again = sigmaswarm("simulate", "part", *SOME, "--resume")
+    again = sigmaswarm("simulate", "--out", "part", *SOME, "--resume")
     assert "wrote 0 drive(s) to part, kept 8" in again.out
     assert again.err == ""
 
@@ -70,11 +72,13 @@ def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
 )
 def test_resume_does_not_mix_drives_of_other_options(sigmaswarm, here: Path, more: tuple, said: str):
     base = ("--maneuver", "urban", "--environment", "rain", "--duration", 30, "--gps", "white-1m")
-    assert sigmaswarm("simulate", "s", *base, "--runs", 1).code == 0
+    assert sigmaswarm("simulate", "--out", "s", *base, "--runs", 1).code == 0
     before = digests("s")
-    assert sigmaswarm("simulate", "s", *base, "--runs", 1, "--resume").code == 0
+    assert sigmaswarm("simulate", "--out", "s", *base, "--runs", 1, "--resume").code == 0
     changed = {base[i]: base[i : i + 2] for i in range(0, len(base), 2)} | {more[0]: more}
-    ended = sigmaswarm("simulate", "s", *(o for given in changed.values() for o in given), "--resume")
+    ended = sigmaswarm(
+        "simulate", "--out", "s", *(o for given in changed.values() for o in given), "--resume"
+    )
     assert ended.code == 2
     assert f"sigmaswarm: s/urban-rain-00/drive.toml: was made with {said}" in ended.err
     assert ended.err.count("\n") == 1
@@ -86,7 +90,7 @@ def test_every_option_reaches_the_drive(sigmaswarm, here: Path):
     flags = ["--jitter", "--vibration", "--gnss-degradation"]
     given = [part for key, value in options.items() for part in (f"--{key}", value)]
     where = ["--maneuver", "urban", "brake", "--environment", "rain", "--runs", 1, "--duration", 30]
-    assert sigmaswarm("simulate", "s", *where, *given, *flags).code == 0
+    assert sigmaswarm("simulate", "--out", "s", *where, *given, *flags).code == 0
     drive = read_drive("s/urban-rain-00")
     expected = library.simulate(
         "urban", "rain", duration=30.0, jitter=JITTER, vibration=VIBRATION, gnss_degradation=True, **options
@@ -106,7 +110,7 @@ def test_workers_are_as_many_threads(sigmaswarm, here: Path, monkeypatch):
         return write(drive, path)
 
     monkeypatch.setattr(library, "write_drive", noted)
-    assert sigmaswarm("simulate", "s", *SOME, "--workers", 1).code == 0
+    assert sigmaswarm("simulate", "--out", "s", *SOME, "--workers", 1).code == 0
     assert len(threads) == 1
 
 
@@ -124,9 +128,13 @@ def test_help_names_every_choice(sigmaswarm):
 
 
 def test_labels_of_one_physics_are_said_to_be_so(sigmaswarm, here: Path):
-    shared = sigmaswarm("simulate", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1)
+    shared = sigmaswarm(
+        "simulate", "--out", "a", "--maneuver", "brake", "--environment", "clear", "fog", "--runs", 1
+    )
     assert "clear, night and fog share one physics" in shared.out
-    apart = sigmaswarm("simulate", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1)
+    apart = sigmaswarm(
+        "simulate", "--out", "b", "--maneuver", "brake", "--environment", "clear", "rain", "--runs", 1
+    )
     assert "physics" not in apart.out
 
 
@@ -140,13 +148,13 @@ def test_a_failure_on_the_way_is_one_line_and_can_be_resumed(sigmaswarm, here: P
         return write(drive, path)
 
     monkeypatch.setattr(library, "write_drive", full)
-    ended = sigmaswarm("simulate", "s", *SOME, "--workers", 1)
+    ended = sigmaswarm("simulate", "--out", "s", *SOME, "--workers", 1)
     assert ended.code == 2
     assert ended.err.splitlines()[-1] == f"sigmaswarm: s/{NAMES[3]}: No space left on device"
     assert "Traceback" not in ended.err
     monkeypatch.setattr(library, "write_drive", write)
-    assert sigmaswarm("simulate", "s", *SOME, "--resume").code == 0
-    sigmaswarm("simulate", "t", *SOME)
+    assert sigmaswarm("simulate", "--out", "s", *SOME, "--resume").code == 0
+    sigmaswarm("simulate", "--out", "t", *SOME)
     assert digests("s") == digests("t")
 
 

@@ -9,7 +9,7 @@ SMALL = ("--runs", 2, "--trials", 2, "--particles", 2, "--generations", 1, "--wo
 
 def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
     (here / "study.toml").write_text('maneuvers = ["turns"]\nenvironments = ["clear"]\n')
-    ended = sigmaswarm("study", "out", "--config", "study.toml", *SMALL)
+    ended = sigmaswarm("study", "--out", "out", "--config", "study.toml", *SMALL)
     assert ended.code == 0, ended.err
     assert "Table III" in ended.out
     assert "21,607" in ended.out  # the paper's
@@ -22,7 +22,7 @@ def test_a_small_study_and_its_tables(sigmaswarm: Command, here: Path):
         "tracks.npz",
     ):
         assert (here / "out" / name).stat().st_size > 0
-    assert sigmaswarm("study", "out", "--resume").code == 0
+    assert sigmaswarm("study", "--out", "out", "--resume").code == 0
     assert sigmaswarm("report", "out").code == 0
     assert (here / "out" / "page.html").stat().st_size > 4e6
 
@@ -35,7 +35,7 @@ def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):
         (("new", "--config", "none.toml"), "no such file"),
         (("new", "--drives", "none"), "none"),
     ):
-        ended = sigmaswarm("study", *arguments)
+        ended = sigmaswarm("study", "--out", *arguments)
         assert ended.code == 2
         assert said in ended.err
         assert ended.err.count("\n") == 1

@@ -48,7 +48,7 @@ def written(drive: Drive, folder: Path, suffix: str) -> tuple[Estimate, Path, Pa
 
 def position_rmse(drive: Drive) -> float:
     p = tuned("planar5", "ukf", drive.nominal_interval, everything=False)
-    return float(evaluate(p, [drive]).scores[drive.name]["tuned"].position_rmse)
+    return float(evaluate([drive], p).scores[drive.name]["tuned"].position_rmse)
 
 
 @needs_evo

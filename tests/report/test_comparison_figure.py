@@ -14,7 +14,7 @@ DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(3)]
 def test_the_figure_shows_every_contender_and_run(tmp_path: Path):
     found = compare(
         DRIVES[:2],
-        test=DRIVES[2:],
+        validation=DRIVES[2:],
         optimizers=("pso", "pso:racing=true"),
         seeds=2,
         particles=6,

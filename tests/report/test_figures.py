@@ -140,7 +140,7 @@ def test_errors_need_truth():
 
 
 def test_comparison_has_bars_for_every_method():
-    evaluation = evaluate(GOOD, DRIVE)
+    evaluation = evaluate(DRIVE, GOOD)
     figure = comparison(evaluation)
     titles = ["position RMSE, m", "heading error, deg", "outage drift, m"]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
@@ -159,17 +159,17 @@ def test_comparison_has_bars_for_every_method():
 
 def test_comparison_without_truth_has_no_empty_panels():
     blind = replace(DRIVE, truth=None)
-    figure = comparison(evaluate(GOOD, blind))
+    figure = comparison(evaluate(blind, GOOD))
     assert [ax.get_title(loc="left") for ax in figure.axes] == ["outage drift, m"]
     assert all(ax.patches for ax in figure.axes)
     short = replace(make_drive(duration=12.0, seed=1, name="short"), truth=None)
-    (ax,) = comparison(evaluate(GOOD, short)).axes
+    (ax,) = comparison(evaluate(short, GOOD)).axes
     assert "nothing can be compared" in ax.texts[0].get_text()
     assert not ax.axison
 
 
 def test_every_figure_has_the_same_bytes_twice(tmp_path: Path, tuning: Tuning):
-    evaluation = evaluate(GOOD, DRIVE)
+    evaluation = evaluate(DRIVE, GOOD)
     makers = {
         "convergence": lambda: convergence(tuning),
         "tracks": lambda: tracks(picture(DRIVE), NAMES),
@@ -197,7 +197,7 @@ def test_a_tuning_s_folder_gets_history_and_pictures(tmp_path: Path, tuning: Tun
 
 
 def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
-    written = save_evaluation(evaluate(BROKEN, DRIVE), tmp_path / "deep" / "e")
+    written = save_evaluation(evaluate(DRIVE, BROKEN), tmp_path / "deep" / "e")
     assert all(path.stat().st_size > 0 for path in written)
     names = {"scores.json", "scores.csv", "evaluation.json", "tracks.npz"}
     names |= {"comparison.png", "monday-track.png", "monday-error.png"}
@@ -205,7 +205,7 @@ def test_an_evaluation_of_failures_is_still_drawn(tmp_path: Path):
 
 
 def test_drives_of_one_name_do_not_share_a_picture(tmp_path: Path):
-    written = save_evaluation(evaluate(GOOD, [DRIVE, DRIVE]), tmp_path)
+    written = save_evaluation(evaluate([DRIVE, DRIVE], GOOD), tmp_path)
     assert len(set(written)) == len(written) == 11
 
 

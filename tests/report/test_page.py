@@ -42,7 +42,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evalu
     tuning = tune(MONDAY, validation=TUESDAY, particles=4, generations=5, trials=2, out=tuned)
     save_tuning_figures(tuning, picture_of(MONDAY, compared(MONDAY, tuning.parameters), "monday"), tuned)
     drives = [NASTY_DRIVE, TUESDAY]
-    found = evaluate(tuning.parameters, drives)
+    found = evaluate(drives, tuning.parameters)
     save(found, tuned, out)
     return tuned, out, found
 
@@ -201,7 +201,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
 ):
     tuned, _, _ = folders
     parameters = FilterParameters.load(tuned)
-    found = evaluate(parameters, [MONDAY, BLIND])
+    found = evaluate([MONDAY, BLIND], parameters)
     out = tmp_path / "e"
     save(found, tuned, out)
     report = read_report(out)
@@ -215,7 +215,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
 def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation]
 ):
-    found = evaluate(FilterParameters.load(folders[0]), BLIND)
+    found = evaluate(BLIND, FilterParameters.load(folders[0]))
     save(found, folders[0], tmp_path / "e")
     report = read_report(tmp_path / "e")
     assert any("The drive has no truth" in sentence for sentence in report.lead)

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     GOOD.save(root / "by-hand.toml")
     out = root / "evaluation"
     out.mkdir()
-    found = evaluate(GOOD, [KNOWN, BLIND])
+    found = evaluate([KNOWN, BLIND], GOOD)
     found.save(out)
     copy_tuning(root / "by-hand.toml", out)
     return out

@@ -59,7 +59,7 @@ def test_too_few_fixes_or_a_failed_filter_are_not_judged():
     drive = make_drive(duration=30.0)
     failing = FilterParameters(0.5, 2.0, 1.0, (-1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 1.0))
     assert consistency(drive, failing) is None
-    evaluation = evaluate(failing, drive)
+    evaluation = evaluate(drive, failing)
     assert evaluation.consistency[drive.name] is None
     assert evaluation.to_dict()["consistency"] == {drive.name: None}
 
@@ -67,7 +67,7 @@ def test_too_few_fixes_or_a_failed_filter_are_not_judged():
 def test_an_evaluation_tells_of_it():
     drive = make_drive(duration=60.0, seed=1)
     parameters = FilterParameters(0.5, 2.0, 1.0, (1e-6, 1e-6, 1e-6, 1e-6, 1e-9), (1.0, 1.0))
-    told = evaluate(parameters, drive).to_dict()["consistency"][drive.name]
+    told = evaluate(drive, parameters).to_dict()["consistency"][drive.name]
     found = consistency(drive, parameters)
     assert told["mean_nis"] == found.mean_nis
     assert 1.5 < found.mean_nis < 2.5  # 1 m of white noise, stated as such

@@ -26,7 +26,7 @@ DRIVES = [make_drive(duration=40.0, seed=s, name=f"drive-{s}") for s in range(2)
 
 @pytest.fixture(scope="module")
 def evaluation() -> Evaluation:
-    return evaluate(GOOD, DRIVES)
+    return evaluate(DRIVES, GOOD)
 
 
 def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
@@ -57,7 +57,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
     ],
 )
 def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
-    names = evaluate(replace(GOOD, **change), DRIVES[0]).names
+    names = evaluate(DRIVES[0], replace(GOOD, **change)).names
     assert list(names) == METHODS
     assert list(names.values()) == [name, "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
 
@@ -125,7 +125,7 @@ def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
 
 
 def test_without_truth_only_the_drift_can_be_said():
-    said = evaluate(GOOD, replace(DRIVES[0], truth=None)).to_dict()
+    said = evaluate(replace(DRIVES[0], truth=None), GOOD).to_dict()
     json.dumps(said, allow_nan=False)
     for method in METHODS:
         scores = said["drives"]["drive-0"][method]
@@ -139,14 +139,14 @@ def test_without_truth_only_the_drift_can_be_said():
 
 def test_two_drives_of_one_name_do_not_hide_each_other():
     same = [replace(drive, name="monday") for drive in (*DRIVES, DRIVES[0])]
-    said = evaluate(GOOD, same).to_dict()["drives"]
+    said = evaluate(same, GOOD).to_dict()["drives"]
     assert list(said) == ["monday", "monday (2)", "monday (3)"]
     assert said["monday"] == said["monday (3)"]
     assert said["monday"] != said["monday (2)"]
 
 
 def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Evaluation):
-    broken = evaluate(BROKEN, DRIVES)
+    broken = evaluate(DRIVES, BROKEN)
     said, sound = broken.to_dict(), evaluation.to_dict()
     json.dumps(said, allow_nan=False)
     assert said["drives"]["drive-0"]["tuned"] == dict.fromkeys(MEASURES)
@@ -168,7 +168,7 @@ def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
 
 def test_the_outages_options_reach_the_outages():
     one, other, longer = (
-        evaluate(GOOD, DRIVES[:1], **kw).to_dict()["mean"]["defaults"]
+        evaluate(DRIVES[:1], GOOD, **kw).to_dict()["mean"]["defaults"]
         for kw in ({}, {"outage_seed": 3}, {"outage_length": 8.0})
     )
     assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
@@ -178,11 +178,11 @@ def test_the_outages_options_reach_the_outages():
 
 
 def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):
-    turned = evaluate(GOOD, DRIVES[::-1]).to_dict()["drives"]
+    turned = evaluate(DRIVES[::-1], GOOD).to_dict()["drives"]
     assert turned == evaluation.to_dict()["drives"]
-    assert sigmaswarm.evaluate(GOOD, DRIVES[1]).to_dict()["drives"]["drive-1"] == turned["drive-1"]
+    assert sigmaswarm.evaluate(DRIVES[1], GOOD).to_dict()["drives"]["drive-1"] == turned["drive-1"]
 
 
 def test_no_drives_are_refused():
     with pytest.raises(ValueError, match="no drives"):
-        evaluate(GOOD, [])
+        evaluate([], GOOD)

@@ -36,9 +36,9 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
     sigmaswarm report evaluation
     sigmaswarm run tuned drives/friday --out estimate.csv
 
-Another kind of log? `sigmaswarm import LOG --show` looks at it, `sigmaswarm import LOG DRIVE` makes a drive of it.
+Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive of it.
 
-No drives at hand? `sigmaswarm simulate drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
+No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )

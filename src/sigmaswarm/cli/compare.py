@@ -1,36 +1,28 @@
 """`sigmaswarm compare`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Unpack
 
 from cyclopts import Parameter, validators
 
+from sigmaswarm.cli.options import takes
+from sigmaswarm.tuning.options import DEFAULTS, SEEDS, CompareOptions, Scale
 
+
+@takes(CompareOptions, DEFAULTS)
 def compare(
     drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
     optimizers: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    scales: Annotated[
-        list[Literal["log10", "linear"]] | None, Parameter(consume_multiple=1, negative=())
-    ] = None,
-    seeds: int = 20,
-    test: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
-    objective: str = "auto",
-    worst: float = 1.0,
-    particles: int = 30,
-    generations: int = 50,
-    model: Literal["planar5", "planar8"] = "planar5",
-    kind: Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] = "ukf",
-    use: Annotated[
-        list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
-        Parameter(consume_multiple=1, negative=()),
-    ] = None,
-    polish: int = 0,
-    racing: Annotated[bool, Parameter(negative=())] = False,
+    scales: Annotated[list[Scale] | None, Parameter(consume_multiple=1, negative=())] = None,
+    seeds: int = SEEDS,
+    validation: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+    **options: Unpack[CompareOptions],
 ) -> None:
     """Compare optimizers: the same budget on the same drives, over many seeds.
 
@@ -40,7 +32,7 @@ def compare(
 
     Examples:
 
-        sigmaswarm compare drives/training --test drives/held-out --out compared
+        sigmaswarm compare drives/training --validation drives/held-out --out compared
         sigmaswarm compare drives/training --optimizers pso de cma-es --scales log10 linear --out compared
         sigmaswarm compare drives/training --optimizers pso pso:polish=300 pso:racing=true --out compared
 
@@ -58,58 +50,37 @@ def compare(
         log10, linear or both; log10 by default.
     seeds
         Runs of each.
-    test
-        Held-out drives.
-    objective
-        As for `sigmaswarm tune`.
-    worst
-        Share of the drives that counts, the worst ones; by default the mean over all.
-    particles
-        Evaluations a generation.
-    generations
-        Generations.
-    model
-        The filter's process model.
-    kind
-        Unscented, extended, adaptive (Sage-Husa) or strong tracking.
-    use
-        What the filter uses beside position fixes.
-    polish
-        Evaluations of each run that are kept for a Nelder-Mead search from the best point.
-    racing
-        Drop the worse candidates of a generation before all drives are run.
+    validation
+        Drives held back from the search, to see what the results are worth on others.
     workers
         Threads; all cores by default. The result does not depend on it.
     resume
         Go on with a comparison that was interrupted; the result is the same, but for the times.
+    json
+        Print the table for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import progress_bar, read_drives, stdout
+    from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
     from sigmaswarm.report.comparison_figure import save_comparison
 
-    read, held_out = read_drives(drives), read_drives(test or [])
+    read, held_out = read_drives(drives), read_drives(validation or [])
     chosen = {"optimizers": optimizers, "scales": scales}
     with progress_bar("comparing", "tunings, remaining") as show:
         comparison = sigmaswarm.compare(
             read,
-            **{name: value for name, value in chosen.items() if value},
+            **{name: value for name, value in chosen.items() if value},  # pyright: ignore[reportArgumentType]
             seeds=seeds,
-            test=held_out,
+            validation=held_out,
             out=out,
             resume=resume,
             workers=workers,
             progress=show,
-            objective=objective,
-            worst=worst,
-            particles=particles,
-            generations=generations,
-            model=model,
-            kind=kind,
-            use=tuple(use or ()),
-            polish=polish,
-            racing=racing,
+            **options,
         )
     written = save_comparison(comparison, out)
+    if json:
+        print_json({"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]})
+        return
     console = stdout()
     console.print(comparison.markdown())
     for path in written:

@@ -63,7 +63,7 @@ def demo(
             console.print(f"   note: {remark}")
     filters = compared(training[0], tuning.parameters)
     save_tuning_figures(tuning, picture_of(training[0], filters, training[0].name), out / "tuning")
-    evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
+    evaluation = sigmaswarm.evaluate(held_out, tuning.parameters)
     save_evaluation(evaluation, out / "evaluation", out / "tuning")
     if json:
         print_json(evaluation.to_dict())

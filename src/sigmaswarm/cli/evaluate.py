@@ -56,7 +56,7 @@ def evaluate(
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
-    result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
+    result = sigmaswarm.evaluate(read, parameters, outage_length=outage_length, outage_seed=outage_seed)
     _warn_of_training_drives(tuning, result)
     written: list[Path] = []
     if out:

@@ -16,9 +16,9 @@ _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
 def import_(
     source: Annotated[Path, Parameter(name="SOURCE")],
-    out: Annotated[Path | None, Parameter(name="OUT")] = None,
     /,
     *,
+    out: Path | None = None,
     show: _Flag = False,
     format: str | None = None,
     gps: Path | None = None,
@@ -49,9 +49,9 @@ def import_(
     Examples:
 
         sigmaswarm import monday.mcap --show
-        sigmaswarm import monday.mcap drives/monday --imu-topic /imu/data --mount 90
-        sigmaswarm import imu.csv drives/monday --gps track.ubx --truth rtk.pos
-        sigmaswarm import log.csv drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
+        sigmaswarm import monday.mcap --out drives/monday --imu-topic /imu/data --mount 90
+        sigmaswarm import imu.csv --out drives/monday --gps track.ubx --truth rtk.pos
+        sigmaswarm import log.csv --out drives/monday --time "stamp*1e-3" --map "ax=-acc_y*9.80665" "gz=radians(gyro_z)"
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def import_(
         _show(request, save_recipe, json)
         return
     if out is None:
-        raise InputError("name the drive's folder to be made after the source, or use --show to look first")
+        raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
     _import(request, out, name or out.resolve().name, save_recipe, overwrite, json)
 
 

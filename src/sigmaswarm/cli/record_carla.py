@@ -12,9 +12,8 @@ _Flag = Annotated[bool, Parameter(negative=())]
 
 
 def record_carla(
-    out: Annotated[Path, Parameter(name="OUT")],
-    /,
     *,
+    out: Path,
     host: str = Options.host,
     port: int = Options.port,
     maneuver: _Names = None,
@@ -38,8 +37,8 @@ def record_carla(
 
     Examples:
 
-        sigmaswarm record-carla drives --maneuver brake --environment clear --runs 1
-        sigmaswarm record-carla drives --host 192.168.0.7 --map Town06 --brake-sweep
+        sigmaswarm record-carla --out drives --maneuver brake --environment clear --runs 1
+        sigmaswarm record-carla --out drives --host 192.168.0.7 --map Town06 --brake-sweep
 
     Parameters
     ----------

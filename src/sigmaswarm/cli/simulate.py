@@ -16,9 +16,8 @@ _Flag = Annotated[bool, Parameter(negative=())]
 
 
 def simulate(
-    out: Annotated[Path, Parameter(name="OUT")],
-    /,
     *,
+    out: Path,
     maneuver: _Names = None,
     environment: _Names = None,
     runs: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 20,
@@ -40,9 +39,9 @@ def simulate(
 
     Examples:
 
-        sigmaswarm simulate drives
-        sigmaswarm simulate town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
-        sigmaswarm simulate wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
+        sigmaswarm simulate --out drives
+        sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
+        sigmaswarm simulate --out wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
 
     Parameters
     ----------

@@ -8,9 +8,9 @@ from cyclopts import Parameter
 
 def split(
     drive: Annotated[Path, Parameter(name="DRIVE")],
-    out: Annotated[Path, Parameter(name="OUT")],
     /,
     *,
+    out: Path,
     train_fraction: float = 0.7,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
@@ -18,7 +18,7 @@ def split(
 
     Example:
 
-        sigmaswarm split drives/monday parts
+        sigmaswarm split drives/monday --out parts
         sigmaswarm tune parts/monday-train --out tuned
         sigmaswarm evaluate tuned parts/monday-test
 

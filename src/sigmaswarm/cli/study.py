@@ -13,9 +13,8 @@ _Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
 
 
 def study(
-    out: Annotated[Path, Parameter(name="OUT")],
-    /,
     *,
+    out: Path,
     config: Path | None = None,
     drives: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     trials: _Count = None,
@@ -39,10 +38,10 @@ def study(
 
     Examples:
 
-        sigmaswarm study study
-        sigmaswarm study study --resume
-        sigmaswarm study quick --runs 4 --trials 5 --particles 16 --generations 20
-        sigmaswarm study mine --drives drives --trials 10
+        sigmaswarm study --out study
+        sigmaswarm study --out study --resume
+        sigmaswarm study --out quick --runs 4 --trials 5 --particles 16 --generations 20
+        sigmaswarm study --out mine --drives drives --trials 10
 
     Parameters
     ----------

@@ -2,50 +2,26 @@
 
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Unpack
 
 from cyclopts import Parameter, validators
 
-
-def default(value: str) -> Parameter:
-    """What the help says of an option that is left out: `--paper` must know which ones were given."""
-    return Parameter(show_default=lambda _: value)
+from sigmaswarm.cli.options import takes
+from sigmaswarm.tuning.options import DEFAULTS, TuneOptions
 
 
+@takes(TuneOptions, DEFAULTS)
 def tune(
     drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
     validation: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
-    objective: Annotated[str | None, default("auto")] = None,
-    worst: Annotated[float | None, default("1.0")] = None,
-    scale: Annotated[Literal["log10", "linear"] | None, default("log10")] = None,
-    particles: Annotated[int | None, default("30")] = None,
-    generations: Annotated[int | None, default("50")] = None,
-    trials: int = 1,
-    seed: int = 0,
-    model: Annotated[Literal["planar5", "planar8"] | None, default("planar5")] = None,
-    kind: Annotated[
-        Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"] | None, default("ukf")
-    ] = None,
-    use: Annotated[
-        list[Literal["velocity", "lateral", "standstill", "gate", "latency"]] | None,
-        Parameter(consume_multiple=1, negative=()),
-    ] = None,
-    optimizer: Annotated[
-        Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"] | None,
-        default("de"),
-    ] = None,
-    polish: Annotated[int | None, default("0")] = None,
-    racing: Annotated[bool, Parameter(negative=())] = False,
     paper: Annotated[bool, Parameter(negative=())] = False,
-    inertia: float | None = None,
-    zero_velocity_at_bounds: Annotated[bool, Parameter(negative=())] = False,
-    patience: int | None = None,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
+    **options: Unpack[TuneOptions],
 ) -> None:
     """Tune a filter on drives, and keep it in OUT/tuning.toml.
 
@@ -71,48 +47,8 @@ def tune(
         Folder for tuning.toml, the convergence history and figures.
     validation
         Drives held back from the search, to see what the result is worth on others.
-    objective
-        truth-rmse: position error. truth-pose: position, heading and outage drift together.
-        innovation-nll: how likely each fix is before it is absorbed; needs no truth, and makes the filter
-        honest about its errors. outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency,
-        to be added to others. gps-rmse: the paper's, which rewards copying the GPS. Sums like
-        "truth-pose + 0.2 nees" are objectives, too. auto: truth-rmse with truth, else innovation-nll.
-    worst
-        Share of the drives that counts, the worst ones; by default the mean over all.
-    scale
-        How variances are searched; linear is the paper's way.
-    particles
-        Size of the swarm.
-    generations
-        Moves of the swarm, the first placement included.
-    trials
-        Independent runs; the best one is kept, all are reported.
-    seed
-        Decides everything that is left to chance.
-    model
-        The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases.
-    kind
-        Unscented, extended, adaptive (Sage-Husa) or strong tracking.
-    use
-        What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the
-        receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when
-        it stands. gate: turn outlying fixes away. latency: fixes may be older than they say.
-    optimizer
-        pso: particle swarm. ga: genetic algorithm. ga-pso: both in turn. de: differential evolution. cma-es:
-        covariance matrix adaptation. nelder-mead, random, sobol: to compare with.
-    polish
-        How many of the particles x generations evaluations a Nelder-Mead search from the best point may have.
-    racing
-        Try each generation on one drive first, its better half on two, and so on: fewer filter steps, with a part of
-        the drives deciding who goes on. With one drive it changes nothing.
     paper
         The paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Options that contradict it are refused.
-    inertia
-        The w of pso; 0.7298 by default.
-    zero_velocity_at_bounds
-        pso: stop particles in the coordinates in which they hit the box.
-    patience
-        End a trial after that many generations without progress; by default never.
     workers
         Threads; all cores by default. The result does not depend on it.
     resume
@@ -127,25 +63,6 @@ def tune(
     from sigmaswarm.report.figures import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
 
-    asked = {
-        "objective": objective,
-        "worst": worst,
-        "scale": scale,
-        "particles": particles,
-        "generations": generations,
-        "trials": trials,
-        "seed": seed,
-        "model": model,
-        "kind": kind,
-        "use": tuple(use) if use else None,
-        "optimizer": optimizer,
-        "polish": polish,
-        "racing": racing or None,
-        "inertia": inertia,
-        "zero_velocity_at_bounds": zero_velocity_at_bounds or None,
-        "patience": patience,
-    }
-    config: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     read = read_drives(drives)
     held_back = read_drives(validation or [])
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
@@ -157,7 +74,7 @@ def tune(
             paper=paper,
             executor=pool,
             progress=progress,
-            **config,
+            **options,
         )
     filters = compared(read[0], tuning.parameters)
     pictures = save_tuning_figures(tuning, picture_of(read[0], filters, read[0].name), out)
@@ -166,7 +83,7 @@ def tune(
         return
     console = stdout()
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
-    if racing:
+    if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
         console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
     if tuning.validation:

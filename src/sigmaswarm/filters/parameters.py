@@ -3,7 +3,7 @@
 import tomllib
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tomli_w
@@ -12,9 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.files import write_whole
-
-ModelName = Literal["planar5", "planar8"]
-FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"]
+from sigmaswarm.filters.names import FilterKind, ModelName
 
 _PLANE = ("x", "y", "vx", "vy", "theta")
 STATE_NAMES: dict[str, tuple[str, ...]] = {

@@ -202,8 +202,8 @@ class Evaluation:
 
 
 def evaluate(
-    parameters: FilterParameters,
     drives: Sequence[Drive] | Drive,
+    parameters: FilterParameters,
     *,
     outage_length: float = OUTAGE_LENGTH,
     outage_seed: int = 0,
@@ -212,11 +212,11 @@ def evaluate(
 
     Parameters
     ----------
-    parameters : FilterParameters
-        The tuned ones.
     drives : Drive or sequence of Drive
         Best those that the tuning never saw. Without truth only the outage drift can be said, against the
         hidden fixes.
+    parameters : FilterParameters
+        The tuned ones.
     outage_length : float
         s without fixes.
     outage_seed : int
@@ -224,9 +224,13 @@ def evaluate(
 
     Raises
     ------
+    InputError
+        If there are no drives, or the two arguments are in the order of version 0.1.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
+    if isinstance(drives, FilterParameters):
+        raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
     drives = listed(drives)
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")

@@ -15,7 +15,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.contenders import Contender, budget, contenders
+from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
@@ -37,13 +38,13 @@ def compare(
     *,
     optimizers: Sequence[str] = ("pso", "ga", "ga-pso", "de", "cma-es", "random"),
     scales: Sequence[str] = ("log10",),
-    seeds: int = 20,
-    test: Sequence[Drive] | Drive = (),
+    seeds: int = SEEDS,
+    validation: Sequence[Drive] | Drive = (),
     out: str | Path | None = None,
     resume: bool = False,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    **config: Any,
+    **config: Unpack[CompareOptions],
 ) -> Comparison:
     """Compare optimizers at the same budget of evaluations on the same drives.
 
@@ -58,8 +59,8 @@ def compare(
         log10, linear or both.
     seeds : int
         Runs of each, with seeds 0, 1, ...
-    test : Drive or sequence of Drive
-        Held-out drives: what the filters are worth on them.
+    validation : Drive or sequence of Drive
+        Drives that the search does not see: what the filters are worth on them.
     out : path, optional
         A folder for all runs; a killed comparison can be resumed.
     resume : bool
@@ -69,21 +70,21 @@ def compare(
     progress : callable, optional
         Called with the number of runs done, and of all, after every run.
     **config
-        What `tune` is asked for otherwise: objective, model, particles, generations, ...
+        `CompareOptions`, what `tune` is asked for otherwise: objective, model, particles, generations, ...
 
     Raises
     ------
     InputError
         If an option, optimizer, drive or folder can't be used.
     """
-    drives, held_out = listed(drives), listed(test)
+    drives, held_out = listed(drives), listed(validation)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
     for name in ("seed", "optimizer", "scale"):
         if name in config:
             raise InputError(f"{name}: is what is compared; use {name}s instead")
     objective = objective_for([*drives, *held_out], config.get("objective", "auto"))
-    rivals = contenders(optimizers, scales, config | {"objective": objective})
+    rivals = contenders(optimizers, scales, {**config, "objective": objective})
     asked = _asked(rivals, seeds, drives, held_out)
     with TemporaryDirectory() as scratch:
         folder = ResultFolder(Path(scratch if out is None else out), asked, resume=resume or out is None)

@@ -1,46 +1,39 @@
 """What a tuning is asked for."""
 
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sigmaswarm.errors import InputError, first_mistake
-from sigmaswarm.filters.parameters import FilterKind, ModelName
-from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
-from sigmaswarm.tuning.space import Option, Scale
+from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale
 
-OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 """The coefficients of the swarm, which no other optimizer has."""
 C = TypeVar("C", bound="SearchConfig")
 
 
 class SearchConfig(BaseModel):
-    """What any tuning is asked for; saved with every result. Defaults are the paper's where it gives them."""
+    """What any tuning is asked for, checked; saved with every result. `SearchOptions` says what each option means."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    objective: str = "auto"
-    """A name in `OBJECTIVES` or a weighted sum; auto: truth-rmse where all drives have truth, else innovation-nll."""
-    scale: Scale = "log10"
-    particles: int = Field(default=30, ge=2)
-    generations: int = Field(default=50, ge=1)
-    trials: int = Field(default=1, ge=1)
-    seed: int = Field(default=0, ge=0)
-    worst: float = Field(default=1.0, gt=0, le=1)
-    """Share of the drives that counts, the worst ones; 1: the mean over all."""
-    optimizer: OptimizerName = "de"
-    """Loses the heading less often than the paper's pso at the same budget (docs/optimizers.md)."""
-    polish: int = Field(default=0, ge=0)
-    """Evaluations, of particles x generations, that are kept for a Nelder-Mead search from the best point."""
-    racing: bool = False
-    """Try each generation on one drive first, its better half on two, and so on: see `racing`."""
-    inertia: float = INERTIA
-    cognitive: float = ACCELERATION
-    social: float = ACCELERATION
-    zero_velocity_at_bounds: bool = False
-    patience: int | None = Field(default=None, ge=1)
-    """Stop a trial, but for its polish, after that many generations without a better cost; None: never."""
+    objective: str = DEFAULTS["objective"]
+    """A name in `OBJECTIVES` or a weighted sum."""
+    scale: Scale = DEFAULTS["scale"]
+    particles: int = Field(default=DEFAULTS["particles"], ge=2)
+    generations: int = Field(default=DEFAULTS["generations"], ge=1)
+    trials: int = Field(default=DEFAULTS["trials"], ge=1)
+    seed: int = Field(default=DEFAULTS["seed"], ge=0)
+    worst: float = Field(default=DEFAULTS["worst"], gt=0, le=1)
+    optimizer: OptimizerName = DEFAULTS["optimizer"]
+    polish: int = Field(default=DEFAULTS["polish"], ge=0)
+    racing: bool = DEFAULTS["racing"]
+    inertia: float = DEFAULTS["inertia"]
+    cognitive: float = DEFAULTS["cognitive"]
+    social: float = DEFAULTS["social"]
+    zero_velocity_at_bounds: bool = DEFAULTS["zero_velocity_at_bounds"]
+    patience: int | None = Field(default=DEFAULTS["patience"], ge=1)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -64,11 +57,10 @@ class SearchConfig(BaseModel):
 class TuneConfig(SearchConfig):
     """What the tuning of a filter for cars is asked for."""
 
-    model: ModelName = "planar5"
-    kind: FilterKind = "ukf"
-    use: tuple[Option, ...] = ()
-    """What the filter uses beside position fixes: velocity, lateral, standstill, gate, latency."""
-    outage_seed: int = Field(default=0, ge=0)
+    model: ModelName = DEFAULTS["model"]
+    kind: FilterKind = DEFAULTS["kind"]
+    use: tuple[Option, ...] = DEFAULTS["use"]
+    outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
 
 
 class ModelTuneConfig(SearchConfig):

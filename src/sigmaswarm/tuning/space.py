@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import STATE_NAMES, FilterKind, FilterParameters, ModelName
 from sigmaswarm.tuning.box import Box
+from sigmaswarm.tuning.options import Option, Scale
 
-Scale = Literal["log10", "linear"]
-Option = Literal["velocity", "lateral", "standstill", "gate", "latency"]
-OPTIONS: tuple[Option, ...] = ("velocity", "lateral", "standstill", "gate", "latency")
+OPTIONS: tuple[Option, ...] = get_args(Option)
 """What a filter can use beside position fixes; each is a switch, and its parameters are then tuned with the rest."""
 
 

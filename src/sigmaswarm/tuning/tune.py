@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar, Unpack, overload
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
-from sigmaswarm.filters.parameters import FilterParameters, ModelName
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import CarProblem, Problem
 from sigmaswarm.tuning.result import Tuning, Validation
@@ -33,13 +34,12 @@ def tune(
     drives: Sequence[Drive] | Drive,
     *,
     validation: Sequence[Drive] | Drive = ...,
-    model: ModelName = ...,
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
-    **config: Any,
+    **config: Unpack[TuneOptions],
 ) -> Tuning[FilterParameters]: ...
 @overload
 def tune(
@@ -52,7 +52,7 @@ def tune(
     paper: bool = False,
     executor: Executor | None = None,
     progress: Callable[[Progress], None] | None = None,
-    **config: Any,
+    **config: Unpack[SearchOptions],
 ) -> Tuning[dict[str, float]]: ...
 def tune(
     drives: Sequence[Drive] | Sequence[Log] | Drive | Log,
@@ -86,7 +86,7 @@ def tune(
     progress : callable, optional
         Called with a `Progress` after every generation.
     **config
-        The fields of `TuneConfig`: objective, scale, particles, generations, trials, seed, model, ...
+        `TuneOptions`: objective, scale, particles, generations, trials, seed, model, ...
         ``model`` may be a `Model` of your own; its objectives are truth-rmse and innovation-nll.
 
     Raises

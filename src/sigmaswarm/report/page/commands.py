@@ -4,16 +4,25 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.options import DEFAULTS
 
 STATED = ("objective", "particles", "generations", "trials", "seed")
 """Options that the command names even at their defaults."""
 OTHERS = (
     *("worst", "scale", "model", "kind", "use"),
-    *("optimizer", "polish", "racing", "inertia", "zero_velocity_at_bounds", "patience"),
+    *(
+        "optimizer",
+        "polish",
+        "racing",
+        "inertia",
+        "cognitive",
+        "social",
+        "zero_velocity_at_bounds",
+        "patience",
+    ),
+    "outage_seed",
 )
 """Options that it names where they are not at their defaults."""
-ONLY_IN_PYTHON = ("cognitive", "social", "outage_seed")
 
 
 def tune_command(
@@ -28,9 +37,7 @@ def tune_command(
     for name, value in options.items():
         words += _option(name.replace("_", "-"), value)
     words += ["--validation", *validation] if validation else []
-    stray = [f"{n} = {config[n]}" for n in ONLY_IN_PYTHON if n in config and not _default(n, config[n])]
-    note = f" It leaves out {', '.join(stray)}, which only Python takes." if stray else ""
-    return shlex.join(words), f"Drives are called by their names: put the ways to your folders instead.{note}"
+    return shlex.join(words), "Drives are called by their names: put the ways to your folders instead."
 
 
 def evaluate_command(drives: Sequence[str], outage_length: float, outage_seed: int) -> tuple[str, str]:
@@ -45,7 +52,7 @@ def evaluate_command(drives: Sequence[str], outage_length: float, outage_seed: i
 
 
 def _default(name: str, value: Any) -> bool:
-    default = TuneConfig.model_fields[name].default
+    default = DEFAULTS[name]
     return value is None or (list(value) == list(default) if name == "use" else value == default)
 
 

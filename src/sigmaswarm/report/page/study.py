@@ -69,7 +69,7 @@ def study_report(folder: Path) -> Report:
         ),
         config=file.config,
         versions=_versions(folder),
-        command="sigmaswarm study again --config study.toml",
+        command="sigmaswarm study --out again --config study.toml",
         command_note="study.toml is the one in this page's folder.",
     )
 

@@ -9,11 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
-
-INERTIA = 0.7298
-"""w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
-ACCELERATION = 1.5
-"""c1 = c2, from the paper."""
+from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class ParticleSwarm(AskTell):

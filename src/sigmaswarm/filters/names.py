@@ -1,0 +1,6 @@
+"""The names of the models and kinds of filters; in a file that imports nothing, for the command line's help."""
+
+from typing import Literal
+
+ModelName = Literal["planar5", "planar8"]
+FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"]

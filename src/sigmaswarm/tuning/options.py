@@ -1,0 +1,132 @@
+"""What a tuning can be asked for: names, types, meanings and defaults, for Python and for the command line.
+
+`TuneConfig` checks what is asked; a test holds the two together. Nothing heavy is imported here, since the command
+line's help is made of it.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, TypedDict
+
+from typing_extensions import Doc
+
+from sigmaswarm.filters.names import FilterKind, ModelName
+
+Scale = Literal["log10", "linear"]
+OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
+Option = Literal["velocity", "lateral", "standstill", "gate", "latency"]
+
+INERTIA = 0.7298
+"""w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
+ACCELERATION = 1.5
+"""c1 = c2, from the paper."""
+SEEDS = 20
+"""Runs of each optimizer in a comparison."""
+
+
+class SharedOptions(TypedDict, total=False):
+    """Options of any search, but for what a comparison compares."""
+
+    objective: Annotated[
+        str,
+        Doc(
+            "truth-rmse: position error. truth-pose: position, heading and outage drift together. innovation-nll: how "
+            "likely each fix is before it is absorbed; needs no truth, and makes the filter honest about its errors. "
+            "outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency, to be added to others. "
+            "gps-rmse: the paper's, which rewards copying the GPS. Sums like `truth-pose + 0.2 nees` are objectives, "
+            "too. auto: truth-rmse where all drives have truth, else innovation-nll."
+        ),
+    ]
+    worst: Annotated[
+        float, Doc("Share of the drives that counts, the worst ones; by default the mean over all.")
+    ]
+    particles: Annotated[int, Doc("Size of the swarm, or evaluations a generation.")]
+    generations: Annotated[int, Doc("Moves of the swarm, the first placement included.")]
+    trials: Annotated[int, Doc("Independent runs; the best one is kept, all are reported.")]
+    polish: Annotated[
+        int,
+        Doc(
+            "How many of the particles x generations evaluations a Nelder-Mead search from the best point may have."
+        ),
+    ]
+    racing: Annotated[
+        bool,
+        Doc(
+            "Try each generation on one drive first, its better half on two, and so on: fewer filter steps, with a "
+            "part of the drives deciding who goes on. With one drive it changes nothing."
+        ),
+    ]
+    inertia: Annotated[float, Doc("The w of pso.")]
+    cognitive: Annotated[float, Doc("The c1 of pso.")]
+    social: Annotated[float, Doc("The c2 of pso.")]
+    zero_velocity_at_bounds: Annotated[
+        bool, Doc("pso: stop particles in the coordinates in which they hit the box.")
+    ]
+    patience: Annotated[
+        int | None,
+        Doc("End a trial after that many generations without progress; by default never."),
+    ]
+
+
+class SearchOptions(SharedOptions, total=False):
+    """Options of any search."""
+
+    scale: Annotated[Scale, Doc("How variances are searched; linear is the paper's way.")]
+    optimizer: Annotated[
+        OptimizerName,
+        Doc(
+            "pso: particle swarm. ga: genetic algorithm. ga-pso: both in turn. de: differential evolution. cma-es: "
+            "covariance matrix adaptation. nelder-mead, random, sobol: to compare with."
+        ),
+    ]
+    seed: Annotated[int, Doc("Decides everything that is left to chance.")]
+
+
+class FilterOptions(TypedDict, total=False):
+    """Which filter for cars is tuned."""
+
+    model: Annotated[
+        ModelName,
+        Doc("The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases."),
+    ]
+    kind: Annotated[FilterKind, Doc("Unscented, extended, adaptive (Sage-Husa) or strong tracking.")]
+    use: Annotated[
+        Sequence[Option],
+        Doc(
+            "What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the "
+            "receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when "
+            "it stands. gate: turn outlying fixes away. latency: fixes may be older than they say."
+        ),
+    ]
+    outage_seed: Annotated[int, Doc("Places the outages of objectives that have some.")]
+
+
+class TuneOptions(SearchOptions, FilterOptions, total=False):
+    """What `tune` takes for a filter for cars."""
+
+
+class CompareOptions(SharedOptions, FilterOptions, total=False):
+    """What `compare` takes for all that are compared."""
+
+
+DEFAULTS: dict[str, Any] = {
+    "objective": "auto",
+    "worst": 1.0,
+    "particles": 30,
+    "generations": 50,
+    "trials": 1,
+    "polish": 0,
+    "racing": False,
+    "inertia": INERTIA,
+    "cognitive": ACCELERATION,
+    "social": ACCELERATION,
+    "zero_velocity_at_bounds": False,
+    "patience": None,
+    "scale": "log10",
+    "optimizer": "de",  # loses the heading less often than the paper's pso at the same budget (docs/optimizers.md)
+    "seed": 0,
+    "model": "planar5",
+    "kind": "ukf",
+    "use": (),
+    "outage_seed": 0,
+}
+"""The paper's where it gives them."""
