@@ -3,6 +3,7 @@
 import json
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,11 @@ import pytest
 from scipy.io import loadmat
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.errors import InputError
-from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
+from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate, write_pieces
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.filters.run import Estimate, estimates, replay_of, run_filter
 from support import make_drive
 
 STATES = ["x", "y", "vx", "vy", "theta"]
@@ -75,6 +76,36 @@ def test_dead_reckoning_has_no_deviations_to_write(tmp_path: Path):
     frame = pl.read_csv(tmp_path / "e.csv")
     assert frame.columns == ["t", *STATES]
     np.testing.assert_array_equal(frame["theta"], estimate.mean[:, 4])
+
+
+def in_pieces(estimate: Estimate, rows: int) -> Iterator[Estimate]:
+    for first in range(0, len(estimate.time), rows):
+        at = slice(first, first + rows)
+        yield replace(
+            estimate, time=estimate.time[at], mean=estimate.mean[at], covariance=estimate.covariance[at]
+        )
+
+
+@pytest.mark.parametrize("ending", ["csv", "tum", "kitti", "geojson", "gpx", "kml", "mat"])
+def test_pieces_are_written_as_the_whole(tmp_path: Path, estimate: Estimate, ending: str):
+    whole, parts = (tmp_path / name / f"e.{ending}" for name in ("whole", "parts"))
+    for path in (whole, parts):
+        path.parent.mkdir()
+    write_estimate(estimate, whole, origin=ORIGIN)
+    span = (float(estimate.time[0]), float(estimate.time[-1]))
+    write_pieces(in_pieces(estimate, 97), span, parts, origin=ORIGIN)
+    head = 128 if ending == "mat" else 0  # of MATLAB's files, which tells the time of writing
+    assert parts.read_bytes()[head:] == whole.read_bytes()[head:]
+
+
+def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
+    drive = make_drive(duration=150.0, seed=2)  # longer than a piece
+    spoiled = drive.imu.gz.copy()
+    spoiled[-100:] = np.nan
+    replay = replay_of(replace(drive, imu=replace(drive.imu, gz=spoiled)))
+    with pytest.raises(SigmaswarmError, match="the filter failed at t = 149"):
+        write_pieces(estimates(replay, DEFAULTS), (0.0, 150.0), tmp_path / "e.csv")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["e.xls", "e", "e.CSV", "csv"])

@@ -67,7 +67,7 @@ def test_an_unknown_length_is_found(objective: str):
     if objective == "innovation-nll":
         assert tuning.parameters["r_angle"] == pytest.approx(4e-4, rel=0.4)
         assert 1e-4 < tuning.parameters["q_rate"] < 1e-2
-    assert tuning.touched_bounds == [t for t in tuning.touched_bounds if t[:5] in ("alpha", "beta ", "kappa")]
+    assert {t.parameter for t in tuning.touched_bounds} <= {"alpha", "beta", "kappa"}
 
 
 def test_the_cost_is_that_of_the_parameters():

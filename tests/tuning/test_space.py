@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.space import search_space
 
 LOWEST = [1e-3, 0.0, 0.0] + [1e-5] * 7
@@ -71,11 +72,21 @@ def test_touched_bounds_are_named(scale):
     point = middle.copy()
     point[[0, 5]] = space.low[[0, 5]]
     point[8] = space.high[8]
-    assert space.touched(point) == [
+    touched = space.touched(point)
+    assert touched == [
+        TouchedBound("alpha", "lower", 1e-3),
+        TouchedBound("q_vx", "lower", 1e-5),
+        TouchedBound("r_x", "upper", 10.0),
+    ]
+    said = [
         "alpha at its lower bound (0.001)",
         "q_vx at its lower bound (1e-05)",
         "r_x at its upper bound (10)",
     ]
+    assert list(map(str, touched)) == said
+    assert list(map(TouchedBound.read, said)) == touched
+    with pytest.raises(ValueError, match="does not name a parameter"):
+        TouchedBound.read("alpha at its lower end")
     almost = middle.copy()
     almost[8] = space.high[8] - 1e-3 * (space.high[8] - space.low[8])
     assert space.touched(almost) == []

@@ -49,8 +49,15 @@ def run(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.errors import InputError, SigmaswarmError
-    from sigmaswarm.export.trajectory import check_target, time_origin_of, true_trajectory, write_estimate
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.export.trajectory import (
+        check_target,
+        time_origin_of,
+        true_trajectory,
+        write_estimate,
+        write_pieces,
+    )
+    from sigmaswarm.filters.run import estimates, replay_of
 
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -62,18 +69,17 @@ def run(
     check_target(out, place, beside)
     if truth:
         check_target(truth, place)
-    estimate = sigmaswarm.run_filter(read, parameters)
-    if estimate.failure:
-        raise SigmaswarmError(estimate.failure)
-    began = time_origin_of(read)
-    write_estimate(estimate, out, origin=place, time_origin=began, beside=beside)
+    began, replay = time_origin_of(read), replay_of(read)
+    time = replay.timeline.imu_time
+    first, last = float(time[0]), float(time[-1])
+    pieces = estimates(replay, parameters)
+    write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside)
     if truth and true:
         write_estimate(true, truth, origin=place, time_origin=began)
-    first, last = float(estimate.time[0]), float(estimate.time[-1])
     if json:
-        print_json({"out": str(out), "estimates": len(estimate.time), "start_s": first, "end_s": last})
+        print_json({"out": str(out), "estimates": len(time), "start_s": first, "end_s": last})
     else:
-        stdout().print(f"wrote {len(estimate.time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
+        stdout().print(f"wrote {len(time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
 
 
 def _place(text: str) -> tuple[float, float, float]:

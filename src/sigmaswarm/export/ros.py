@@ -6,7 +6,7 @@ The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``,
 
 import heapq
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from operator import itemgetter
 from pathlib import Path
@@ -26,12 +26,21 @@ NOT_ESTIMATED = 1e6
 """The variance that is stated for what a filter in the plane says nothing of: height, roll, pitch, the rates."""
 
 
-def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Path | None = None) -> None:
+def ros2(
+    pieces: Iterable[Estimate],
+    span: tuple[float, float],
+    path: Path,
+    *,
+    time_origin: float = 0.0,
+    beside: Path | None = None,
+) -> None:
     """Write a bag, which is a folder, with MCAP storage.
 
     Parameters
     ----------
-    estimate : Estimate
+    pieces : iterable of Estimate
+    span : (float, float)
+        s, from the first of them to the last.
     path : Path
         Not there yet.
     time_origin : float
@@ -55,7 +64,7 @@ def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Pa
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError:
         raise InputError(f"{path}: a bag needs rosbags; install it with: pip install rosbags") from None
-    first, last = (float(estimate.time[i]) + time_origin for i in (0, -1))
+    first, last = (end + time_origin for end in span)
     if first < 0:
         raise InputError(f"{path}: a bag has no times before 0 (is {first:g} s); shift the drive's times")
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -70,16 +79,19 @@ def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Pa
         ):
             originals = recorded.add_to(writer) if recorded else iter(())
             connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
-            estimates = _messages(estimate, store, connection, time_origin)
+            estimates = _messages(pieces, store, connection, time_origin)
             for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
                 writer.write(to, nanoseconds, raw)
 
 
-def _messages(estimate: Estimate, store: Any, connection: Any, time_origin: float) -> Iterator[RawMessage]:
-    for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, _planes(estimate), strict=True):
-        nanoseconds = round(float(t) * 1e9) + round(time_origin * 1e9)  # apart, so that no digit is lost
-        message = _odometry(store.types, nanoseconds, mean, pose, twist)
-        yield nanoseconds, connection, store.serialize_cdr(message, "nav_msgs/msg/Odometry")
+def _messages(
+    pieces: Iterable[Estimate], store: Any, connection: Any, time_origin: float
+) -> Iterator[RawMessage]:
+    for estimate in pieces:
+        for t, mean, (pose, twist) in zip(estimate.time, estimate.mean, _planes(estimate), strict=True):
+            nanoseconds = round(float(t) * 1e9) + round(time_origin * 1e9)  # apart, so that no digit is lost
+            message = _odometry(store.types, nanoseconds, mean, pose, twist)
+            yield nanoseconds, connection, store.serialize_cdr(message, "nav_msgs/msg/Odometry")
 
 
 def _planes(estimate: Estimate) -> list[tuple[Array, Array]]:

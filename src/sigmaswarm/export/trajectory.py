@@ -1,6 +1,6 @@
 """Estimates as files, one writer a format; the file's ending names it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -53,16 +53,36 @@ def write_estimate(
     InputError
         If the ending is another, the folder does not exist, a needed origin is not given, or ``beside`` can't be used.
     """
+    span = (float(estimate.time[0]), float(estimate.time[-1]))
+    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, beside=beside)
+
+
+def write_pieces(
+    pieces: Iterable[Estimate],
+    span: tuple[float, float],
+    path: str | Path,
+    *,
+    origin: Origin | None = None,
+    time_origin: float = 0.0,
+    beside: str | Path | None = None,
+) -> None:
+    """Write an estimate that comes in pieces, which together are over ``span`` (s); the same bytes as whole.
+
+    .csv, .tum, .kitti and .ros2 hold one piece at a time, maps all times and places, .mat everything. If a piece can't
+    be had, nothing is written. Otherwise as `write_estimate`.
+    """
     path = Path(path)
     check_target(path, origin, beside)
     if path.suffix in MAPS and origin is not None:  # which has been checked
-        east_north_up = np.column_stack([estimate.mean[:, :2], np.zeros(len(estimate.time))])
-        MAPS[path.suffix](estimate.time + time_origin, enu_to_geodetic(east_north_up, origin)[:, :2], path)
+        rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
+        time, east, north = np.concatenate(rows).T
+        places = enu_to_geodetic(np.column_stack([east, north, np.zeros(len(time))]), origin)[:, :2]
+        MAPS[path.suffix](time + time_origin, places, path)
     elif path.suffix == BAG:
-        ros2(estimate, path, time_origin=time_origin, beside=Path(beside) if beside else None)
+        ros2(pieces, span, path, time_origin=time_origin, beside=Path(beside) if beside else None)
     else:
         with whole_file(path) as file:
-            _WRITERS[path.suffix](estimate, file)
+            _WRITERS[path.suffix](pieces, file)
 
 
 def time_origin_of(drive: Drive) -> float:
@@ -114,22 +134,31 @@ def _columns(estimate: Estimate) -> dict[str, Array]:
     return {"t": estimate.time} | {name: estimate.mean[:, i] for i, name in enumerate(states)}
 
 
-def _csv(estimate: Estimate, file: BinaryIO) -> None:
-    columns = _columns(estimate)
-    if estimate.covariance.size:  # dead reckoning has none
-        std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
-        columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
-    pl.DataFrame(columns).write_csv(file)
+def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
+    for number, estimate in enumerate(pieces):
+        columns = _columns(estimate)
+        if estimate.covariance.size:  # dead reckoning has none
+            std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+            columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
+        pl.DataFrame(columns).write_csv(file, include_header=number == 0)
 
 
-def _mat(estimate: Estimate, file: BinaryIO) -> None:
+def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
+    """MATLAB's format tells an array's size before its numbers, so all pieces are held."""
     from scipy.io import savemat
 
-    columns = _columns(estimate) | {"covariance": estimate.covariance}
-    savemat(file, columns, oned_as="column")
+    parts = [_columns(estimate) | {"covariance": estimate.covariance} for estimate in pieces]
+    savemat(
+        file, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, oned_as="column"
+    )
 
 
-def _tum(estimate: Estimate, file: BinaryIO) -> None:
+def _tum(pieces: Iterable[Estimate], file: BinaryIO) -> None:
+    for estimate in pieces:
+        np.savetxt(file, _tum_rows(estimate), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
+
+
+def _tum_rows(estimate: Estimate) -> Array:
     half = estimate.mean[:, THETA] / 2
     zero = np.zeros_like(half)
     rows = [
@@ -142,20 +171,21 @@ def _tum(estimate: Estimate, file: BinaryIO) -> None:
         np.sin(half),
         np.cos(half),
     ]
-    np.savetxt(file, np.column_stack(rows), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
+    return np.column_stack(rows)
 
 
-def _kitti(estimate: Estimate, file: BinaryIO) -> None:
-    x, y = estimate.mean[:, 0], estimate.mean[:, 1]
-    c, s = np.cos(estimate.mean[:, THETA]), np.sin(estimate.mean[:, THETA])
-    zero, one = np.zeros_like(c), np.ones_like(c)
-    pose = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]
-    np.savetxt(file, np.column_stack(pose), fmt="%.9f")
+def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
+    for estimate in pieces:
+        x, y = estimate.mean[:, 0], estimate.mean[:, 1]
+        c, s = np.cos(estimate.mean[:, THETA]), np.sin(estimate.mean[:, THETA])
+        zero, one = np.zeros_like(c), np.ones_like(c)
+        pose = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]
+        np.savetxt(file, np.column_stack(pose), fmt="%.9f")
 
 
 BAG = ".ros2"
 """A folder; written by `ros2`, which takes more than an estimate."""
-_WRITERS: dict[str, Callable[[Estimate, BinaryIO], None]] = {
+_WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,
     ".tum": _tum,

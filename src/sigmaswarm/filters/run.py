@@ -1,5 +1,6 @@
 """One filter over one drive: `run_filter` compiled, `run_reference` in the textbook's form."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.drives.timeline import build_timeline
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -68,12 +69,7 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = _replay(drive, initial)
-    if not len(replay.timeline.imu_time):
-        start = replay.initial.time
-        raise InputError(
-            f"{replay.timeline.drive.name}: no IMU sample after the start at {start:g} s; start earlier"
-        )
+    replay = replay_of(drive, initial)
     recording = Recording(replay, parameters)
     whole = recording.whole()
     return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
@@ -86,17 +82,41 @@ def run_innovations(
 
     Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
     """
-    recording = Recording(_replay(drive, initial), parameters)
+    recording = Recording(replay_of(drive, initial), parameters)
     for _ in recording:
         pass
     return recording.innovations
 
 
-def _replay(drive: Drive | PreparedDrive, initial: InitialState | None) -> Replay:
-    """The whole drive, compared with nothing."""
+def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None) -> Replay:
+    """The whole drive, compared with nothing.
+
+    Raises
+    ------
+    InputError
+        If no IMU sample follows the start.
+    """
     ready = prepared(drive, initial)
     timeline = ready.timeline()
+    if not len(timeline.imu_time):
+        name, start = ready.drive.name, ready.initial.time
+        raise InputError(f"{name}: no IMU sample after the start at {start:g} s; start earlier")
     return Replay(timeline, ready.initial, Targets.none(timeline))
+
+
+def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate]:
+    """What `run_filter` gives, piece by piece: what it takes to hold does not grow with the drive.
+
+    Raises
+    ------
+    SigmaswarmError
+        Where the filter fails.
+    """
+    recording = Recording(replay, parameters)
+    for piece in recording:
+        if recording.failure:
+            raise SigmaswarmError(recording.failure)
+        yield Estimate(piece.time, piece.mean, piece.covariance, replay.initial)
 
 
 def run_reference(
