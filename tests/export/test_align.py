@@ -194,3 +194,19 @@ def test_the_page_s_example_compiles(tmp_path: Path, flags: tuple[str, ...]):
     command = ["gcc", *strict, *flags, "-fsyntax-only", tmp_path / "example.c"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@pytest.mark.parametrize("off", [1e9, 20.0, -20.0, -1e9])
+@pytest.mark.parametrize("name", ["imu", "fix"])
+def test_one_wrong_time_does_not_end_the_search(program: Path, name: str, off: float):
+    rows = rows_of(equipped())
+    k = next(i for i in range(300, len(rows)) if rows[i].startswith(name))
+    _, t, *rest = rows[k].split(",")
+    clean = starts(program, rows)
+    found = starts(program, [*rows[:k], ",".join([name, repr(float(t) + off), *rest]), *rows[k:]])
+    if name == "fix":  # it is left out
+        np.testing.assert_array_equal(found[1], clean[1])
+    else:  # the search starts over, and needs its 4 to 6 s
+        assert clean[0][0] < found[0][0] < float(t) + 7.0
+        np.testing.assert_allclose(found[1][-1], clean[1][-1], rtol=0, atol=1e-6)

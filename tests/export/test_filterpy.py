@@ -81,7 +81,7 @@ def test_a_drive_without_a_start_ends_in_one_line(tmp_path: Path):
     (tmp_path / "s.py").write_text(filterpy(tuned("planar5", "ukf", 0.01), 0.01)["run_filter.py"])
     command = [sys.executable, tmp_path / "s.py", folder, tmp_path / "e.csv"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr.startswith("synthetic: never travels 20 m") and done.stderr.count("\n") == 1
     done = subprocess.run(command[:-1], capture_output=True, text=True, check=False)
     assert done.stderr == "usage: python run_filter.py DRIVE estimate.csv\n"
@@ -92,7 +92,7 @@ def test_without_filterpy_it_says_what_to_install(tmp_path: Path):
     (tmp_path / "filterpy.py").write_text("raise ModuleNotFoundError(\"No module named 'filterpy'\")")
     command = [sys.executable, tmp_path / "s.py", "drive", tmp_path / "e.csv"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert done.stderr == (
         "run_filter.py: No module named 'filterpy'; it needs Python 3.11 or newer, and: "
         "pip install numpy filterpy==2.0.0\n"

@@ -5,6 +5,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +169,71 @@ def test_maps_have_the_track_in_degrees(tmp_path: Path, estimate: Estimate, suff
     np.testing.assert_allclose(places(path), np.column_stack([lat, lon]), rtol=0, atol=1.5e-9)  # 0.1 mm
     with pytest.raises(InputError, match=r"a map needs degrees.*--origin LAT,LON"):
         write_estimate(estimate, path)
+
+
+WEST = (-16.8, 179.9999, 0.0)
+
+
+def parts_of(path: Path) -> list[np.ndarray]:
+    """The places of each line of a map, (k, 2): latitude and longitude, deg."""
+    if path.suffix == ".geojson":
+        geometry = json.loads(path.read_text())["geometry"]
+        assert geometry["type"] == "MultiLineString"
+        return [np.array(line)[:, ::-1] for line in geometry["coordinates"]]
+    root = ET.parse(path).getroot()
+    if path.suffix == ".gpx":
+        gpx = "{http://www.topografix.com/GPX/1/1}"
+        return [
+            np.array([(float(p.attrib["lat"]), float(p.attrib["lon"])) for p in segment.iter(gpx + "trkpt")])
+            for segment in root.iter(gpx + "trkseg")
+        ]
+    kml = "{http://www.opengis.net/kml/2.2}"
+    assert len(list(root.iter(kml + "MultiGeometry"))) == 1
+    return [
+        np.array([[float(c) for c in p.split(",")] for p in str(line.text).split()])[:, ::-1]
+        for line in root.iter(kml + "coordinates")
+    ]
+
+
+def there_and_back() -> Estimate:
+    """East for 200 m, and back: across the antimeridian, which lies 10.65 m east of the origin, and again."""
+    x = np.concatenate([np.linspace(-100.0, 100.0, 51), np.linspace(97.0, -99.0, 50)])
+    mean = np.zeros((len(x), 5))
+    mean[:, 0], mean[:, 1] = x, 0.5 * x
+    return Estimate(np.arange(len(x)) * 0.5, mean, np.empty(0), _anywhere())
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".kml"])
+def test_a_track_is_cut_at_the_antimeridian(tmp_path: Path, suffix: str):
+    track = there_and_back()
+    write_estimate(track, tmp_path / f"e{suffix}", origin=WEST)
+    parts = parts_of(tmp_path / f"e{suffix}")
+    assert [np.sign(part[:, 1]).tolist().count(-1.0) == 0 for part in parts] == [True, False, True]
+    assert all(len(np.unique(np.sign(part[:, 1]))) == 1 for part in parts)  # none crosses
+    for one, other in pairwise(parts):  # and they meet there
+        assert np.abs([one[-1, 1], other[0, 1]]).tolist() == pytest.approx([180.0, 180.0], abs=1e-8)
+        assert one[-1, 0] == other[0, 0]
+    whole = np.concatenate(parts)
+    assert whole[:, 1].min() >= -180.0
+    assert whole[:, 1].max() <= (180.0 if suffix != ".gpx" else 179.999999999)
+    lat, lon, _ = pymap3d.enu2geodetic(track.mean[:, 0], track.mean[:, 1], 0.0, *WEST)
+    written = whole[np.abs(np.abs(whole[:, 1]) - 180.0) > 1e-8]
+    np.testing.assert_allclose(written, np.column_stack([lat, lon]), rtol=0, atol=1.5e-9)
+
+
+def test_times_of_a_track_that_is_cut_are_those_of_its_points(tmp_path: Path):
+    track = there_and_back()
+    write_estimate(track, tmp_path / "e.geojson", origin=WEST)
+    feature = json.loads((tmp_path / "e.geojson").read_text())
+    lines, times = feature["geometry"]["coordinates"], feature["properties"]["t"]
+    assert [len(line) for line in lines] == [len(t) for t in times]
+    east = 10.65 / (200.0 / 25.0)  # s after the middle of the way there
+    assert times[0][-1] == times[1][0] == pytest.approx(12.5 + east, abs=0.01)
+    dated = replace(track, time=track.time + 1395842400.25)
+    write_estimate(dated, tmp_path / "e.geojson", origin=WEST)
+    stamps = json.loads((tmp_path / "e.geojson").read_text())["properties"]["coordTimes"]
+    assert stamps[0][0] == "2014-03-26T14:00:00.250Z"
+    assert [len(s) for s in stamps] == [len(t) for t in times]
 
 
 def test_times_are_told_only_where_the_clock_has_a_date(tmp_path: Path, estimate: Estimate):

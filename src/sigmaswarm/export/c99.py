@@ -9,16 +9,32 @@ import numpy as np
 from sigmaswarm.drives import standstill
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
-from sigmaswarm.export.features import features_of, listed, plain, values_of
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.export.template import fill
+from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
 
 FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
+SHORTEST_INTERVAL = 1e-4
+"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+_FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
 def c99(parameters: FilterParameters, interval: float) -> dict[str, str]:
-    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to."""
-    features = features_of(parameters)
+    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to.
+
+    Raises
+    ------
+    InputError
+        If a number of the filter has no place in C, or the IMU would be too fast.
+    """
+    if interval < SHORTEST_INTERVAL:
+        raise InputError(
+            f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
+            f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
+        )
+    features = features_of(parameters) | {"USE_DOUBLE": not _fits_float(parameters)}
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
@@ -52,11 +68,30 @@ def _row(name: str, numbers: Iterable[float]) -> str:
     return ",".join([name, *(repr(float(number)) for number in numbers)])
 
 
+def _sigma_points(p: FilterParameters) -> tuple[float, float]:
+    """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, which place and weigh the sigma points."""
+    of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
+    square = p.alpha**2 if p.alpha < 1e150 else math.inf
+    gamma_squared = in_range(square * (p.n_states + p.kappa), of)
+    in_range(1 / gamma_squared if gamma_squared else math.inf, of)
+    return gamma_squared, in_range(square * (p.n_states + p.kappa - 1) + p.beta, of)
+
+
+def _fits_float(p: FilterParameters) -> bool:
+    """Whether C's float holds all numbers of a filter."""
+    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.gate]
+    numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
+    numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
+    low, high = _FLOAT_RANGE
+    return all(v == 0 or low <= abs(v) <= high for v in numbers)
+
+
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
-    n, stands, names = p.n_states, p.standstill_noise is not None, STATE_NAMES[p.model]
+    stands, names = p.standstill_noise is not None, STATE_NAMES[p.model]
+    gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
     derived: dict[str, float | None] = {
-        "GAMMA_SQUARED": p.alpha**2 * (n + p.kappa),
-        "SPREAD": p.alpha**2 * (n + p.kappa - 1) + p.beta,
+        "GAMMA_SQUARED": gamma_squared,
+        "SPREAD": spread,
         "CALM_WINDOW": standstill.WINDOW,
         "CALM": standstill.CALM,
         "SETTLES": standstill.SETTLES,
@@ -64,13 +99,16 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "TURNING": standstill.TURNING,
         "FIX_WINDOW": standstill.FIX_WINDOW,
         "FIX_SPEED": standstill.FIX_SPEED,
+        "LEAP": live.LEAP,
+        "AGREES": live.AGREES,
     }
     return plain(derived) | {
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
         "FIXES": "64" if stands else "32",
-        "WINDOW": str(max(8, math.ceil(1.5 * standstill.WINDOW / interval) + 2)),
+        "RATE": str(live.fastest_rate(interval)),
+        "COUNTERS": ", time_jumps and too_fast" if stands else " and time_jumps",
         "FIXES_NOTE": ", and those of the last 3 s" if stands else "",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",

@@ -1,8 +1,10 @@
 """What the templates of the exported filters ask for: which parts a filter uses, and its numbers."""
 
+import math
 from collections.abc import Iterable
 
 from sigmaswarm.drives import timeline
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters import batch
 from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
 from sigmaswarm.filters.parameters import FilterParameters
@@ -60,6 +62,21 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "MODEL": p.model,
         "MOST_REJECTED": str(MOST_REJECTED),
     }
+
+
+def in_range(value: float, of: str) -> float:
+    """A number that is made of a filter's parameters, as it is.
+
+    Raises
+    ------
+    InputError
+        If it is beyond the range of floating point; ``of`` says what it is made of.
+    """
+    if not math.isfinite(value):
+        raise InputError(
+            f"the filter can't be handed over: {of} is beyond the range of numbers; tune it again or correct it"
+        )
+    return value
 
 
 def plain(numbers: dict[str, float | None]) -> dict[str, str]:

@@ -6,7 +6,10 @@ A clock that counts from 1970 can be told by its size; only then are times writt
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import write_whole
@@ -18,38 +21,82 @@ _IS_UNIX_TIME = 1e9
 """s: a clock beyond it counts from 1970 (it was passed in 2001), not from a start."""
 
 
+_EASTMOST = 179.999999999
+"""deg: GPX has no longitude of 180; this is 0.1 mm off."""
+
+
 def geojson(time: Array, places: Array, path: Path) -> None:
-    """One LineString; places (n, 2) are latitude and longitude, deg. ``coordTimes`` is as togeojson writes it."""
-    line = [[_rounded(lon), _rounded(lat)] for lat, lon in places]
-    stamps = _stamps(time)
-    properties = {"name": path.stem} | ({"coordTimes": stamps} if stamps else {"t": time.tolist()})
+    """One line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
+
+    ``coordTimes`` is as togeojson writes it: a list, and for a line in parts a list of lists.
+    """
+    parts = cut(time, places)
+    lines = [[[_rounded(lon), _rounded(lat)] for lat, lon in part] for _, part in parts]
+    key = "coordTimes" if _stamps(time) else "t"
+    times = [_stamps(t) or t.tolist() for t, _ in parts]
+    whole = len(parts) == 1
     feature = {
         "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": "LineString", "coordinates": line},
+        "properties": {"name": path.stem, key: times[0] if whole else times},
+        "geometry": {
+            "type": "LineString" if whole else "MultiLineString",
+            "coordinates": lines[0] if whole else lines,
+        },
     }
     write_whole(path, json.dumps(feature) + "\n")
 
 
 def gpx(time: Array, places: Array, path: Path) -> None:
-    """One track of one segment."""
-    stamps = [f"<time>{stamp}</time>" for stamp in _stamps(time)] or [""] * len(time)
-    points = [
-        f'<trkpt lat="{lat:.9f}" lon="{lon:.9f}">{stamp}</trkpt>'
-        for (lat, lon), stamp in zip(places, stamps, strict=True)
-    ]
+    """One track; a new segment where it crosses the antimeridian."""
+    segments: list[str] = []
+    for t, part in cut(time, places):
+        stamps = [f"<time>{stamp}</time>" for stamp in _stamps(t)] or [""] * len(t)
+        points = [
+            f'<trkpt lat="{lat:.9f}" lon="{min(lon, _EASTMOST):.9f}">{stamp}</trkpt>'
+            for (lat, lon), stamp in zip(part, stamps, strict=True)
+        ]
+        segments += ["</trkseg><trkseg>", *points]
     head = '<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">'
-    _write_xml(
-        path, [head, f"<trk><name>{_escaped(path.stem)}</name><trkseg>", *points, "</trkseg></trk>", "</gpx>"]
-    )
+    first = f"<trk><name>{_escaped(path.stem)}</name><trkseg>"
+    _write_xml(path, [head, first, *segments[1:], "</trkseg></trk>", "</gpx>"])
 
 
 def kml(time: Array, places: Array, path: Path) -> None:
-    """One line on the ground."""
-    points = [f"{lon:.9f},{lat:.9f}" for lat, lon in places]
+    """One line on the ground, or several where it crosses the antimeridian."""
+    start = "<LineString><tessellate>1</tessellate><coordinates>"
+    end = "</coordinates></LineString>"
+    lines: list[str] = []
+    for _, part in cut(time, places):
+        lines += [end + start, *(f"{lon:.9f},{lat:.9f}" for lat, lon in part)]
+    several = ("<MultiGeometry>", "</MultiGeometry>") if lines.count(end + start) > 1 else ("", "")
     head = '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>'
-    name = f"<name>{_escaped(path.stem)}</name><LineString><tessellate>1</tessellate><coordinates>"
-    _write_xml(path, [head, name, *points, "</coordinates></LineString>", "</Placemark></Document></kml>"])
+    first = f"<name>{_escaped(path.stem)}</name>{several[0]}{start}"
+    _write_xml(path, [head, first, *lines[1:], f"{end}{several[1]}", "</Placemark></Document></kml>"])
+
+
+def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
+    """A track in parts that do not cross the antimeridian: times (k,) s and places (k, 2) deg of each.
+
+    A part ends on the antimeridian and the next one begins there, between the two points that lie beside it.
+    """
+    turned = np.unwrap(places[:, 1], period=360.0)
+    if (turned == places[:, 1]).all():
+        return [(time, places)]
+    track = np.column_stack([time, places[:, 0], turned])
+    low, high = np.minimum(turned[:-1], turned[1:]), np.maximum(turned[:-1], turned[1:])
+    edge = 360.0 * np.floor((low + 180.0) / 360.0) + 180.0
+    at = np.flatnonzero(edge < high)
+    share = (edge - turned[:-1])[at] / np.diff(turned)[at]
+    on_it = track[at] + share[:, np.newaxis] * (track[at + 1] - track[at])
+    on_it[:, 2] = edge[at]
+    track = np.insert(track, at + 1, on_it, axis=0)
+    turn = np.floor((0.5 * (track[:-1, 2] + track[1:, 2]) + 180.0) / 360.0)  # around the earth, of each step
+    ends = [0, *(np.flatnonzero(np.diff(turn)) + 1), len(turn)]
+    parts: list[tuple[Array, Array]] = []
+    for first, last in pairwise(ends):
+        part = track[first : last + 1]
+        parts.append((part[:, 0], part[:, 1:] - [0.0, 360.0 * turn[first]]))
+    return parts
 
 
 def _write_xml(path: Path, lines: list[str]) -> None:

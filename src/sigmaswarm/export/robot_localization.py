@@ -7,7 +7,7 @@ elements. Read from https://github.com/cra-ros-pkg/robot_localization, branch ro
 
 import math
 
-from sigmaswarm.export.features import features_of, values_of
+from sigmaswarm.export.features import features_of, in_range, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -24,13 +24,19 @@ _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
 
 
 def robot_localization(parameters: FilterParameters, interval: float) -> dict[str, str]:
-    """The parameter file, by file name; ``interval`` (s) is what Q refers to."""
+    """The parameter file, by file name; ``interval`` (s) is what Q refers to.
+
+    Raises
+    ------
+    InputError
+        If a number of the filter is beyond the range of floating point once it is per second.
+    """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
     numbers = {
         "R_EAST": r_east,
         "R_NORTH": r_north,
-        "R_UP": r_east + r_north,
-        "FREQUENCY": round(1 / interval, 3),
+        "R_UP": in_range(r_east + r_north, "the sum of measurement_noise"),
+        "FREQUENCY": in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval"),
         "ALPHA": p.alpha,
         "BETA": p.beta,
         "KAPPA_15": p.kappa + p.n_states - len(DEFAULT_PROCESS_NOISE),
@@ -46,10 +52,11 @@ def robot_localization(parameters: FilterParameters, interval: float) -> dict[st
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:
     """The diagonal in robot_localization's order, variances per second."""
-    x, y, vx, vy, theta = (variance / interval for variance in p.process_noise[:5])
+    of = "process_noise / nominal_interval"
+    x, y, vx, vy, theta = (in_range(variance / interval, of) for variance in p.process_noise[:5])
     diagonal = list(DEFAULT_PROCESS_NOISE)
     diagonal[_X], diagonal[_Y], diagonal[_YAW] = x, y, theta
-    diagonal[_VX] = diagonal[_VY] = (vx + vy) / 2
+    diagonal[_VX] = diagonal[_VY] = in_range((vx + vy) / 2, of)
     return diagonal
 
 

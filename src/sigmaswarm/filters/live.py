@@ -8,7 +8,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.standstill import FIX_WINDOW, WINDOW, new_floor
+from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
 from sigmaswarm.filters import batch
 from sigmaswarm.filters.compiled import lanes, live
 from sigmaswarm.filters.models import THETA
@@ -45,6 +45,10 @@ class LiveFilter:
     that `run_filter` gives for the same data in order. Fixes of one time, as two receivers give them, are absorbed one
     after the other; one that is the same in all its numbers is the same message again, and is left out.
 
+    One stamp alone is not believed if it lies more than 10 s ahead: such a sample is held back until a second one,
+    within a second of it, says the same; then both are taken, as after a silence. Else it is dropped and counted. So
+    are fixes, of which samples that have got there also say the same.
+
     What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
     filter of a process loads or compiles that; no sample waits for it.
 
@@ -64,6 +68,11 @@ class LiveFilter:
     ----------
     too_late : int
         Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
+    time_jumps : int
+        Samples and fixes that were dropped, stamped far ahead as no other one was.
+    too_fast : int
+        IMU samples at which the last second held more of them than are kept, so that a standstill may go unseen: 1125
+        Hz, or more where ``nominal_interval`` asks for it.
     """
 
     def __init__(
@@ -77,13 +86,12 @@ class LiveFilter:
     ) -> None:
         p = parameters
         self.parameters = p
-        self.too_late = 0
         self._n = p.n_states
         self._plausible = batch.plausible(p)
         self._takes_velocity = p.velocity_noise is not None
         # More than the history takes: an IMU may run faster than it says.
         samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
-        in_window = max(8, int(WINDOW / nominal_interval) + 2)
+        in_window = live.samples_in_window(live.fastest_rate(nominal_interval))
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
         self._belief = _believe(p, initial, nominal_interval, lever_arm)
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
@@ -91,7 +99,7 @@ class LiveFilter:
         self._memory = (
             self._belief,
             counts,
-            np.zeros((4 * in_window, 4)),
+            np.zeros((0 if p.standstill_noise is None else 2 * in_window, 4)),
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
             np.zeros((samples, live.N_RECORD)),
         )
@@ -99,6 +107,8 @@ class LiveFilter:
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Take an IMU sample: ax, ay (m/s2), yaw rate (rad/s). One that is not after the last one is left out.
+
+        One more than 10 s ahead is held back: see the class.
 
         Samples before the start only teach the filter what calm is, for the standstill.
         """
@@ -111,22 +121,35 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if it was left out: it lies before the start, came too late, or was there already.
+            False if it was left out (it lies before the start, came too late, or was there already) or is held back.
         """
         if velocity is None or not self._takes_velocity:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0)
         else:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0)
-        if kept == live.LEFT_OUT:
-            self.too_late += 1
         return kept == live.TAKEN
+
+    @property
+    def too_late(self) -> int:
+        """See the class."""
+        return int(self._memory[1][live.TOO_LATE])
+
+    @property
+    def time_jumps(self) -> int:
+        """See the class."""
+        return int(self._memory[1][live.TIME_JUMPS])
+
+    @property
+    def too_fast(self) -> int:
+        """See the class."""
+        return int(self._memory[1][live.TOO_FAST])
 
     @property
     def state(self) -> LiveState:
         """What the filter believes after the last IMU sample and all fixes up to then."""
         mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
         sound = _read_state(self._belief, mean, covariance) and self._plausible
-        if not -np.pi < mean[THETA] <= np.pi:
+        if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
             mean[THETA] = wrap_angle(float(mean[THETA]))
         return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound)
 

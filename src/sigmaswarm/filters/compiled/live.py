@@ -4,8 +4,8 @@ The filter is the first lane of the rows in `lanes`. Each step spreads it over a
 set of kernels would. The memory is five arrays, so that each call takes the same few arguments:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
-    counts  (N_COUNTS,) how much of the other arrays is filled
-    window  (w, 4) the last IMU samples, to tell calm: t, ax, ay, gz
+    counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
+    window  (2 w, 4) the last IMU samples, to tell calm: t, ax, ay, gz; at least the last w
     fixes   (f, 6) by time; those of one time in the order in which they came
     history (h, N_BELIEF + 5) a ring: the last samples, and the belief before each of them
 """
@@ -19,7 +19,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numba.core.dispatcher import Dispatcher
 
-from sigmaswarm.drives.standstill import FIX_WINDOW, fixes_stand, is_calm
+from sigmaswarm.drives.standstill import FIX_WINDOW, WINDOW, fixes_stand, is_calm
 from sigmaswarm.drives.timeline import CORNERING
 from sigmaswarm.filters.compiled.lanes import LANES, OK, P0, SUMS, kernel
 from sigmaswarm.filters.compiled.measurements import absorbers
@@ -39,18 +39,39 @@ NOMINAL, START, LEVER_X, LEVER_Y, LATERAL_INTERVAL, STANDSTILL_INTERVAL, LAST_SA
     N_BELIEF, N_BELIEF + 7
 )
 FLOOR = slice(N_BELIEF + 7, N_BELIEF + 10)  # how restless the car is when it is calm
-N_ALL = N_BELIEF + 10
-
-N_STATES, N_WINDOW, N_FIXES, N_HISTORY, OLDEST = range(5)
-N_COUNTS = 5
-
 FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, HAS_VELOCITY = range(6)
 N_FIX = 6
+# The last sample and fix that lay too far ahead to be taken at once.
+SAMPLE_AHEAD = slice(FLOOR.stop, FLOOR.stop + 4)
+FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
+N_ALL = FIX_AHEAD.stop
+
+N_STATES, N_WINDOW, N_FIXES, N_HISTORY, OLDEST = range(5)
+HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, TOO_FAST = range(5, 10)
+N_COUNTS = 10
+NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
+
+LEAP = 10.0
+"""s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
+AGREES = 1.0 + 1e-6
+"""s between the two; beside the second, what rounding takes off times that count from 1970."""
+
 S_TIME, S_AX, S_AY, S_GZ, S_CALM = range(N_BELIEF, N_BELIEF + 5)
 N_RECORD = N_BELIEF + 5
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
-"""What became of a fix: taken; before the start or there already; too late, or no room."""
+"""What became of a fix: taken; before the start, there already or held back; too late, or no room."""
+
+
+def fastest_rate(interval: float) -> int:
+    """Hz: the IMU rate up to which standstills are told, of a filter for samples every ``interval`` s."""
+    return max(1000, math.ceil(1.5 / interval))
+
+
+def samples_in_window(rate: int) -> int:
+    """How many samples of the last second are kept, with room for jitter."""
+    return math.ceil(WINDOW * rate * 9 / 8) + 2
+
 
 # Bookkeeping has no lanes to vectorize, and must divide as Python does: slots of time are compared with those of a run.
 _plain = partial(njit, error_model="numpy", nogil=True)
@@ -154,14 +175,24 @@ def _stands(fixes, end, now):
 
 @_plain
 def _is_calm(v, counts, window, t, ax, ay, gz):
-    if counts[N_WINDOW] == window.shape[0]:  # keep the newer half
-        half = window.shape[0] // 2
-        window[:half] = window[half : 2 * half]
-        counts[N_WINDOW] = half
+    most = window.shape[0] // 2
+    if counts[N_WINDOW] == 2 * most:  # keep the newer half
+        window[:most] = window[most:]
+        counts[N_WINDOW] = most
     row = window[counts[N_WINDOW]]
     row[0], row[1], row[2], row[3] = t, ax, ay, gz
     counts[N_WINDOW] += 1
-    return is_calm(window, counts[N_WINDOW] - 1, v[FLOOR])
+    end = counts[N_WINDOW]
+    first = max(0, end - most)
+    if first > 0 and window[first - 1, 0] >= t - WINDOW:
+        counts[TOO_FAST] += 1
+    return is_calm(window[first:end], end - first - 1, v[FLOOR])
+
+
+@_plain
+def _lies_ahead(v, t):
+    """Whether a time is so far ahead of the filter's that one stamp alone is not believed."""
+    return t - v[TIME] > LEAP
 
 
 @_plain
@@ -182,7 +213,11 @@ def _keep(v, counts, fixes, history, z):
             fixes[f - old] = fixes[f]
         counts[N_FIXES] -= old
         if old == 0:
-            return LEFT_OUT
+            last = fixes[counts[N_FIXES] - 1, FIX_TIME]
+            if not (_lies_ahead(v, last) and z[0] < last):
+                return LEFT_OUT
+            counts[N_FIXES] -= 1  # what is stamped far ahead gives way
+            counts[TIME_JUMPS] += 1
     at = counts[N_FIXES]
     while at > 0 and fixes[at - 1, FIX_TIME] > z[0]:
         at -= 1
@@ -198,25 +233,84 @@ def _keep(v, counts, fixes, history, z):
     return TAKEN
 
 
+@_plain
+def _go_on(v, counts, window, fixes, history, t, ax, ay, gz):
+    """Take an IMU sample whose time is believed."""
+    v[LAST_SAMPLE] = t
+    calm = v[STANDSTILL_INTERVAL] > 0.0 and _is_calm(v, counts, window, t, ax, ay, gz)
+    if t <= v[START]:
+        return
+    if counts[N_HISTORY] < history.shape[0]:
+        counts[N_HISTORY] += 1
+    else:
+        counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
+    record = _record(counts, history, counts[N_HISTORY] - 1)
+    record[:N_BELIEF] = v[:N_BELIEF]
+    record[S_TIME], record[S_AX], record[S_AY], record[S_GZ] = t, ax, ay, gz
+    record[S_CALM] = 1.0 if calm else 0.0
+    _take(v, counts, fixes, t, ax, ay, gz, calm)
+
+
+@_plain
+def _place(v, counts, fixes, history, z):
+    """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
+    t = z[FIX_TIME]
+    if t <= v[START]:  # absorbed already, but it may show a standstill
+        _keep(v, counts, fixes, history, z)
+        return IGNORED
+    if t > v[TIME]:
+        return _keep(v, counts, fixes, history, z)
+    back = counts[N_HISTORY]
+    while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
+        back -= 1
+    if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
+        return LEFT_OUT
+    kept = _keep(v, counts, fixes, history, z)
+    if kept == TAKEN:
+        v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
+        for k in range(back, counts[N_HISTORY]):
+            record = _record(counts, history, k)
+            record[:N_BELIEF] = v[:N_BELIEF]
+            _take(
+                v, counts, fixes, record[S_TIME], record[S_AX], record[S_AY], record[S_GZ],
+                record[S_CALM] > 0.0,
+            )  # fmt: skip
+    return kept
+
+
+@_plain
+def _place_and_count(v, counts, fixes, history, z):
+    kept = _place(v, counts, fixes, history, z)
+    if kept == LEFT_OUT:
+        counts[TOO_LATE] += 1
+    return kept
+
+
 @_cached_plain
 def take_sample(sources):
     def sample(v, counts, window, fixes, history, t, ax, ay, gz):
-        """An IMU sample; one that is not after the last one is left out."""
-        if sources == "" or not t > v[LAST_SAMPLE]:
+        """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
+        if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return
-        v[LAST_SAMPLE] = t
-        calm = v[STANDSTILL_INTERVAL] > 0.0 and _is_calm(v, counts, window, t, ax, ay, gz)
-        if t <= v[START]:
+        held = v[SAMPLE_AHEAD]
+        holds = counts[HOLDS_SAMPLE] > 0
+        ahead = _lies_ahead(v, t)
+        agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
+        if ahead and not agrees:
+            if not holds or t != held[0]:  # not the same again
+                counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
+                counts[HOLDS_SAMPLE] = 1
+                held[0], held[1], held[2], held[3] = t, ax, ay, gz
             return
-        if counts[N_HISTORY] < history.shape[0]:
-            counts[N_HISTORY] += 1
-        else:
-            counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
-        record = _record(counts, history, counts[N_HISTORY] - 1)
-        record[:N_BELIEF] = v[:N_BELIEF]
-        record[S_TIME], record[S_AX], record[S_AY], record[S_GZ] = t, ax, ay, gz
-        record[S_CALM] = 1.0 if calm else 0.0
-        _take(v, counts, fixes, t, ax, ay, gz, calm)
+        counts[HOLDS_SAMPLE] = 0
+        if agrees:
+            _go_on(v, counts, window, fixes, history, held[0], held[1], held[2], held[3])
+        elif holds:
+            counts[TIME_JUMPS] += 1
+        _go_on(v, counts, window, fixes, history, t, ax, ay, gz)
+        if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
+            counts[HOLDS_FIX] = NOTHING  # the samples say the same
+            _place_and_count(v, counts, fixes, history, v[FIX_AHEAD].copy())
 
     return sample
 
@@ -224,31 +318,27 @@ def take_sample(sources):
 @_cached_plain
 def take_fix(sources):
     def fix(v, counts, window, fixes, history, t, x, y, vx, vy, has_velocity):
-        """A fix: it waits for the sample that follows it, or takes the filter back to its time and forward again."""
-        if sources == "":
+        """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
+        if sources == "" or not math.isfinite(t):
+            counts[TOO_LATE] += 1
             return LEFT_OUT
         z = np.array([t, x, y, vx, vy, has_velocity])
-        if t <= v[START]:  # absorbed already, but it may show a standstill
-            _keep(v, counts, fixes, history, z)
-            return IGNORED
-        if t > v[TIME]:
-            return _keep(v, counts, fixes, history, z)
-        back = counts[N_HISTORY]
-        while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
-            back -= 1
-        if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
-            return LEFT_OUT
-        kept = _keep(v, counts, fixes, history, z)
-        if kept == TAKEN:
-            v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
-            for k in range(back, counts[N_HISTORY]):
-                record = _record(counts, history, k)
-                record[:N_BELIEF] = v[:N_BELIEF]
-                _take(
-                    v, counts, fixes, record[S_TIME], record[S_AX], record[S_AY], record[S_GZ],
-                    record[S_CALM] > 0.0,
-                )  # fmt: skip
-        return kept
+        ahead = v[FIX_AHEAD]
+        agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
+        if counts[HOLDS_FIX] == HELD:
+            if (ahead == z).all():  # the same message again
+                return IGNORED
+            if agrees:
+                _place_and_count(v, counts, fixes, history, ahead.copy())
+            else:
+                counts[TIME_JUMPS] += 1
+        counts[HOLDS_FIX] = NOTHING
+        if _lies_ahead(v, t):
+            counts[HOLDS_FIX] = BELIEVED if agrees else HELD
+            ahead[:] = z
+            if not agrees:
+                return IGNORED
+        return _place_and_count(v, counts, fixes, history, z)
 
     return fix
 

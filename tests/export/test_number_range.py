@@ -1,0 +1,135 @@
+"""Parameters at the ends of the number range: what is exported reads back as it was, or one line says why not."""
+
+import ast
+import math
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from exported import STRICT, needs_gcc, tuned
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.targets import TARGETS, export_filter
+
+P = tuned("planar5", "ukf", 0.01)
+SEVENTEEN = 0.12345678901234568
+EXPORTABLE: list[dict[str, Any]] = [
+    {"process_noise": (1e-300,) * 5},
+    {"process_noise": (1e300, 5e-324, 1e-7, SEVENTEEN, 3)},
+    {"measurement_noise": (1e-300, 1e300)},
+    {"measurement_noise": (1, 2)},
+    {"alpha": 1e-150},
+    {"alpha": 1, "beta": 2, "kappa": 0},
+    {"beta": -1e308},
+    {"velocity_noise": 1e300},
+    {"lateral_noise": 1e-300, "rear_axle": -1e300},
+    {"standstill_noise": 5e-324},
+    {"gate": 1e308},
+    {"latency": -SEVENTEEN},
+    {"model": "planar8", "process_noise": (1e-5,) * 8, "bias_std": (1e300, 1e-300)},
+]
+
+
+def numbers_in_c(folder: Path) -> list[float]:
+    """All numbers that ins_gps.c states as R(...)."""
+    return [float(number) for number in re.findall(r"R\((-?[\d.e+-]+)\)", (folder / "ins_gps.c").read_text())]
+
+
+@needs_gcc
+@pytest.mark.parametrize("change", EXPORTABLE, ids=str)
+def test_c_keeps_every_bit_and_compiles(tmp_path: Path, change: dict[str, Any]):
+    export_filter(replace(P, **change), "c99", tmp_path)
+    stated = numbers_in_c(tmp_path)
+    for name in change.keys() - {"model", "alpha", "beta", "kappa"}:
+        for number in np.atleast_1d(change[name]):
+            assert number in stated
+    command = ["gcc", *STRICT, "-c", tmp_path / "ins_gps.c", "-o", tmp_path / "o"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@pytest.mark.parametrize("change", EXPORTABLE, ids=str)
+def test_a_build_in_float_is_refused_where_float_is_too_small(tmp_path: Path, change: dict[str, Any]):
+    p = replace(P, **change)
+    export_filter(p, "c99", tmp_path)
+    command = ["gcc", *STRICT, "-DINS_GPS_FLOAT", "-c", tmp_path / "ins_gps.c", "-o", tmp_path / "o"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    with np.errstate(all="ignore"):
+        fits = all(
+            np.float32(v) == 0 if v == 0 else 1.2e-38 < abs(v) < 3.4e38 for v in numbers_in_c(tmp_path)
+        )
+    assert (done.returncode == 0) == fits
+    assert ("parameters beyond the range of float" in done.stderr) == (not fits)
+
+
+@pytest.mark.parametrize("change", EXPORTABLE, ids=str)
+def test_the_script_states_the_same_numbers(tmp_path: Path, change: dict[str, Any]):
+    p = replace(P, **change)
+    (path,) = export_filter(p, "filterpy", tmp_path)
+    stated = constants_of(path)
+    assert stated["PROCESS_NOISE"] == list(p.process_noise)
+    assert stated["MEASUREMENT_NOISE"] == list(p.measurement_noise)
+    assert stated["(ALPHA, BETA, KAPPA)"] == (p.alpha, p.beta, p.kappa)
+    for name in ("velocity_noise", "lateral_noise", "rear_axle", "standstill_noise", "gate", "latency"):
+        assert stated[name.upper()] == getattr(p, name)
+
+
+def constants_of(script: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for node in ast.parse(script.read_text()).body:
+        if isinstance(node, ast.Assign):
+            value = node.value.args[0] if isinstance(node.value, ast.Call) and node.value.args else node.value
+            try:
+                found[ast.unparse(node.targets[0])] = ast.literal_eval(value)
+            except ValueError:
+                continue
+    return found
+
+
+@pytest.mark.parametrize(
+    "change", [change for change in EXPORTABLE if 1e300 not in change.get("process_noise", ())], ids=str
+)
+def test_yaml_holds_numbers(tmp_path: Path, change: dict[str, Any]):
+    (path,) = export_filter(replace(P, **change), "robot_localization", tmp_path)
+    node = next(iter(yaml.safe_load(path.read_text()).values()))["ros__parameters"]
+    noise = node["process_noise_covariance"]
+    assert all(type(number) is float and math.isfinite(number) for number in [*noise, node["frequency"]])
+    assert type(node["alpha"]) is float
+
+
+@pytest.mark.parametrize(
+    ("target", "change", "said"),
+    [
+        ("c99", {"alpha": 1e160}, "spread of the sigma points, of alpha = 1e.160, .* beyond the range"),
+        ("c99", {"alpha": 1e-200}, "spread of the sigma points, of alpha = 1e-200"),
+        ("c99", {"nominal_interval": 1e-300}, "nominal_interval = 1e-300 s: the C library keeps a second"),
+        (
+            "c99",
+            {"nominal_interval": 5e-324},
+            "nominal_interval = .* of an IMU of 10000 Hz at most; correct it",
+        ),
+        ("robot_localization", {"nominal_interval": 1e-320}, "nominal_interval is beyond the range"),
+        ("robot_localization", {"process_noise": (1e307,) * 5}, "process_noise / nominal_interval is beyond"),
+        ("robot_localization", {"measurement_noise": (1e308, 1e308)}, "sum of measurement_noise is beyond"),
+    ],
+)
+def test_what_has_no_place_there_is_refused_in_one_line(
+    tmp_path: Path, target, change: dict[str, Any], said: str
+):
+    with pytest.raises(InputError, match=said) as raised:
+        export_filter(replace(P, **change), target, tmp_path / "out")
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("interval", [1e-3, 1.0, 1e5, 1e308])
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_slow_imu_is_no_hindrance(tmp_path: Path, target, interval: float):
+    written = export_filter(replace(P, nominal_interval=interval), target, tmp_path)
+    assert not re.search(r"(?<![a-z_])(inf|nan)(?![a-z_])", written[0].read_text().split("def ")[0])
