@@ -19,3 +19,11 @@ class AlignmentError(DriveError):
 
 class SigmaswarmWarning(UserWarning):
     """Something looks wrong, but work goes on."""
+
+
+class DriveWarning(SigmaswarmWarning):
+    """A drive looks implausible; ``code`` is the doctor's for that fault, and ``doctor`` looks closer."""
+
+    def __init__(self, said: str, code: str = "") -> None:
+        super().__init__(said)
+        self.code = code

@@ -10,7 +10,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import FAULTS, MORE
 from sigmaswarm import Diagnosis, Drive
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, limited_memory, make_drive, needs_shared
 
 MEMS = {
     "icm-20602": {"imu": "icm-20602", "gps": "ublox-m8"},
@@ -154,6 +154,26 @@ def test_times_in_another_unit(unit: str, factor: float):
     (finding,) = sigmaswarm.diagnose(spoiled).findings
     assert (finding.code, finding.severity, finding.where) == ("time-unit", "serious", "imu.csv, t")
     assert f"in {unit}" in finding.what
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_times_in_another_unit_in_both_files(unit: str, factor: float):
+    drive = make_drive(duration=60.0)
+    imu, gps = (replace(t, time=t.time * factor) for t in (drive.imu, drive.gps))
+    (finding,) = sigmaswarm.diagnose(replace(drive, imu=imu, gps=gps)).findings
+    assert (finding.code, finding.severity, finding.where) == ("time-unit", "serious", "imu.csv, gps.csv, t")
+    assert f"in {unit} in both files" in finding.what
+
+
+def test_a_corrupt_last_time():
+    drive = make_drive(duration=60.0)
+    imu, gps = (replace(t, time=np.append(t.time[:-1], 4e9)) for t in (drive.imu, drive.gps))
+    with limited_memory():
+        found = sigmaswarm.diagnose(replace(drive, imu=imu, gps=gps)).findings
+    assert [(f.code, f.severity) for f in found] == [("time-jump", "serious")] * 2
+    assert [f.where for f in found] == ["imu.csv, t", "gps.csv, t"]
+    (alone,) = sigmaswarm.diagnose(replace(drive, imu=imu)).findings
+    assert (alone.code, alone.where) == ("time-jump", "imu.csv, t")
 
 
 def test_a_log_whose_fixes_end_early_is_no_matter_of_units():

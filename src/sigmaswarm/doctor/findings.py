@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from sigmaswarm.drives.checks import Remark
+
 Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 """serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
@@ -63,6 +65,14 @@ class Finding:
         """For JSON."""
         about: dict[str, Any] = {k: v for k, v in vars(self).items() if k != "repair"}
         return about | {"span": list(self.span), "repairable": self.repair is not None}
+
+
+def finding_of(
+    remark: Remark, severity: Severity, span: tuple[float, float], sure: float, repair: Repair | None = None
+) -> Finding:
+    """A finding in the words of a remark that reading makes as well."""
+    where = f"{remark.file}, {remark.columns}"
+    return Finding(remark.code, severity, remark.what, where, span, sure, remark.remedy, repair)
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, finding_of
 from sigmaswarm.doctor.sureness import sure_by, sure_of
 from sigmaswarm.doctor.turning import smoothed
 from sigmaswarm.doctor.verdicts import Mount
-from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array
 
 MOUNTING = (math.radians(5), math.radians(10))
@@ -27,15 +27,8 @@ LEAST_PUSH = 0.4
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the accelerometers."""
     imu = evidence.drive.imu
-    size = {name: abs(float(np.median(getattr(imu, name)))) for name in ("ax", "ay")}
-    up = max(size, key=size.__getitem__)
-    if size[up] > 0.7 * GRAVITY:
-        yield Finding(
-            "gravity-axis", "serious",
-            f"gravity stands on {up}, median {np.median(getattr(imu, up)):.2f} m/s2: {up} points up or down",
-            f"imu.csv, {up}", evidence.span, 0.999,
-            "exchange the axes of accelerometer and gyro until x is forward, y left, z up",
-        )  # fmt: skip
+    if wrong := gravity_on(imu):
+        yield finding_of(wrong, "serious", evidence.span, 0.999)
         return
     mount = evidence.mount
     if mount is not None:
@@ -153,23 +146,18 @@ def _bias_std(evidence: Evidence) -> float:
 
 
 def _upward(evidence: Evidence) -> Iterator[Finding]:
-    """az, which planar filters do not use, tells of other faults."""
-    az, mount = evidence.drive.imu.az, evidence.mount
-    if az is None:
+    """Faults that az shows, which planar filters do not use."""
+    imu, mount = evidence.drive.imu, evidence.mount
+    wrong = gravity_up(imu, mount.unit if mount else 1.0)
+    if imu.az is None or wrong is None:
         return
-    up = float(np.median(az)) * (mount.unit if mount else 1.0)
+    up = float(np.median(imu.az))
     if mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # told there
-    code, sure, where = "accelerometer-up", 0.99, "imu.csv, az"
-    if up < -0.7 * GRAVITY:
-        what, remedy = f"the median of az is {up:.2f} m/s2, but +9.8 with z up", "change the sign of az"
-        fix = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0))
-        yield Finding(code, "warning", what, where, evidence.span, sure, remedy, fix)
-    elif abs(up) < 0.2 * GRAVITY and not 0.8 < abs(up) < 1.2:
-        what = f"the median of az is {up:.2f} m/s2: gravity was taken off"
-        yield Finding(
-            code, "note", what, where, evidence.span, sure, "nothing to do: filters here do not use az"
-        )
-    elif abs(up - GRAVITY) > 0.2 * GRAVITY:
-        what = f"the median of az is {up:.2f} m/s2, but +9.8 at rest"
-        yield Finding(code, "warning", what, where, evidence.span, sure, "check its unit and axis")
+    if wrong.code == "accelerometer-unit":
+        if mount is None or not any(mount.known):  # else the motion tells, and better
+            yield finding_of(wrong, "warning", evidence.span, 0.9)
+        return
+    free = abs(up) < 0.2 * GRAVITY  # gravity was taken off, and nothing is lost
+    sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
+    yield finding_of(wrong, "note" if free else "warning", evidence.span, 0.99, sign)

@@ -9,9 +9,8 @@ from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.pushing import drift_of
 from sigmaswarm.doctor.sureness import sure_of
 from sigmaswarm.doctor.verdicts import DEGREE
+from sigmaswarm.drives.checks import IMPOSSIBLE_RATE, impossible_rate
 
-IMPOSSIBLE = 3.0
-"""rad/s: no car turns half round in a second."""
 WRONG = 0.1
 """How far a believable gain may stray from 1."""
 LEAST_TURN = np.radians(1.0)
@@ -54,8 +53,10 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 def _by_size(evidence: Evidence) -> Iterator[Finding]:
     """Where the course tells nothing, at least a rate that no car can have."""
     gz = evidence.drive.imu.gz
-    if float(np.quantile(np.abs(gz - np.median(gz)), 0.99)) > IMPOSSIBLE:
-        what = f"the yaw rate gz is above {IMPOSSIBLE:g} rad/s, as if in deg/s; the course does not show it"
+    if impossible_rate(gz - np.median(gz)):
+        what = (
+            f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
+        )
         yield Finding(
             "gyro-unit", "warning", what, "imu.csv, gz", evidence.span, 0.9,
             "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s",
