@@ -45,7 +45,7 @@ def test_for_machines(sigmaswarm, sick: Path):
     assert told["serious"] is True
     first = told["drives"][0]["findings"][0]
     assert (first["code"], first["severity"], first["repairable"]) == ("gyro-sign", "serious", True)
-    assert 0.99 < first["sure"] < 1
+    assert 0.99 < first["confidence"] < 1
     assert first["span"] == [0.0, 89.99]
 
 

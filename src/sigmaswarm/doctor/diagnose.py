@@ -36,4 +36,5 @@ def diagnose(drive: Drive) -> Diagnosis:
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for subject in CHECKS for finding in subject.check(evidence)]
-    return Diagnosis(drive.name, tuple(sorted(found, key=lambda f: SEVERITIES.index(f.severity))))
+    found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
+    return Diagnosis(drive.name, tuple(found), evidence.clock.visible)

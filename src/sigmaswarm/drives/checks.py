@@ -1,4 +1,4 @@
-"""What makes a drive unusable as a whole, and what only looks wrong: units, axes, gaps.
+"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that only look wrong.
 
 The doctor looks closer at most of it; what both say is said here.
 """
@@ -73,7 +73,7 @@ class Gaps:
 
 
 def shortage_of(drive: Drive) -> str | None:
-    """What a drive lacks to be of use, as a sentence: time that IMU and GPS share, or samples of either."""
+    """The lack that makes a drive useless, as a sentence: of time that IMU and GPS share, or of samples of either."""
     imu, gps = drive.imu.time, drive.gps.time
     shared = int(np.count_nonzero((gps >= imu[0]) & (gps <= imu[-1])))
     if imu[0] > gps[-1] or gps[0] > imu[-1]:
@@ -241,7 +241,7 @@ def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex12
 
 
 def impossible_rate(gz: Array) -> bool:
-    """Whether a yaw rate gz (n,), rad/s, is beyond any car's."""
+    """True where a yaw rate gz (n,), rad/s, is beyond any car's."""
     return bool(np.quantile(np.abs(gz), 0.99) > IMPOSSIBLE_RATE)
 
 

@@ -1,4 +1,4 @@
-"""What identifies a drive, whatever it is called and wherever it lies."""
+"""The identity of a drive, whatever it is called and wherever it lies."""
 
 import hashlib
 from typing import Any
@@ -7,7 +7,7 @@ from sigmaswarm.drives.drive import Drive
 
 
 def described(drive: Drive) -> dict[str, Any]:
-    """What identifies a drive: its name, size, and a fingerprint of its numbers."""
+    """The identity of a drive: its name, size, and a fingerprint of its numbers."""
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),
