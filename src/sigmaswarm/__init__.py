@@ -23,6 +23,8 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import sigmaswarm.forking  # it must see each fork  # noqa: F401
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
