@@ -1,5 +1,7 @@
 """What the tests share: where the real drives are, and a synthetic drive that is exact."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,20 @@ DRIVES = SHARED / "drives"
 needs_shared = pytest.mark.skipif(not DRIVES.is_dir(), reason=f"the real drives are not at {DRIVES}")
 
 GRAVITY = 9.80665
+
+
+@contextmanager
+def limited_memory(gigabytes: float = 1.0) -> Generator[None]:
+    """No more than so much memory on top of what the process has: more is a MemoryError, where the system can."""
+    resource = pytest.importorskip("resource")
+    usual = resource.getrlimit(resource.RLIMIT_AS)
+    with Path("/proc/self/statm").open() as file:
+        now = int(file.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + int(gigabytes * 2**30), usual[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, usual)
 
 
 def _motion(time: np.ndarray, phase_x: float, phase_y: float, turn: float):

@@ -23,6 +23,7 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import sigmaswarm.forking  # it must see each fork  # noqa: F401
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from sigmaswarm.errors import (
         AlignmentError,
         DriveError,
+        DriveWarning,
         InputError,
         SigmaswarmError,
         SigmaswarmWarning,
@@ -74,7 +76,14 @@ _HOMES = {
     "drives.reader": ("read_drive",),
     "drives.split": ("clip", "split_drives", "split_time"),
     "drives.writer": ("write_drive",),
-    "errors": ("AlignmentError", "DriveError", "InputError", "SigmaswarmError", "SigmaswarmWarning"),
+    "errors": (
+        "AlignmentError",
+        "DriveError",
+        "DriveWarning",
+        "InputError",
+        "SigmaswarmError",
+        "SigmaswarmWarning",
+    ),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
     "filters.custom.run": ("ModelEstimate", "run_model"),
@@ -109,6 +118,7 @@ __all__ = [
     "Diagnosis",
     "Drive",
     "DriveError",
+    "DriveWarning",
     "Estimate",
     "Evaluation",
     "ExtendedKalmanFilter",

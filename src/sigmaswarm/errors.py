@@ -52,3 +52,11 @@ def first_mistake(error: "ValidationError") -> Mistake:
     first = error.errors()[0]
     message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
     return Mistake(".".join(str(part) for part in first["loc"]), first["input"], first["type"], message)
+
+
+class DriveWarning(SigmaswarmWarning):
+    """A drive looks implausible; ``code`` is the doctor's for that fault, and ``doctor`` looks closer."""
+
+    def __init__(self, said: str, code: str = "") -> None:
+        super().__init__(said)
+        self.code = code

@@ -1,6 +1,7 @@
 """`sigmaswarm doctor`: what it prints, how it ends, and that the copy is mended and the original untouched."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,7 +45,7 @@ def test_for_machines(sigmaswarm, sick: Path):
     assert told["serious"] is True
     first = told["drives"][0]["findings"][0]
     assert (first["code"], first["severity"], first["repairable"]) == ("gyro-sign", "serious", True)
-    assert 0.99 < first["sure"] < 1
+    assert 0.99 < first["confidence"] < 1
     assert first["span"] == [0.0, 89.99]
 
 
@@ -78,6 +79,14 @@ def test_what_reading_warns_of_is_told_once(sigmaswarm, good, here: Path):
     assert ended.err.count("warning:") == 1  # the column that nobody knows: no finding says that
     assert "temperature" in ended.err
     assert "gyro-unit" in ended.out
+
+
+def test_microseconds_in_both_files_end_with_1(sigmaswarm, good, here: Path):
+    tables = {n: replace(t, time=1e6 * t.time) for n, t in vars(good).items() if n in ("imu", "gps", "truth")}
+    write_drive(replace(good, **tables), here / "us")
+    ended = sigmaswarm("doctor", "us")
+    assert (ended.code, ended.err) == (1, "")
+    assert "as if t were in us in both files" in ended.out
 
 
 @pytest.mark.parametrize(

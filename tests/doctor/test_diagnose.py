@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import sigmaswarm
-from doctor.faults import FAULTS, MORE
-from sigmaswarm import Diagnosis, Drive
-from support import DRIVES, make_drive, needs_shared
+from doctor.faults import FAULTS, MORE, fixes_late
+from sigmaswarm import Diagnosis, Drive, Gps, Imu
+from support import DRIVES, limited_memory, make_drive, needs_shared
 
 MEMS = {
     "icm-20602": {"imu": "icm-20602", "gps": "ublox-m8"},
@@ -120,6 +120,74 @@ def test_a_straight_road_shows_no_sign_of_yaw_and_that_is_told():
     assert {"unseen-yaw", "unseen-ay"} <= found.codes
 
 
+def slow_turns(imu_rate: float = 100.0, gps_rate: float = 1.0) -> Drive:
+    """Straight on at 8 m/s, twice slowed down to 2 m/s for a turn at a right angle; exact but for 1 m of the fixes."""
+    step = 1e-3
+    t = np.arange(0.0, 100.0, step)
+    speed, rate = np.full_like(t, 8.0), np.zeros_like(t)
+    for middle, sign in ((30.0, 1.0), (70.0, -1.0)):
+        speed -= 6.0 * np.exp(-(((t - middle) / 6.0) ** 4))
+        rate += sign * np.radians(90) / 6.0 * (np.abs(t - middle) < 3.0)
+    theta = np.cumsum(rate) * step
+    position = np.cumsum(speed * np.exp(1j * theta)) * step
+    at, fix = np.arange(0.0, 99.9, 1 / imu_rate), np.arange(0.37, 99.5, 1 / gps_rate)
+    columns = {"ax": np.gradient(speed, step), "ay": speed * rate, "gz": rate}
+    imu = Imu(at, **{n: np.interp(at, t, v) for n, v in columns.items()})
+    x, y = np.interp(fix, t, position.real), np.interp(fix, t, position.imag)
+    noise = np.random.default_rng(0).standard_normal((2, len(fix)))
+    return Drive("slow-turns", imu, Gps(fix, x + noise[0], y + noise[1]))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 4.0])
+def test_turns_that_the_fixes_do_not_show_are_not_denied(seconds: float):
+    found = {f.code: f for f in sigmaswarm.diagnose(fixes_late(seconds)(slow_turns())).findings}
+    said = found["unseen-yaw"].what
+    assert "hardly turns" not in said
+    assert "where the car is faster than 3.0 m/s" in said
+    assert "slower turns don't show" in said
+
+
+def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
+    drive = simulated("icm-20602")
+    rng = np.random.default_rng(0)
+    still = {n: 0.01 * rng.standard_normal(len(drive.imu)) for n in ("gx", "gy", "gz")}
+    found = {f.code: f for f in sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, **still))).findings}
+    assert "no column of the gyro follows it" in found["unseen-yaw"].what
+    assert "slower turns" not in found["unseen-yaw"].what
+
+
+@pytest.mark.parametrize("maneuver", ["turns", "urban", "cruise"])
+def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str):
+    """Over 8 seeds of short drives and both signs, where at least 95 in 100 are promised."""
+    asked = seen = 0
+    length = 50.0 if maneuver == "urban" else None
+    for run in range(8):
+        drive = sigmaswarm.simulate(maneuver, run=run, duration=length, gps="white-1m", imu="mpu-6050")
+        clean = sigmaswarm.diagnose(drive)
+        size = clean.visible_clock_offset
+        if "clock-offset" in clean.codes:
+            continue
+        (note,) = [f for f in clean.findings if f.code == "unseen-clock"]
+        if size is None:
+            assert "of any size could hide here" in note.what
+            continue
+        assert f"below {size:.2f} s" in note.what
+        for sign in (1, -1):
+            asked += 1
+            seen += "clock-offset" in sigmaswarm.diagnose(fixes_late(sign * size)(drive)).codes
+    print(f"{maneuver}: {seen} of {asked}")
+    assert seen >= 0.9 * asked
+    assert asked == (0 if maneuver == "cruise" else 16)  # a straight road shows none
+
+
+def test_a_short_drive_with_few_turns_says_what_it_does_not_see():
+    found = sigmaswarm.diagnose(fixes_late(0.3)(slow_turns(gps_rate=5.0)))
+    if "clock-offset" not in found.codes:
+        assert found.visible_clock_offset is not None
+        assert found.visible_clock_offset > 0.3
+    assert found.to_dict()["visible_clock_offset_s"] == found.visible_clock_offset
+
+
 def test_gravity_on_a_wrong_axis():
     imu = simulated("icm-20602").imu
     drive = replace(simulated("icm-20602"), imu=replace(imu, ax=imu.az, az=imu.ax))
@@ -154,6 +222,26 @@ def test_times_in_another_unit(unit: str, factor: float):
     (finding,) = sigmaswarm.diagnose(spoiled).findings
     assert (finding.code, finding.severity, finding.where) == ("time-unit", "serious", "imu.csv, t")
     assert f"in {unit}" in finding.what
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_times_in_another_unit_in_both_files(unit: str, factor: float):
+    drive = make_drive(duration=60.0)
+    imu, gps = (replace(t, time=t.time * factor) for t in (drive.imu, drive.gps))
+    (finding,) = sigmaswarm.diagnose(replace(drive, imu=imu, gps=gps)).findings
+    assert (finding.code, finding.severity, finding.where) == ("time-unit", "serious", "imu.csv, gps.csv, t")
+    assert f"in {unit} in both files" in finding.what
+
+
+def test_a_corrupt_last_time():
+    drive = make_drive(duration=60.0)
+    imu, gps = (replace(t, time=np.append(t.time[:-1], 4e9)) for t in (drive.imu, drive.gps))
+    with limited_memory():
+        found = sigmaswarm.diagnose(replace(drive, imu=imu, gps=gps)).findings
+    assert [(f.code, f.severity) for f in found] == [("time-jump", "serious")] * 2
+    assert [f.where for f in found] == ["imu.csv, t", "gps.csv, t"]
+    (alone,) = sigmaswarm.diagnose(replace(drive, imu=imu)).findings
+    assert (alone.code, alone.where) == ("time-jump", "imu.csv, t")
 
 
 def test_a_log_whose_fixes_end_early_is_no_matter_of_units():

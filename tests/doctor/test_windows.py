@@ -34,7 +34,7 @@ def test_it_is_the_dense_least_squares():
     np.testing.assert_allclose(found.solution, dense[:2], atol=1e-12)
 
 
-def test_outliers_are_doubted():
+def test_outliers_are_downweighted():
     y, columns, own = problem(np.random.default_rng(1))
     y[2, 5] += 500.0
     found = regress(y, columns, own, np.ones(y.shape), rounds=5)

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sigmaswarm.drives.checks import GRAVITY, shortage_of, warnings_of
+from sigmaswarm.drives import checks
+from sigmaswarm.drives.checks import GRAVITY, remarks_of, shortage_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import SigmaswarmWarning
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, limited_memory, make_drive, needs_shared
 
 DEGREES = 180 / np.pi
 
@@ -24,6 +25,10 @@ def without(drive: Drive, table: str, start: float, end: float) -> Drive:
     """The drive without a table's rows in [start, end)."""
     rows = getattr(drive, table)
     return replace(drive, **{table: rows.select((rows.time < start) | (rows.time >= end))})
+
+
+def warnings_of(drive: Drive) -> list[str]:
+    return [str(remark) for remark in remarks_of(drive)]
 
 
 def only(drive: Drive) -> str:
@@ -193,3 +198,53 @@ def test_wrong_units_are_found_in_every_real_drive(path):
     assert any("in g" in m for m in warnings_of(in_g(drive)))
     assert any("in g" in m for m in warnings_of(imu_with(in_g(drive), az=None)))
     assert not any("in g" in m for m in warnings_of(imu_with(drive, az=None)))
+
+
+UNITS = [("ms", 1e3), ("us", 1e6), ("ns", 1e9)]
+
+
+def with_times(drive: Drive, change) -> Drive:
+    tables = {name: getattr(drive, name) for name in ("imu", "gps", "truth")}
+    return replace(drive, **{n: replace(t, time=change(t.time)) for n, t in tables.items() if t is not None})
+
+
+@pytest.mark.parametrize(("unit", "factor"), UNITS)
+@pytest.mark.parametrize("rates", [{}, {"imu_rate": 10.0, "gps_rate": 1.0}, {"imu_rate": 1000.0}])
+def test_times_in_another_unit_in_both_files(unit: str, factor: float, rates: dict[str, float]):
+    """In nanoseconds, a grid over the log's length took 80 s and 5 GB."""
+    message = only(with_times(make_drive(**rates), lambda t: factor * t))
+    assert message.startswith("imu.csv, gps.csv: ")
+    assert f"as if t were in {unit} in both files" in message
+
+
+@pytest.mark.parametrize("rates", [{"imu_rate": 2.0, "gps_rate": 1.0}, {"imu_rate": 10.0, "gps_rate": 0.05}])
+def test_slow_sensors_are_no_matter_of_units(rates: dict[str, float]):
+    drive = make_drive(duration=400.0, **rates)
+    assert not any(r.code == "time-unit" for r in remarks_of(drive))
+
+
+@pytest.mark.parametrize("last", [1e9, 4e9, 1.8e18])
+def test_a_corrupt_last_time_costs_no_memory(last: float):
+    drive = with_times(make_drive(), lambda t: np.append(t[:-1], last))
+    with limited_memory():
+        messages = warnings_of(drive)
+    assert [m[:18] for m in messages] == ["imu.csv: column t ", "gps.csv: column t "]
+    assert f"jumps by {last - 60:.4g} s after t = 5" in messages[0]
+
+
+def test_a_clock_that_is_set_during_the_log():
+    messages = warnings_of(with_times(make_drive(), lambda t: np.where(t < 30, t, t + 1.7e9)))
+    assert len(messages) == 2
+    assert all("jumps by 1.7e+09 s after t = 29." in m for m in messages)
+
+
+def test_windows_without_fixes_are_left_out_and_the_others_stay():
+    """Against the definition: a knot each 5 s from the first common time on."""
+    drive = without(make_drive(jitter=0.4), "gps", 21.0, 38.0)
+    velocity, integral, turn = checks._seen_by_fixes(drive, drive.imu.gz)
+    knots = np.arange(drive.gps.time[0], drive.imu.time[-1], 5.0)
+    held = [np.any((drive.gps.time >= k) & (drive.gps.time < k + 5)) for k in knots[:-1]]
+    assert 0 < np.count_nonzero(held) == len(velocity) < len(held)
+    position = np.interp(knots, drive.gps.time, drive.gps.x + 1j * drive.gps.y)
+    np.testing.assert_allclose(velocity, (np.diff(position) / 5)[held], atol=1e-9)
+    assert integral.shape == turn.shape == (len(velocity) - 1,)

@@ -95,7 +95,7 @@ def test_round_trip_keeps_any_finite_float_and_any_name(
     )
     folder = write_drive(drive, tmp_path_factory.mktemp("any") / "d")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reader, "warnings_of", lambda _: [])  # nothing about such values is plausible
+        patch.setattr(reader, "remarks_of", lambda _: [])  # nothing about such values is plausible
         assert_same(read_drive(folder), drive)
 
 

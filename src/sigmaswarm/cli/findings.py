@@ -38,7 +38,7 @@ def _many(count: int, what: str) -> str:
 
 
 def _said(finding: "Finding") -> str:
-    """What, and under it where, how sure, and what to do; a note is one line."""
+    """Fault, place, confidence and remedy in three lines; a note is one line."""
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
         return f"{what} [{finding.where}]"
@@ -46,6 +46,7 @@ def _said(finding: "Finding") -> str:
     fixes = " (--fix does it)" if finding.repair else ""
     return (
         f"{what}\n"
-        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; {100 * finding.sure:.3g}% sure\n"
+        f"[{finding.code}] {finding.where}; t = {start:.1f} to {end:.1f} s; "
+        f"confidence {100 * finding.confidence:.3g}%\n"
         f"-> {finding.remedy}{fixes}"
     )

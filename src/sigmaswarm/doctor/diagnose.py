@@ -2,8 +2,8 @@
 
 from sigmaswarm.doctor.checks import accelerometer, clock, gyro, noise, observability, sampling, velocity
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis
-from sigmaswarm.drives.checks import shortage_of
+from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
+from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
@@ -31,8 +31,10 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive):
         raise DriveError(f"{drive.name}/{shortage}")
-    if wrong := sampling.time_unit(drive.imu.time, drive.gps.time):
-        return Diagnosis(drive.name, (wrong,))  # nothing else can be said of such a log
+    if spoiled := spoiled_times(drive):  # nothing else can be said of such a log
+        ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
+        return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)
     found = [finding for subject in CHECKS for finding in subject.check(evidence)]
-    return Diagnosis(drive.name, tuple(sorted(found, key=lambda f: SEVERITIES.index(f.severity))))
+    found.sort(key=lambda finding: SEVERITIES.index(finding.severity))
+    return Diagnosis(drive.name, tuple(found), evidence.clock.visible)

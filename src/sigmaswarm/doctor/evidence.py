@@ -1,14 +1,14 @@
-"""What the checks look at, worked out once for a drive."""
+"""The fits and masks that all checks look at, worked out once for a drive."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.doctor.acceleration_fit import AccelerationFit, fit_acceleration, heading_of
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps, stale, white_noise
-from sigmaswarm.doctor.pushing import Pushing, heading_of, pushing_of
-from sigmaswarm.doctor.turning import Turning, turning_of
-from sigmaswarm.doctor.verdicts import Clock, Mount, Yaw, clock_of, mount_of, yaw_of
+from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
+from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
 from sigmaswarm.drives.drive import Array, Drive
 
 FEWEST = 20
@@ -25,9 +25,9 @@ class Evidence:
     stale, outlying : (n,) bool: fixes that only repeat the last one; fixes that lie far off the path
     used : (m,) int: the numbers of the fixes that ``course`` is made of
     course : Course or None
-    turning, yaw : the gyro beside the course
-    pushing, mount : the accelerometers beside the path
-    clock : how late the fixes are
+    yaw_fit, yaw : the regression of the course on the gyro, and its reading
+    acceleration, mount : the regression of the path on the accelerometers, and its reading
+    clock : the fixes' delay
     noise, scatter : m per axis: of the fixes from one to the next, and about the path over ten seconds
     """
 
@@ -36,13 +36,18 @@ class Evidence:
     outlying: Mask
     used: np.ndarray[tuple[int], np.dtype[np.intp]]
     course: Course | None
-    turning: Turning | None
+    yaw_fit: YawFit | None
     yaw: Yaw
-    pushing: Pushing | None
+    acceleration: AccelerationFit | None
     mount: Mount | None
-    clock: Clock
+    clock: ClockOffset
     noise: float
     scatter: float
+
+    @property
+    def drives(self) -> bool:
+        """True where the fixes show a course anywhere."""
+        return self.course is not None and bool(self.course.moving.any())
 
     @property
     def span(self) -> tuple[float, float]:
@@ -51,7 +56,7 @@ class Evidence:
 
 
 def gather(drive: Drive) -> Evidence:
-    """Fit the gyro to the course and the accelerometers to the path, and judge the fits."""
+    """Fit the gyro to the course and the accelerometers to the path, and read the fits."""
     gps, imu = drive.gps, drive.imu
     old = stale(gps)
     inside = ~old & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
@@ -63,49 +68,51 @@ def gather(drive: Drive) -> Evidence:
         blind = clock_of(None, yaw, None, None)
         return Evidence(drive, old, off, used, None, None, yaw, None, None, blind, 0.0, 0.0)
     course = course_of(gps.time[used], (gps.x + 1j * gps.y)[used])
-    turning = turning_of(drive, course)
-    yaw = yaw_of(turning)
-    pushing = None
+    yaw_fit = fit_yaw(drive, course)
+    yaw = yaw_of(yaw_fit)
+    acceleration = None
     if course.moving.any():
         rate: Array = yaw.factor * getattr(imu, yaw.column)
-        coarse = turning.late if turning and yaw.known and turning.share > 0.5 else 0.0
-        pushing = pushing_of(drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse)
-    mount = mount_of(pushing) if pushing else None
+        coarse = yaw_fit.late if yaw_fit and yaw.known and yaw_fit.share > 0.5 else 0.0
+        acceleration = fit_acceleration(
+            drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse
+        )
+    mount = mount_of(acceleration) if acceleration else None
     noise, scatter = white_noise(course.time, course.position), 0.0
-    if pushing:
-        noise, scatter = _noise(pushing)
-        off[used[_far_off(pushing)]] = True
+    if acceleration:
+        noise, scatter = _noise(acceleration)
+        off[used[_far_off(acceleration)]] = True
     return Evidence(
         drive,
         old,
         off,
         used,
         course,
-        turning,
+        yaw_fit,
         yaw,
-        pushing,
+        acceleration,
         mount,
-        clock_of(turning, yaw, pushing, mount),
+        clock_of(yaw_fit, yaw, acceleration, mount),
         noise,
         scatter,
     )
 
 
-def _noise(pushing: Pushing) -> tuple[float, float]:
+def _noise(acceleration: AccelerationFit) -> tuple[float, float]:
     """m per axis: noise from one fix to the next, and scatter about the IMU's path; both robust."""
-    second = np.diff(pushing.residual, n=2, axis=1)
+    second = np.diff(acceleration.residual, n=2, axis=1)
 
     def spread(v: Complex) -> float:
         return float(np.median(np.abs(np.concatenate([v.real.ravel(), v.imag.ravel()]))) / 0.6745)
 
-    n = pushing.rows.shape[1]  # each window's own three unknowns take their share
-    return spread(second) / np.sqrt(6.0), spread(pushing.residual) * np.sqrt(n / (n - 3))
+    n = acceleration.rows.shape[1]  # each window's own three unknowns take their share
+    return spread(second) / np.sqrt(6.0), spread(acceleration.residual) * np.sqrt(n / (n - 3))
 
 
-def _far_off(pushing: Pushing) -> np.ndarray:
+def _far_off(acceleration: AccelerationFit) -> np.ndarray:
     """Numbers, among the used fixes, of those that lie far off the IMU's path in every window."""
-    size = np.abs(pushing.residual)
+    size = np.abs(acceleration.residual)
     off = size > 0.2 + 4 * float(np.quantile(size, 0.9))  # m; of Gaussian noise that is 8.6 deviations
-    rows, counts = np.unique(pushing.rows, return_counts=True)
-    far, times = np.unique(pushing.rows[off], return_counts=True)
+    rows, counts = np.unique(acceleration.rows, return_counts=True)
+    far, times = np.unique(acceleration.rows[off], return_counts=True)
     return far[times == counts[np.searchsorted(rows, far)]]

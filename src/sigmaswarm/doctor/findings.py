@@ -1,7 +1,9 @@
-"""What the doctor says: findings, each with its place, its certainty, a remedy and perhaps a repair."""
+"""Findings, each with its place, confidence, remedy and perhaps a repair."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
+
+from sigmaswarm.drives.checks import Remark
 
 Severity = Literal["note", "warning", "serious"]
 SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
@@ -14,7 +16,7 @@ Action = Literal[
 
 @dataclass(frozen=True)
 class Repair:
-    """How to mend a finding; `sigmaswarm.doctor.repairs` does it.
+    """The mending of a finding; `sigmaswarm.doctor.repairs` does it.
 
     Attributes
     ----------
@@ -42,8 +44,8 @@ class Finding:
         File and columns.
     span : (float, float)
         s, from when to when on the drive's clock.
-    sure : float
-        0 to 1: how sure the doctor is.
+    confidence : float
+        0 to 1.
     remedy : str
         What to do.
     repair : Repair or None
@@ -55,7 +57,7 @@ class Finding:
     what: str
     where: str
     span: tuple[float, float]
-    sure: float
+    confidence: float
     remedy: str
     repair: Repair | None = None
 
@@ -63,6 +65,18 @@ class Finding:
         """For JSON."""
         about: dict[str, Any] = {k: v for k, v in vars(self).items() if k != "repair"}
         return about | {"span": list(self.span), "repairable": self.repair is not None}
+
+
+def finding_of(
+    remark: Remark,
+    severity: Severity,
+    span: tuple[float, float],
+    confidence: float,
+    repair: Repair | None = None,
+) -> Finding:
+    """A finding in the words of a remark that reading makes as well."""
+    where = f"{remark.file}, {remark.columns}"
+    return Finding(remark.code, severity, remark.what, where, span, confidence, remark.remedy, repair)
 
 
 @dataclass(frozen=True)
@@ -74,14 +88,17 @@ class Diagnosis:
     drive : str
         The drive's name.
     findings : tuple of Finding
+    visible_clock_offset : float or None
+        s: the smallest offset between the clocks of IMU and GPS that would have been seen; None if none would.
     """
 
     drive: str
     findings: tuple[Finding, ...]
+    visible_clock_offset: float | None = None
 
     @property
     def serious(self) -> bool:
-        """Whether anything serious was found."""
+        """True if anything serious was found."""
         return any(finding.severity == "serious" for finding in self.findings)
 
     @property
@@ -94,5 +111,6 @@ class Diagnosis:
         return {
             "drive": self.drive,
             "serious": self.serious,
+            "visible_clock_offset_s": self.visible_clock_offset,
             "findings": [finding.to_dict() for finding in self.findings],
         }

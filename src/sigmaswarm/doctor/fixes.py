@@ -1,4 +1,4 @@
-"""What the fixes alone say: which ones jump, how fast the car went and where to."""
+"""Course and speed from the fixes alone, and the fixes that jump."""
 
 from dataclasses import dataclass
 
@@ -36,6 +36,7 @@ class Course:
     std : m/s per axis, what the fixes' white noise leaves unknown of it
     angle : (n,) rad, the course, unwrapped
     moving : (n,) bool: fast enough that noise does not make the course
+    slowest : m/s, that speed
     span : s
     """
 
@@ -45,6 +46,7 @@ class Course:
     std: float
     angle: Array
     moving: Mask
+    slowest: float
     span: float
 
 
@@ -77,7 +79,7 @@ def jumps(time: Array, position: Complex) -> Mask:
 
 
 def _off_line(time: Array, position: Complex) -> Complex:
-    """How far each fix lies off the straight line through its neighbors, without itself, (n,) m."""
+    """Offset of each fix from the straight line through its neighbors, without itself, (n,) m."""
     n = len(time)
     offsets = np.array([k for k in range(-NEIGHBORS, NEIGHBORS + 1) if k])
     index = np.arange(n)[:, None] + offsets
@@ -113,7 +115,8 @@ def course_of(time: Array, position: Complex) -> Course:
     whole = (last - first) >= 0.7 * span / interval  # no velocity across a gap or at the ends
     whole &= (time - span / 2 >= time[0] - interval) & (time + span / 2 <= time[-1] + interval)
     std = noise * np.sqrt(12 * interval / span) / span
-    moving = whole & (np.abs(velocity) > max(SLOWEST, 6 * std))
+    slowest = max(SLOWEST, 6 * float(std))
+    moving = whole & (np.abs(velocity) > slowest)
     angle = np.zeros(len(time))
     angle[moving] = np.unwrap(np.angle(velocity[moving]))
-    return Course(time, position, velocity, float(std), angle, moving, span)
+    return Course(time, position, velocity, float(std), angle, moving, slowest, span)

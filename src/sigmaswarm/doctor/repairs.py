@@ -57,7 +57,7 @@ def _accelerometer(drive: Drive, values: Values) -> Drive:
 
 
 def _level(drive: Drive, values: Values) -> Drive:
-    """What is to be taken off ax and ay, m/s2."""
+    """Constants to be taken off ax and ay, m/s2."""
     imu = drive.imu
     return replace(drive, imu=replace(imu, ax=imu.ax - values[0], ay=imu.ay - values[1]))
 

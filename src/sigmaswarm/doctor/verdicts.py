@@ -6,8 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from sigmaswarm.doctor.pushing import Pushing
-from sigmaswarm.doctor.turning import Turning
+from sigmaswarm.doctor import acceleration_fit
+from sigmaswarm.doctor.acceleration_fit import AccelerationFit
+from sigmaswarm.doctor.yaw_fit import LATENESS, YawFit
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
 
@@ -15,42 +16,46 @@ DEGREE = math.pi / 180
 FAMILIAR = 1.35
 """A factor this close to a known one (1, -1, deg/s) is that one."""
 LEAST_SHARE = 0.2
-"""Of the course's changes that a gyro's column explains at least if it is believed."""
+"""Of the course's changes that a gyro's column explains at least if its gain is used."""
 CLEARLY = 16.0
 """Of chi-square: how much better than the log as it stands another reading must be."""
 ALIKE = 0.05
-"""How far M's entries off the axes may stray for other reasons: tilt that goes with the maneuvers, slip."""
+"""Tolerance of M's entries off the axes, for other reasons: tilt that goes with the maneuvers, slip."""
 SCALE = 0.12
 """The same along the axes; besides, a body that rolls and pitches makes accelerometers feel 5 to 10% more."""
 SHOWN = 0.25
 """Deviation of an entry of M, in its unit, below which the drive shows it."""
+LEAST_OFFSET = 0.1
+"""s between the clocks: less does not show behind a receiver's noise."""
+CLEAR_OFFSET = (2.5, 3.3, 4.5)
+"""Deviations: from the first on a note, from the second on a warning and a repair, from the third on serious."""
 MOUNTED = math.radians(40)
 """Beyond that, a rotation counts as axes exchanged."""
 
 
 @dataclass(frozen=True)
 class Yaw:
-    """Which column times which factor is the yaw rate, in rad/s; ``known`` if the drive shows it."""
+    """The yaw rate in rad/s as a column times a factor; ``known`` if the drive shows it."""
 
     column: str
     factor: float
     known: bool
 
 
-def yaw_of(turning: Turning | None) -> Yaw:
+def yaw_of(yaw_fit: YawFit | None) -> Yaw:
     """The gyro's column, sign and unit that the course agrees with; in doubt those of the format."""
-    if turning is None or turning.share < LEAST_SHARE or abs(turning.gain) < 6 * turning.std:
+    if yaw_fit is None or yaw_fit.share < LEAST_SHARE or abs(yaw_fit.gain) < 6 * yaw_fit.std:
         return Yaw("gz", 1.0, known=False)
     for factor in (1.0, -1.0, DEGREE, -DEGREE):
-        ratio = turning.gain / factor
+        ratio = yaw_fit.gain / factor
         if 1 / FAMILIAR < ratio < FAMILIAR:
-            return Yaw(turning.column, factor, known=True)
+            return Yaw(yaw_fit.column, factor, known=True)
     return Yaw("gz", 1.0, known=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """How the accelerometers' columns have to be read.
+    """The reading of the accelerometers' columns.
 
     Attributes
     ----------
@@ -75,16 +80,11 @@ class Mount:
         """(2, 2): unit times axes."""
         return self.unit * self.axes
 
-    @property
-    def as_recorded(self) -> bool:
-        """Whether columns, signs and unit are those of the format."""
-        return bool(np.array_equal(self.axes, np.eye(2))) and self.unit == 1
 
-
-def mount_of(pushing: Pushing) -> Mount:
+def mount_of(acceleration: AccelerationFit) -> Mount:
     """The simplest reading of the columns that the fit agrees with."""
-    found = pushing.matrix.ravel()
-    covariance = pushing.covariance[:4, :4]
+    found = acceleration.matrix.ravel()
+    covariance = acceleration.covariance[:4, :4]
     angles = np.radians(np.arange(-40.0, 40.5, 0.5))
 
     def misfit(axes: Array, unit: float, angle: float) -> float:
@@ -107,7 +107,7 @@ def mount_of(pushing: Pushing) -> Mount:
     if as_it_is - best < CLEARLY and not (np.array_equal(reading[0], np.eye(2)) and reading[1] == 1):
         reading = (np.eye(2), 1.0)
     axes, unit = reading
-    known = _known(pushing, axes, unit)
+    known = _known(acceleration, axes, unit)
     changed = [not np.array_equal(row, usual) for row, usual in zip(axes, np.eye(2), strict=True)]
     if unit == 1 and not any(k and c for k, c in zip(known, changed, strict=True)):
         axes = np.eye(2)  # an axis that the drive does not show stays as it is
@@ -115,7 +115,7 @@ def mount_of(pushing: Pushing) -> Mount:
     k = int(np.clip(np.argmin(misfits), 1, len(angles) - 2))
     bend = (misfits[k - 1] + misfits[k + 1] - 2 * misfits[k]) / (angles[1] - angles[0]) ** 2
     spread = np.sqrt(np.diag(covariance)).reshape(2, 2) / unit
-    turned_back = pushing.matrix @ axes.T / unit
+    turned_back = acceleration.matrix @ axes.T / unit
     scale = tuple((float(turned_back[i, i]), float((spread @ np.abs(axes.T))[i, i])) for i in range(2))
     return Mount(
         axes,
@@ -123,14 +123,14 @@ def mount_of(pushing: Pushing) -> Mount:
         float(angles[np.argmin(misfits)]),
         float(math.sqrt(2 / bend)) if bend > 0 else math.inf,
         as_it_is - best,
-        _known(pushing, axes, unit),
+        _known(acceleration, axes, unit),
         scale,  # pyright: ignore[reportArgumentType]
     )
 
 
-def _known(pushing: Pushing, axes: Array, unit: float) -> tuple[bool, bool]:
-    """Whether the drive shows forward and left well enough, were the columns read so."""
-    spread = np.sqrt(np.diag(pushing.covariance)[:4]).reshape(2, 2) / unit
+def _known(acceleration: AccelerationFit, axes: Array, unit: float) -> tuple[bool, bool]:
+    """The axes, forward and left, that the drive shows well enough, were the columns read so."""
+    spread = np.sqrt(np.diag(acceleration.covariance)[:4]).reshape(2, 2) / unit
     forward, left = np.diag(spread @ np.abs(axes.T)) < SHOWN
     return bool(forward), bool(left)
 
@@ -142,34 +142,50 @@ def _signed_permutations() -> list[Array]:
 
 
 @dataclass(frozen=True)
-class Clock:
-    """By how many s the fixes are late, and how well that is known."""
+class ClockOffset:
+    """By how many s the fixes are late, the standard deviation of that, and how far off 0 it was searched."""
 
     late: float
     std: float
+    searched: float
+
+    @property
+    def least(self) -> float:
+        """The smallest estimate, s, that counts as an offset."""
+        return max(LEAST_OFFSET, CLEAR_OFFSET[0] * self.std)
+
+    @property
+    def visible(self) -> float | None:
+        """The smallest offset, s, that would have been seen with a probability of 95% or more; None: not any."""
+        offset = self.least + 1.65 * self.std
+        return offset if offset < self.searched else None
 
 
-def clock_of(turning: Turning | None, yaw: Yaw, pushing: Pushing | None, mount: Mount | None) -> Clock:
-    """What accelerometers and gyro say together; the more doubtful, the more they disagree."""
+def clock_of(
+    yaw_fit: YawFit | None, yaw: Yaw, acceleration: AccelerationFit | None, mount: Mount | None
+) -> ClockOffset:
+    """The delay by accelerometers and gyro together; the less certain, the more they disagree."""
     told: list[tuple[float, float]] = []
-    if pushing is not None and mount is not None:
-        told.append(_late_given(pushing, mount))
-    if turning is not None and yaw.known and turning.share > 0.5:
-        told.append((turning.late, turning.late_std))
+    searched = float(acceleration_fit.LATENESS[-1])
+    if acceleration is not None and mount is not None:
+        told.append(_late_given(acceleration, mount))
+    if yaw_fit is not None and yaw.known and yaw_fit.share > 0.5:
+        told.append((yaw_fit.late, yaw_fit.late_std))
+        searched = float(LATENESS[-1])
     if not told:
-        return Clock(0.0, math.inf)
+        return ClockOffset(0.0, math.inf, 0.0)
     weight = np.array([1 / std**2 for _, std in told])
     late = float(weight @ [late for late, _ in told] / weight.sum())
     chi = float(weight @ [(value - late) ** 2 for value, _ in told]) / max(len(told) - 1, 1)
-    return Clock(late, math.sqrt(max(chi, 1.0) / weight.sum()))
+    return ClockOffset(late, math.sqrt(max(chi, 1.0) / weight.sum()), searched)
 
 
-def _late_given(pushing: Pushing, mount: Mount) -> tuple[float, float]:
+def _late_given(acceleration: AccelerationFit, mount: Mount) -> tuple[float, float]:
     """The lateness and its deviation, now that M is about known (the fit's Gaussian, conditioned)."""
     c, s = math.cos(mount.angle), math.sin(mount.angle)
     expected = (mount.unit * np.array([[c, -s], [s, c]]) @ mount.axes).ravel()
     slack = mount.unit * np.where(mount.axes != 0, SCALE, ALIKE).ravel()
-    covariance = pushing.covariance
+    covariance = acceleration.covariance
     gain = np.linalg.solve(covariance[:4, :4] + np.diag(slack**2), covariance[:4, 4])
-    late = pushing.late + gain @ (expected - pushing.matrix.ravel())
+    late = acceleration.late + gain @ (expected - acceleration.matrix.ravel())
     return float(late), float(math.sqrt(max(covariance[4, 4] - gain @ covariance[:4, 4], 1e-6)))

@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Array
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 FAR = 4.0
-"""Usual sizes of a residual, beyond which a value is doubted (Cauchy weights)."""
+"""Usual sizes of a residual, beyond which a value is downweighted (Cauchy weights)."""
 
 
 def windows_of(time: Array, usable: NDArray[np.bool_], length: float) -> NDArray[np.intp]:
@@ -32,9 +32,9 @@ class Regression:
     Attributes
     ----------
     solution : (k,)
-    covariance : (k, k), which allows for windows that overlap and for residuals that hang together
+    covariance : (k, k), which allows for windows that overlap and for correlated residuals
     residual : (w, n) complex
-    weight : (w, n), how far each value was believed, 0 to 1
+    weight : (w, n), the robust weight of each value, 0 to 1
     cost : the mean size of the residual
     """
 
@@ -56,26 +56,26 @@ def regress(
     columns : each (w, n); they share real factors over all windows
     own : each (w, n); they have complex factors in each window
     weight : (w, n), one over the standard deviation, as far as known beforehand, up to a factor
-    rounds : 1 for plain least squares; more to doubt what lies far off
+    rounds : 1 for plain least squares; more to downweight outliers
     """
     fit = _solve(y, columns, own, weight, np.ones(y.shape))
     for _ in range(rounds - 1):
         size = np.abs(fit.residual) * weight
         usual = max(float(np.median(size)), 1e-9)
-        believed = 1 / (1 + (size / (FAR * usual)) ** 2)
-        fit = _solve(y, columns, own, weight, believed)
+        robust = 1 / (1 + (size / (FAR * usual)) ** 2)
+        fit = _solve(y, columns, own, weight, robust)
     return fit
 
 
 def _solve(
-    y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, believed: Array
+    y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, robust: Array
 ) -> Regression:
     """Project each window's own columns out of everything (QR), then solve for what the windows share."""
-    root = weight * np.sqrt(believed)
+    root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
 
     def rest(v: Complex) -> Array:
-        """What of v (w, n) the window's own unknowns can't explain, real parts beside imaginary ones, (w, 2n)."""
+        """The part of v (w, n) off the window's own columns, real parts next to imaginary ones, (w, 2n)."""
         v = root * v
         v = v - np.einsum("wnk,wk->wn", q, np.einsum("wnk,wn->wk", q.conj(), v))
         return np.concatenate([v.real, v.imag], axis=1, dtype=np.float64)
@@ -86,7 +86,7 @@ def _solve(
     real, imaginary = np.split(left / np.tile(np.maximum(root, 1e-12), 2), 2, axis=1)
     residual = real + 1j * imaginary
     cost = float(np.mean(np.abs(residual) * weight))
-    return Regression(solution, _covariance(a, left, q.shape[-1]), residual, believed, cost)
+    return Regression(solution, _covariance(a, left, q.shape[-1]), residual, robust, cost)
 
 
 def _covariance(a: Array, left: Array, own: int) -> Array:

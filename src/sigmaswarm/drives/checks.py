@@ -1,6 +1,10 @@
-"""What makes a drive unusable as a whole, and what only looks wrong: gaps, units, axes."""
+"""Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that only look wrong.
+
+The doctor looks closer at most of it; what both say is said here.
+"""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +24,56 @@ GPS_GAP = (5.0, 2.0)
 
 GRAVITY = 9.80665
 """m/s2, standard."""
+IMPOSSIBLE_RATE = 3.0
+"""rad/s: no car turns half round in a second."""
 
+TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Per s."""
+_SLOWEST = (2.0, 60.0)
+"""s from sample to sample and from fix to fix: what takes longer is in another unit."""
+_USUAL = (0.5, 20.0)
+"""The same, in the right unit."""
+
+_JUMP = 3600.0
+"""s between two rows: no log rests that long and goes on; a time stamp is corrupt, or the clock was set."""
 _WINDOW = 5.0
 """s over which fixes give speed and course: long enough for metres of noise, short enough for turns."""
 
 
+@dataclass(frozen=True)
+class Remark:
+    """Something that looks wrong about a drive; as text it is one sentence.
+
+    Attributes
+    ----------
+    code : str
+        The doctor's, for the same fault (docs/doctor.md).
+    file, columns : str
+    what, remedy : str
+    """
+
+    code: str
+    file: str
+    columns: str
+    what: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.what}; {self.remedy}"
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """The intervals of a sensor that are far longer than usual: how many, and start and length of the longest, s."""
+
+    count: int
+    start: float
+    length: float
+    usual: float
+
+
 def shortage_of(drive: Drive) -> str | None:
-    """What a drive lacks to be of use, as a sentence: time that IMU and GPS share, or samples of either."""
+    """The lack that makes a drive useless, as a sentence: of time that IMU and GPS share, or of samples of either."""
     imu, gps = drive.imu.time, drive.gps.time
     shared = int(np.count_nonzero((gps >= imu[0]) & (gps <= imu[-1])))
     if imu[0] > gps[-1] or gps[0] > imu[-1]:
@@ -44,50 +91,132 @@ def shortage_of(drive: Drive) -> str | None:
     return None
 
 
-def warnings_of(drive: Drive) -> list[str]:
-    """What looks wrong about a drive, each as a sentence that names the file and the remedy.
+def remarks_of(drive: Drive) -> list[Remark]:
+    """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 
-    Gaps, angular rates in deg/s, accelerations in g, and gravity on the wrong axis. Nothing here stops work,
-    so each check stays silent in doubt.
+    Nothing here stops work, so each check stays silent in doubt.
     """
-    return [*_gaps(drive), *_angular_rate(drive), *_gravity(drive.imu), *_acceleration(drive)]
+    if spoiled := spoiled_times(drive):
+        return spoiled
+    single = gravity_on(drive.imu) or gravity_up(drive.imu)
+    return [*_gaps(drive), *_angular_rate(drive), *([single] if single else []), *_acceleration(drive)]
 
 
-def _gaps(drive: Drive) -> Iterator[str]:
+def spoiled_times(drive: Drive) -> list[Remark]:
+    """Faults of the times that leave no other figure of the log a meaning: another unit, or a clock that jumps."""
+    if wrong := _time_unit(drive):
+        return [wrong]
+    remedy = "delete the rows whose times are wrong; of a log with a true pause, make a drive of each part"
+    return [
+        Remark(
+            "time-jump", f"{name}.csv", "t",
+            f"column t jumps by {gaps.length:.4g} s after t = {gaps.start:.2f} s", remedy,
+        )
+        for name, time, limit in (("imu", drive.imu.time, IMU_GAP), ("gps", drive.gps.time, GPS_GAP))
+        if (gaps := gaps_in(time, limit)) and gaps.length > _JUMP
+    ]  # fmt: skip
+
+
+def _time_unit(drive: Drive) -> Remark | None:
+    """Times in ms, us or ns: of one sensor, which lasts far longer than the other, or of both, by their rates."""
+    imu, gps = drive.imu.time, drive.gps.time
+    lengths = float(np.ptp(imu)), float(np.ptp(gps))
+    if min(lengths) <= 0:
+        return None
+    powers = float(np.log10(lengths[0] / lengths[1]))
+    for unit, factor in TIME_UNITS.items():
+        if abs(abs(powers) - np.log10(factor)) <= 0.2:
+            what = f"the IMU's samples last {lengths[0]:.4g} s and the fixes {lengths[1]:.4g} s, as if t were in {unit}"
+            return _time_remark("imu.csv" if powers > 0 else "gps.csv", what, factor)
+    intervals = float(np.median(np.diff(imu))), float(np.median(np.diff(gps)))
+    if intervals[0] <= _SLOWEST[0] and intervals[1] <= _SLOWEST[1]:
+        return None
+    for unit, factor in TIME_UNITS.items():
+        if intervals[0] <= _USUAL[0] * factor and intervals[1] <= _USUAL[1] * factor:
+            what = (
+                f"the IMU's samples come every {intervals[0]:.4g} s and the fixes every {intervals[1]:.4g} s, "
+                f"as if t were in {unit} in both files"
+            )
+            return _time_remark("imu.csv, gps.csv", what, factor)
+    return None
+
+
+def _time_remark(file: str, what: str, factor: float) -> Remark:
+    power = f"{factor:.0e}".replace("+0", "")
+    remedy = f"divide t of {file.replace(', ', ' and ')} by {power}; in an import say so with --time or --map, as in "
+    return Remark("time-unit", file, "t", what, f"{remedy}t=stamp*1e-{power[2:]}")
+
+
+def gravity_on(imu: Imu) -> Remark | None:
+    """Gravity on a horizontal axis."""
+    median = {name: float(np.median(getattr(imu, name))) for name in ("ax", "ay")}
+    axis = max(median, key=lambda name: abs(median[name]))
+    if abs(median[axis]) <= 0.7 * GRAVITY:
+        return None
+    what = f"column {axis} has median {median[axis]:.2f} m/s2, gravity, which belongs on az"
+    remedy = "exchange the axes of accelerometer and gyro until x is forward, y left, z up"
+    return Remark("gravity-axis", "imu.csv", axis, what, remedy)
+
+
+def gravity_up(imu: Imu, unit: float = 1.0) -> Remark | None:
+    """A vertical specific force that is not +9.8; ``unit`` is m/s2 per unit of az, where that is known."""
+    if imu.az is None:
+        return None
+    az, columns = unit * float(np.median(imu.az)), "az"
+    code, what = "accelerometer-up", f"column az has median {az:.2f} m/s2, but +9.8 is expected"
+    if 0.8 < abs(az) < 1.2:
+        code, columns = "accelerometer-unit", "ax, ay, az"
+        what, remedy = f"column az has median {az:.2f}, as if in g", f"multiply ax, ay, az by {GRAVITY}"
+    elif az < -0.7 * GRAVITY:
+        what = f"column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up"
+        remedy = "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
+    elif abs(az) < 0.2 * GRAVITY:
+        remedy = "check its unit and axis, or leave it out where gravity was already taken off"
+    elif abs(az - GRAVITY) > 0.2 * GRAVITY:
+        remedy = "check its unit and axis"
+    else:
+        return None
+    return Remark(code, "imu.csv", columns, what, remedy)
+
+
+def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
+    """The intervals of ``time`` (n,), s, that exceed ``limit``, such as `IMU_GAP`; None where none does."""
+    interval = np.diff(time)
+    usual = float(np.median(interval)) if interval.size else 0.0
+    count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
+    if not count:
+        return None
+    i = int(np.argmax(interval))
+    return Gaps(count, float(time[i]), float(interval[i]), usual)
+
+
+def _gaps(drive: Drive) -> Iterator[Remark]:
     """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
         "a filter crosses a gap in one step of its true length, driven by the sample at its end, with Q "
         "scaled by length / usual interval; if the vehicle maneuvered there, split the drive"
     )
     alone = "a filter runs on the IMU alone there; nothing to do if so meant"
-    found = [
-        (_gaps_in("imu.csv", drive.imu.time, IMU_GAP), crossed),
-        (_gaps_in("gps.csv", drive.gps.time, GPS_GAP), alone),
-    ]
+    unscored = "nothing is scored there; nothing to do if so meant"
+    sensors = [("imu", drive.imu.time, IMU_GAP, crossed), ("gps", drive.gps.time, GPS_GAP, alone)]
     if drive.truth is not None:
-        unscored = "nothing is scored there; nothing to do if so meant"
-        found.append((_gaps_in("truth.csv", drive.truth.time, GPS_GAP), unscored))
-    told = [(gaps, remedy) for gaps, remedy in found if gaps]
+        sensors.append(("truth", drive.truth.time, GPS_GAP, unscored))
+    found = [(name, gaps_in(time, limit), remedy) for name, time, limit, remedy in sensors]
+    told = [
+        (name, f"{g.count} gap{'s' if g.count > 1 else ''}, the longest {g.length:.2f} s after t = {g.start:.2f} s "
+         f"(usual interval {g.usual:.3f} s)", remedy)
+        for name, g, remedy in found if g
+    ]  # fmt: skip
     if told:
-        yield f"{'; '.join(gaps for gaps, _ in told)}; {told[0][1]}"
-
-
-def _gaps_in(file: str, time: Array, limit: tuple[float, float]) -> str:
-    """The intervals of ``time`` (n,), s, that exceed ``limit``; empty where none does."""
-    interval = np.diff(time)
-    usual = float(np.median(interval)) if interval.size else 0.0
-    count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
-    if not count:
-        return ""
-    i = int(np.argmax(interval))
-    return (
-        f"{file}: {count} gap{'s' if count > 1 else ''}, the longest {interval[i]:.2f} s "
-        f"after t = {time[i]:.2f} s (usual interval {usual:.3f} s)"
-    )
+        first, *rest = told
+        more = "".join(f"; {name}.csv: {gaps}" for name, gaps, _ in rest)
+        yield Remark(f"{first[0]}-gap", f"{first[0]}.csv", "t", first[1] + more, first[2])
 
 
 def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
     """Motion over consecutive windows as the fixes show it, beside the integral of an IMU column.
+
+    Windows without fixes are left out: there are never more of them than fixes, however far the times go.
 
     Returns
     -------
@@ -99,16 +228,25 @@ def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex12
         rad, the change of course from each window to the next.
     """
     imu, gps = drive.imu, drive.gps
-    knots = np.arange(max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1]), _WINDOW)
-    position = np.interp(knots, gps.time, gps.x) + 1j * np.interp(knots, gps.time, gps.y)
-    velocity = np.diff(position) / _WINDOW
+    start, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
+    window = np.unique(np.floor((gps.time[(gps.time >= start) & (gps.time <= end)] - start) / _WINDOW))
+    first = start + _WINDOW * window
+    first = first[first + _WINDOW < end]
+    at = np.stack([first, first + _WINDOW])
+    position = np.interp(at, gps.time, gps.x) + 1j * np.interp(at, gps.time, gps.y)
+    velocity = (position[1] - position[0]) / _WINDOW
     total = np.append(0.0, np.cumsum(body_rate[1:] * np.diff(imu.time)))
-    integral = np.diff(np.interp(knots[:-1] + _WINDOW / 2, imu.time, total))
+    integral = np.diff(np.interp(first + _WINDOW / 2, imu.time, total))
     return velocity, integral, wrap_angle(np.diff(np.angle(velocity)))
 
 
-def _angular_rate(drive: Drive) -> Iterator[str]:
-    """Whether gz is in deg/s: it then turns 57 times as far as the course does."""
+def impossible_rate(gz: Array) -> bool:
+    """True where a yaw rate gz (n,), rad/s, is beyond any car's."""
+    return bool(np.quantile(np.abs(gz), 0.99) > IMPOSSIBLE_RATE)
+
+
+def _angular_rate(drive: Drive) -> Iterator[Remark]:
+    """A column gz in deg/s: it turns 57 times as far as the course does."""
     velocity, turned, turn = _seen_by_fixes(drive, drive.imu.gz)
     moving = np.abs(velocity) > 4.0  # m/s; slower, the noise of the fixes makes the course
     both = moving[1:] & moving[:-1]
@@ -116,42 +254,19 @@ def _angular_rate(drive: Drive) -> Iterator[str]:
         # deviations, so that a gyro's bias does not count; at least 0.02 rad, as a straight road has no turns
         degrees = np.std(turned[both]) > 5 * max(float(np.std(turn[both])), 0.02)
     else:
-        degrees = np.quantile(np.abs(drive.imu.gz), 0.99) > 3.0  # rad/s: no car turns half round in a second
+        degrees = impossible_rate(drive.imu.gz)
     if degrees:
-        yield "imu.csv: column gz turns more than the course, as if in deg/s; multiply gx, gy, gz by pi/180"
+        what = "column gz turns more than the course, as if in deg/s"
+        yield Remark("gyro-unit", "imu.csv", "gz", what, "multiply gx, gy, gz by pi/180")
 
 
-def _gravity(imu: Imu) -> Iterator[str]:
-    """Whether gravity shows as +9.8 m/s2 on az and nowhere else."""
-    columns = {"ax": imu.ax, "ay": imu.ay, "az": imu.az}
-    median = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
-    level = max(("ax", "ay"), key=lambda name: abs(median[name]))
-    az = median.get("az", GRAVITY)
-    if abs(median[level]) > 0.7 * GRAVITY:
-        yield (
-            f"imu.csv: column {level} has median {median[level]:.2f} m/s2, gravity, which belongs on az; "
-            "exchange axes until x is forward, y left, z up"
-        )
-    elif 0.8 < abs(az) < 1.2:
-        yield f"imu.csv: column az has median {az:.2f}, as if in g; multiply ax, ay, az by {GRAVITY}"
-    elif az < -0.7 * GRAVITY:
-        yield (
-            f"imu.csv: column az has median {az:.2f} m/s2, but specific force is +9.8 at rest with z up; "
-            "turn the axes, or change the sign of ax, ay, az where the sensor reports the opposite"
-        )
-    elif abs(az - GRAVITY) > 0.2 * GRAVITY:
-        yield (
-            f"imu.csv: column az has median {az:.2f} m/s2, but +9.8 is expected; check its unit and axis, or "
-            "leave it out where gravity was already taken off"
-        )
-
-
-def _acceleration(drive: Drive) -> Iterator[str]:
-    """Without az to tell: whether ax is in g, and so explains a tenth of the changes of speed."""
+def _acceleration(drive: Drive) -> Iterator[Remark]:
+    """Without az to tell: a column ax in g, which explains a tenth of the changes of speed."""
     if drive.imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(drive, drive.imu.ax)
     change = np.abs(np.diff(np.abs(velocity)))
     strong = change > 2.0  # m/s, above what the fixes' noise makes
     if np.count_nonzero(strong) >= 3 and np.abs(gained[strong]).sum() < 0.3 * change[strong].sum():
-        yield f"imu.csv: column ax explains too little of the speed, as if in g; multiply ax, ay by {GRAVITY}"
+        what = "column ax explains too little of the speed, as if in g"
+        yield Remark("accelerometer-unit", "imu.csv", "ax, ay", what, f"multiply ax, ay by {GRAVITY}")

@@ -1,4 +1,4 @@
-"""What identifies a drive, whatever it is called and wherever it lies."""
+"""The identity of a drive, whatever it is called and wherever it lies."""
 
 import hashlib
 from typing import Any
@@ -20,7 +20,7 @@ class DriveRecord(BaseModel):
 
 
 def described(drive: Drive) -> dict[str, Any]:
-    """What identifies a drive: its name, size, and a fingerprint of its numbers."""
+    """The identity of a drive: its name, size, and a fingerprint of its numbers."""
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),

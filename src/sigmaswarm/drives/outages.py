@@ -16,7 +16,7 @@ SECONDS_PER_OUTAGE = 15.0
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
-    """Which fixes fall into an outage, both ends included.
+    """Mask of the fixes that fall into an outage, both ends included.
 
     Drift is judged at a window's end, and before any new fix: hence a fix right there is hidden too.
 

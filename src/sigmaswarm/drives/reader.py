@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from sigmaswarm.drives.checks import shortage_of, warnings_of
+from sigmaswarm.drives.checks import remarks_of, shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
 from sigmaswarm.drives.sheet import Sheet
-from sigmaswarm.errors import DriveError, SigmaswarmWarning
+from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
 
 Frame = Literal["enu", "wgs84"]
@@ -67,7 +67,9 @@ def read_drive(path: str | Path) -> Drive:
     Warns
     -----
     SigmaswarmWarning
-        Unknown columns (ignored), gaps, and values that look like other units or axes.
+        Unknown columns (ignored).
+    DriveWarning
+        Gaps, and values that look like other units or axes.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -76,26 +78,28 @@ def read_drive(path: str | Path) -> Drive:
     inside = [f.name for f in folder.iterdir() if (f / "imu.csv").exists()]
     if inside and not (folder / "imu.csv").exists():
         raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
-    remarks: list[str] = []
+    ignored: list[str] = []
     about = _read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
 
-    imu = Sheet.read(folder / "imu.csv").columns(*_IMU, remarks)
+    imu = Sheet.read(folder / "imu.csv").columns(*_IMU, ignored)
     sheet = Sheet.read(folder / "gps.csv")
     frame = _frame(about.pop("frame", None), folder, sheet.cells.columns)
-    gps = sheet.columns(*_GPS[frame], remarks)
+    gps = sheet.columns(*_GPS[frame], ignored)
     origin = about.pop("origin", None)
     if frame == "wgs84":
         origin = _place_on_plane(gps, origin)
     truth = None
     if (folder / "truth.csv").exists():
-        truth = Truth(**Sheet.read(folder / "truth.csv").columns(*_TRUTH, remarks))
+        truth = Truth(**Sheet.read(folder / "truth.csv").columns(*_TRUTH, ignored))
 
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about)
     if shortage := shortage_of(drive):
         raise DriveError(f"{folder}/{shortage}")
-    for message in [*remarks, *(f"{folder}/{w}" for w in warnings_of(drive))]:
+    for message in ignored:
         warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+    for remark in remarks_of(drive):
+        warnings.warn(DriveWarning(f"{folder}/{remark}", remark.code), stacklevel=2)
     return drive
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
+from sigmaswarm.forking import require_threads
 
 _NO_STD = "leave the column out where the receiver states no deviation"
 _RANGES: dict[str, tuple[float, float, str]] = {
@@ -39,6 +40,7 @@ class Sheet:
             raise DriveError(
                 f"{path} is missing; a drive needs it, with a header line and one row per sample"
             )
+        require_threads()
         try:
             cells = pl.read_csv(path, infer_schema=False)
         except pl.exceptions.NoDataError:

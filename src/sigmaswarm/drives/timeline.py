@@ -89,7 +89,7 @@ class Timeline:
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
-        """Whether the car is seen to stand at the step's end, (k,); found out only for a filter that asks."""
+        """Standstill at the step's end, (k,); found out only for a filter that asks."""
         return standing(self.drive)[self.sample]
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":

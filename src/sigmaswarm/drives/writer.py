@@ -10,6 +10,7 @@ import tomli_w
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
+from sigmaswarm.forking import require_threads
 
 FILES = frozenset({"imu.csv", "gps.csv", "truth.csv", "drive.toml"})
 """All that a drive's folder may hold for ``write_drive`` to replace it."""
@@ -41,6 +42,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     DriveError
         Something is there already, or the drive holds what the files can't.
     """
+    require_threads()
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
     texts = _texts(drive, folder)

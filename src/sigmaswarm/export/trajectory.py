@@ -16,6 +16,7 @@ from sigmaswarm.files import whole_file
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import STATE_NAMES
 from sigmaswarm.filters.run import Estimate
+from sigmaswarm.forking import require_threads
 from sigmaswarm.geodesy import enu_to_geodetic
 
 
@@ -140,6 +141,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
         if estimate.covariance.size:  # dead reckoning has none
             std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
             columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
+        require_threads()
         pl.DataFrame(columns).write_csv(file, include_header=number == 0)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol, cast
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.forking import require_threads
 from sigmaswarm.importing.source import Source
 
 READERS: dict[str, tuple[str, str]] = {
@@ -47,6 +48,7 @@ def open_log(path: Path, form: str | None = None) -> AbstractContextManager[Sour
     InputError
         Nothing is there, it is empty, or no format fits.
     """
+    require_threads()
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:

@@ -1,1 +1,1 @@
-"""What is checked: one file a subject, each with a function ``check`` from the evidence to findings."""
+"""The checks: one file a subject, each with a function ``check`` from the evidence to findings."""

@@ -1,16 +1,16 @@
-"""Whether ax and ay are what they claim: forward and left, in m/s2, along the car, free of gravity."""
+"""The accelerometers: axes, signs, unit and scale of ax and ay, mounting angle, gravity in them."""
 
 import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.confidence import confidence_by_margin, confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.sureness import sure_by, sure_of
-from sigmaswarm.doctor.turning import smoothed
+from sigmaswarm.doctor.findings import Finding, Repair, finding_of
 from sigmaswarm.doctor.verdicts import Mount
-from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.doctor.yaw_fit import smoothed
+from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array
 
 MOUNTING = (math.radians(5), math.radians(10))
@@ -27,15 +27,8 @@ LEAST_PUSH = 0.4
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the accelerometers."""
     imu = evidence.drive.imu
-    size = {name: abs(float(np.median(getattr(imu, name)))) for name in ("ax", "ay")}
-    up = max(size, key=size.__getitem__)
-    if size[up] > 0.7 * GRAVITY:
-        yield Finding(
-            "gravity-axis", "serious",
-            f"gravity stands on {up}, median {np.median(getattr(imu, up)):.2f} m/s2: {up} points up or down",
-            f"imu.csv, {up}", evidence.span, 0.999,
-            "exchange the axes of accelerometer and gyro until x is forward, y left, z up",
-        )  # fmt: skip
+    if wrong := gravity_on(imu):
+        yield finding_of(wrong, "serious", evidence.span, 0.999)
         return
     mount = evidence.mount
     if mount is not None:
@@ -62,7 +55,7 @@ def _axes(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         what = f"{what} (the drive shows only {'forward' if mount.known[0] else 'sideways'} acceleration)"
     yield Finding(
         "accelerometer-axes" if swapped else "accelerometer-sign",
-        "serious", what, "imu.csv, ax, ay", evidence.span, sure_by(mount.margin),
+        "serious", what, "imu.csv, ax, ay", evidence.span, confidence_by_margin(mount.margin),
         f"read ax as {forward} and ay as {left}" + (" and change the sign of az" if opposite else ""),
         Repair("accelerometer", (*axes.ravel().tolist(), -1.0 if opposite else 1.0)),
     )  # fmt: skip
@@ -79,7 +72,8 @@ def _unit(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         yield Finding(
             "accelerometer-unit", "serious",
             f"the accelerations are in g: the car's motion is {mount.unit * mount.scale[0][0]:.1f} times what ax says",
-            "imu.csv, ax, ay, az", evidence.span, sure_by(mount.margin), f"multiply ax, ay, az by {GRAVITY}",
+            "imu.csv, ax, ay, az", evidence.span, confidence_by_margin(mount.margin),
+            f"multiply ax, ay, az by {GRAVITY}",
             Repair("accelerometer", (GRAVITY, 0.0, 0.0, GRAVITY, GRAVITY)),
         )  # fmt: skip
 
@@ -95,7 +89,7 @@ def _mounting(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
         "mounting", "serious" if abs(angle) > MOUNTING[1] else "warning",
         f"the IMU is turned by {abs(degrees):.0f} deg (deviation {math.degrees(std):.0f}) to the {side} "
         "about the vertical",
-        "imu.csv, ax, ay", evidence.span, sure_of(angle / std), f"turn (ax, ay) by {degrees:+.0f} deg",
+        "imu.csv, ax, ay", evidence.span, confidence_of(angle / std), f"turn (ax, ay) by {degrees:+.0f} deg",
         Repair("accelerometer", (c, -s, s, c, 1.0)),
     )  # fmt: skip
 
@@ -108,7 +102,7 @@ def _scale(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
             yield Finding(
                 "accelerometer-scale", "warning",
                 f"the acceleration {name} is {scale:.2f} times what the IMU says (deviation {std:.2f})",
-                "imu.csv, ax, ay", evidence.span, sure_of((scale - 1) / std),
+                "imu.csv, ax, ay", evidence.span, confidence_of((scale - 1) / std),
                 "check the range setting, and whether the log was filtered",
             )  # fmt: skip
 
@@ -122,15 +116,15 @@ def _pushed(evidence: Evidence, mount: Mount) -> Array:
 
 
 def _gravity(evidence: Evidence) -> Iterator[Finding]:
-    """What is left over in ax, ay, on average, where the car's own motion is taken off."""
-    assert evidence.pushing is not None
-    leak = -np.median(evidence.pushing.bias, axis=0)
+    """The mean of ax, ay less the car's own motion."""
+    assert evidence.acceleration is not None
+    leak = -np.median(evidence.acceleration.bias, axis=0)
     size = float(np.hypot(*leak))
-    doubt = 2 * _bias_std(evidence)
-    if size < TILT[0] + doubt:
+    margin = 2 * _bias_std(evidence)
+    if size < TILT[0] + margin:
         return
     tilt = math.degrees(math.asin(min(size / GRAVITY, 1.0)))
-    serious = size > TILT[1] + doubt
+    serious = size > TILT[1] + margin
     carried = f"in ax, ay: {leak[0]:+.2f}, {leak[1]:+.2f} m/s2 that no motion explains"
     what = f"bias, or tilt of {tilt:.0f} deg, {carried}"
     if serious:
@@ -143,33 +137,28 @@ def _gravity(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _bias_std(evidence: Evidence) -> float:
-    """m/s2: how well fixes show a constant acceleration (a parabola's, over each window), twice, for M's doubts."""
+    """m/s2: how well fixes show a constant acceleration (a parabola's, over each window), doubled for M's own."""
     assert evidence.course is not None
-    assert evidence.pushing is not None
-    rows, time = evidence.pushing.rows, evidence.course.time
+    assert evidence.acceleration is not None
+    rows, time = evidence.acceleration.rows, evidence.course.time
     length = float(np.median(time[rows[:, -1]] - time[rows[:, 0]]))
     parabola = evidence.scatter * math.sqrt(720 / rows.shape[1]) / length**2
     return 2 * parabola * math.sqrt(2 / len(rows))
 
 
 def _upward(evidence: Evidence) -> Iterator[Finding]:
-    """az, which planar filters do not use, tells of other faults."""
-    az, mount = evidence.drive.imu.az, evidence.mount
-    if az is None:
+    """Faults that az shows, which planar filters do not use."""
+    imu, mount = evidence.drive.imu, evidence.mount
+    wrong = gravity_up(imu, mount.unit if mount else 1.0)
+    if imu.az is None or wrong is None:
         return
-    up = float(np.median(az)) * (mount.unit if mount else 1.0)
+    up = float(np.median(imu.az))
     if mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
         return  # told there
-    code, sure, where = "accelerometer-up", 0.99, "imu.csv, az"
-    if up < -0.7 * GRAVITY:
-        what, remedy = f"the median of az is {up:.2f} m/s2, but +9.8 with z up", "change the sign of az"
-        fix = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0))
-        yield Finding(code, "warning", what, where, evidence.span, sure, remedy, fix)
-    elif abs(up) < 0.2 * GRAVITY and not 0.8 < abs(up) < 1.2:
-        what = f"the median of az is {up:.2f} m/s2: gravity was taken off"
-        yield Finding(
-            code, "note", what, where, evidence.span, sure, "nothing to do: filters here do not use az"
-        )
-    elif abs(up - GRAVITY) > 0.2 * GRAVITY:
-        what = f"the median of az is {up:.2f} m/s2, but +9.8 at rest"
-        yield Finding(code, "warning", what, where, evidence.span, sure, "check its unit and axis")
+    if wrong.code == "accelerometer-unit":
+        if mount is None or not any(mount.known):  # else the motion tells, and better
+            yield finding_of(wrong, "warning", evidence.span, 0.9)
+        return
+    free = abs(up) < 0.2 * GRAVITY  # gravity was taken off, and nothing is lost
+    sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
+    yield finding_of(wrong, "note" if free else "warning", evidence.span, 0.99, sign)

@@ -1,27 +1,26 @@
-"""Whether IMU and GPS share one clock."""
+"""The offset between the clocks of IMU and GPS."""
 
 from collections.abc import Iterator
 
+from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.sureness import sure_of
+from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
 
-LEAST = 0.1
-"""s: less does not show behind a receiver's noise."""
 GRAVE = 0.3
 """s: more is worth meters."""
-CLEAR = (2.5, 3.3, 4.5)
-"""Deviations: from the first on a note, from the second on a warning and a repair, from the third on serious."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the clocks' offset."""
+    """Findings about the clocks' offset: what it is, or how large it would have to be to be seen."""
     late, std = evidence.clock.late, evidence.clock.std
-    if abs(late) < max(LEAST, CLEAR[0] * std):
+    if abs(late) < evidence.clock.least:
+        if evidence.drives:
+            yield _unseen(evidence)
         return
-    clear = abs(late) > CLEAR[1] * std
+    clear = abs(late) > CLEAR_OFFSET[1] * std
     severity = "warning" if clear else "note"
-    if abs(late) > max(GRAVE, CLEAR[2] * std):
+    if abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std):
         severity = "serious"
     size, way, move = (
         f"{abs(late):.2f} s",
@@ -34,7 +33,20 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         f"the fixes {'are' if clear else 'may be'} {size} {way} against the IMU (deviation {std:.2f} s)",
         "gps.csv, t",
         evidence.span,
-        sure_of(late / std),
+        confidence_of(late / std),
         move.format(size) + " the fixes' times" + ("" if clear else " if other drives say so too"),
         Repair("shift-fixes", (-late,)) if clear else None,
     )
+
+
+def _unseen(evidence: Evidence) -> Finding:
+    visible = evidence.clock.visible
+    how = (
+        "of any size could hide here"
+        if visible is None
+        else f"below {visible:.2f} s would not have been seen"
+    )
+    return Finding(
+        "unseen-clock", "note", f"an offset between the clocks of IMU and GPS {how}", "gps.csv, t",
+        evidence.span, 0.95, "use a drive with turns, starts and stops to see less",
+    )  # fmt: skip

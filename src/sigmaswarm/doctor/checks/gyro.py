@@ -1,19 +1,18 @@
-"""Whether gz is the yaw rate, in rad/s, positive to the left."""
+"""The gyro: column, sign, unit, scale and bias of the yaw rate."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.acceleration_fit import drift_of
+from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.pushing import drift_of
-from sigmaswarm.doctor.sureness import sure_of
 from sigmaswarm.doctor.verdicts import DEGREE
+from sigmaswarm.drives.checks import IMPOSSIBLE_RATE, impossible_rate
 
-IMPOSSIBLE = 3.0
-"""rad/s: no car turns half round in a second."""
 WRONG = 0.1
-"""How far a believable gain may stray from 1."""
+"""Deviation of a gain from 1 that is worth a warning."""
 LEAST_TURN = np.radians(1.0)
 """rad within some seconds; less is the course of a car that sways, not turns."""
 BIAS = (np.radians(0.1), np.radians(1.0))
@@ -22,31 +21,41 @@ BIAS = (np.radians(0.1), np.radians(1.0))
 
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the gyro."""
-    yaw, turning = evidence.yaw, evidence.turning
-    if turning is None or not yaw.known:
+    yaw, yaw_fit = evidence.yaw, evidence.yaw_fit
+    if yaw_fit is None or not yaw.known:
         yield from _by_size(evidence)
         return
-    where, span, sure = f"imu.csv, {yaw.column}", evidence.span, sure_of(turning.gain / turning.std / 6 * 3)
-    seen = f"course = {turning.gain:.3g} x integral of {yaw.column}, deviation {turning.std:.2g}"
+    where, span, confidence = (
+        f"imu.csv, {yaw.column}",
+        evidence.span,
+        confidence_of(yaw_fit.gain / yaw_fit.std / 6 * 3),
+    )
+    seen = f"course = {yaw_fit.gain:.3g} x integral of {yaw.column}, deviation {yaw_fit.std:.2g}"
     if yaw.column != "gz":
         remedy = f"exchange columns {yaw.column} and gz"
         what = f"column {yaw.column}, not gz, turns as the car does ({seen})"
         index = float("xyz".index(yaw.column[1]))
-        yield Finding("gyro-axis", "serious", what, where, span, sure, remedy, Repair("gyro", (index, 1.0)))
+        yield Finding(
+            "gyro-axis", "serious", what, where, span, confidence, remedy, Repair("gyro", (index, 1.0))
+        )
     if abs(yaw.factor) != 1:
         what = f"the angular rates are in deg/s ({seen})"
         remedy = "multiply gx, gy, gz by pi/180"
-        yield Finding("gyro-unit", "serious", what, where, span, sure, remedy, Repair("gyro", (2.0, DEGREE)))
+        yield Finding(
+            "gyro-unit", "serious", what, where, span, confidence, remedy, Repair("gyro", (2.0, DEGREE))
+        )
     if yaw.factor < 0:
         what = f"the yaw rate has the wrong sign: it must be positive in a left turn ({seen})"
         remedy = "change the sign of gz"
-        yield Finding("gyro-sign", "serious", what, where, span, sure, remedy, Repair("gyro", (2.0, -1.0)))
-    off = turning.gain / yaw.factor - 1
-    turns = turning.course_change > LEAST_TURN
-    if turns and abs(off) > WRONG and abs(off) > 4 * turning.std / abs(yaw.factor):
+        yield Finding(
+            "gyro-sign", "serious", what, where, span, confidence, remedy, Repair("gyro", (2.0, -1.0))
+        )
+    off = yaw_fit.gain / yaw.factor - 1
+    turns = yaw_fit.course_change > LEAST_TURN
+    if turns and abs(off) > WRONG and abs(off) > 4 * yaw_fit.std / abs(yaw.factor):
         what = f"the car turns {1 + off:.2f} times as far as the gyro says"
         yield Finding(
-            "gyro-scale", "warning", what, where, span, sure_of(4), "check the gyro's range setting"
+            "gyro-scale", "warning", what, where, span, confidence_of(4), "check the gyro's range setting"
         )
     yield from _bias(evidence)
 
@@ -54,8 +63,10 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 def _by_size(evidence: Evidence) -> Iterator[Finding]:
     """Where the course tells nothing, at least a rate that no car can have."""
     gz = evidence.drive.imu.gz
-    if float(np.quantile(np.abs(gz - np.median(gz)), 0.99)) > IMPOSSIBLE:
-        what = f"the yaw rate gz is above {IMPOSSIBLE:g} rad/s, as if in deg/s; the course does not show it"
+    if impossible_rate(gz - np.median(gz)):
+        what = (
+            f"the yaw rate gz is above {IMPOSSIBLE_RATE:g} rad/s, as if in deg/s; the course does not show it"
+        )
         yield Finding(
             "gyro-unit", "warning", what, "imu.csv, gz", evidence.span, 0.9,
             "look up the unit; multiply gx, gy, gz by pi/180 if it is deg/s",

@@ -1,13 +1,13 @@
-"""What the receiver says of itself against what it does: stated deviation, outliers."""
+"""The receiver's stated deviation against the fixes' scatter, and outliers."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
+from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.pushing import LEAST_NOISE
-from sigmaswarm.doctor.sureness import sure_of
 
 TOO_SMALL = 2.0
 """Observed noise over the stated one."""
@@ -43,10 +43,10 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     limit = TOO_LARGE if white else TOO_LARGE_IF_SLOW
     if noise - unseen > TOO_SMALL * stated:
         how = "smaller than"
-        sure = sure_of(3 + noise / stated / TOO_SMALL)
+        confidence = confidence_of(3 + noise / stated / TOO_SMALL)
     elif stated > limit * scatter:
         how = "larger than"
-        sure = sure_of(2 * stated / limit / scatter)
+        confidence = confidence_of(2 * stated / limit / scatter)
     else:
         return
     factor = max(stated / scatter, scatter / stated)
@@ -57,7 +57,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         f"{scatter:.2g} m per axis",
         where,
         evidence.span,
-        sure,
+        confidence,
         f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show",
         Repair("state-noise", (scatter,)),
     )

@@ -1,50 +1,67 @@
-"""What this drive can't show, so that nobody takes silence for health."""
+"""The limits of this drive: what its fixes don't show, so that nobody takes silence for health."""
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
+from sigmaswarm.doctor.yaw_fit import LATENESS
 
 MORE = "use a drive with turns, starts and stops to check it"
-CLOCK_STD = 0.1
-"""s."""
+ABOVE_NOISE = 3.0
+"""Deviations of the course by which it changes, RMS within windows, where it turns for sure."""
+LEAST_TURN = np.radians(5.0)
+"""rad: less is the course of a car that sways."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about what can't be found."""
-    span, turning = evidence.span, evidence.turning
-    if evidence.course is None or not evidence.course.moving.any():
+    """Findings about what can't be found. They say what the fixes show, not what the car did."""
+    span = evidence.span
+    if not evidence.drives:
         yield Finding(
             "unseen-motion", "warning",
-            "the car hardly drives: neither heading nor axes, units or clocks can be checked",
+            "the fixes don't show the car drive: neither heading nor axes, units or clocks can be checked",
             "gps.csv", span, 0.99, "use a longer drive, or one that gets up to speed",
         )  # fmt: skip
         return
     if not evidence.yaw.known:
-        turned = (
-            f"by {np.degrees(turning.course_change):.1f} deg within 20 s" if turning else "too short a time"
-        )
-        yield Finding(
-            "unseen-yaw", "warning",
-            f"the car hardly turns{turned}: sign and unit of gz can't be checked, "
-            "and the gyro's bias and heading errors hardly show",
-            "imu.csv, gz", span, 0.95, MORE,
-        )  # fmt: skip
+        yield _unseen_yaw(evidence)
     known = evidence.mount.known if evidence.mount else (False, False)
-    for axis, seen, how in zip(("ax", "ay"), known, ("changes speed", "corners"), strict=True):
+    for axis, seen, motion in zip(("ax", "ay"), known, ("changes of speed", "cornering"), strict=True):
         if not seen:
             yield Finding(
-                f"unseen-{axis}", "note", f"the car hardly {how}: sign, unit and bias of {axis} can't be checked",
+                f"unseen-{axis}", "note",
+                f"the fixes hardly show {motion}: sign, unit and bias of {axis} can't be checked",
                 f"imu.csv, {axis}", span, 0.95, MORE,
             )  # fmt: skip
-    if evidence.clock.std > CLOCK_STD:
-        how = (
-            f"to better than {3 * evidence.clock.std:.1f} s"
-            if math.isfinite(evidence.clock.std)
-            else "at all"
+
+
+def _unseen_yaw(evidence: Evidence) -> Finding:
+    """A gyro that can't be checked: no turn shows, or one shows that no column of the gyro follows."""
+    course, fit = evidence.course, evidence.yaw_fit
+    assert course is not None
+    unchecked = "sign and unit of gz can't be checked, and the gyro's bias and heading errors hardly show"
+    place, remedy = "imu.csv, gz", MORE
+    moving = course.moving
+    interval = float(np.median(np.diff(course.time)))
+    shown = (
+        f"the course shows for {np.count_nonzero(moving) * interval:.0f} of {np.ptp(course.time):.0f} s, "
+        f"where the car is faster than {course.slowest:.1f} m/s"
+    )
+    if fit is None:
+        what = f"{shown}, and nowhere for long enough: {unchecked}"
+    elif fit.course_change > max(
+        LEAST_TURN, ABOVE_NOISE * course.std / np.median(np.abs(course.velocity[moving]))
+    ):
+        what = (
+            f"the course changes by {np.degrees(fit.course_change):.0f} deg within 20 s, and no column of the gyro "
+            f"follows it: {unchecked}"
         )
-        what = f"an offset between the clocks of IMU and GPS can't be seen {how}"
-        yield Finding("unseen-clock", "note", what, "gps.csv, t", span, 0.95, MORE)
+        remedy = f"look up the gyro's unit, and the clocks, where offsets beyond {LATENESS[-1]:.1f} s are not tried"
+    else:
+        what = (
+            f"{shown}, and there it changes by {np.degrees(fit.course_change):.1f} deg within 20 s; "
+            f"slower turns don't show: {unchecked}"
+        )
+    return Finding("unseen-yaw", "warning", what, place, evidence.span, 0.95, remedy)

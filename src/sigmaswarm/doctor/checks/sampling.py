@@ -6,7 +6,7 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP
+from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
 from sigmaswarm.drives.drive import Array, Imu
 
 SLOW_IMU = 8.0
@@ -36,28 +36,6 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield from _stale(evidence)
 
 
-def time_unit(imu: Array, gps: Array) -> Finding | None:
-    """One sensor's times in ms, us or ns: it lasts a thousand, million or billion times as long as the other."""
-    lengths = float(np.ptp(imu)), float(np.ptp(gps))
-    if min(lengths) <= 0:
-        return None
-    powers = float(np.log10(lengths[0] / lengths[1]))
-    power = round(abs(powers))
-    unit = {3: "ms", 6: "us", 9: "ns"}.get(power)
-    if unit is None or abs(abs(powers) - power) > 0.2:
-        return None
-    file = "imu.csv" if powers > 0 else "gps.csv"
-    return Finding(
-        "time-unit",
-        "serious",
-        f"the IMU's samples last {lengths[0]:.4g} s and the fixes {lengths[1]:.4g} s, as if t were in {unit}",
-        f"{file}, t",
-        (float(imu[0]), float(imu[-1])),
-        1.0,
-        f"divide t of {file} by 1e{power}; in an import say so with --time or --map, as in t=stamp*1e-{power}",
-    )
-
-
 def _rate(sensor: str, time: Array) -> Finding:
     interval = np.diff(time)
     usual = float(np.median(interval))
@@ -75,16 +53,14 @@ def _rate(sensor: str, time: Array) -> Finding:
 
 
 def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> Iterator[Finding]:
-    interval = np.diff(time)
-    usual = float(np.median(interval))
-    count = int(np.count_nonzero(interval > max(limit[0] * usual, limit[1])))
-    if count:
-        i = int(np.argmax(interval))
-        many = f"{count} gaps, the longest" if count > 1 else "a gap of"
-        what = f"{many} {interval[i]:.2g} s (usual interval {usual:.3g} s)"
-        span = float(time[i]), float(time[i + 1])
-        severity = "warning" if sensor == "imu" and interval[i] > LONG_GAP else "note"
-        yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
+    gaps = gaps_in(time, limit)
+    if gaps is None:
+        return
+    span = gaps.start, gaps.start + gaps.length
+    many = f"{gaps.count} gaps, the longest" if gaps.count > 1 else "a gap of"
+    what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
+    severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
+    yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
 
 
 def _held(imu: Imu) -> Iterator[Finding]:

@@ -7,8 +7,8 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.turning import smoothed
 from sigmaswarm.doctor.verdicts import FAMILIAR
+from sigmaswarm.doctor.yaw_fit import smoothed
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.geodesy import wrap_angle
 
@@ -18,7 +18,7 @@ CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "rad clockwise from north": lambda c: math.pi / 2 - c,
     "deg counter-clockwise from east": np.radians,
 }
-"""What a course may be instead of rad counter-clockwise from east."""
+"""Other conventions of a course than rad counter-clockwise from east."""
 ALIKE = math.radians(15)
 LATE = 0.2
 """s of delay worth a warning."""
@@ -68,7 +68,7 @@ def _convention(angle: Array, direction: Array, span: tuple[float, float]) -> It
 
 
 def _delay(evidence: Evidence, speed: Array) -> Iterator[Finding]:
-    """Whether speed and course belong to an earlier moment than the positions beside them."""
+    """A delay of speed and course against the positions of the same rows."""
     gps, course = evidence.drive.gps, evidence.course
     assert gps.course is not None
     assert course is not None

@@ -1,4 +1,4 @@
-"""The gyro beside the course: which of its columns turns as the car does, how far, and when."""
+"""Regression of the course on the integrated gyro: column, gain, and the fixes' delay."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ LATENESS = np.arange(-2.5, 2.51, 0.1)
 
 
 @dataclass(frozen=True, eq=False)
-class Turning:
+class YawFit:
     """A fit of the course to one of the gyro's columns, integrated: course = gain x turned, later by ``late``.
 
     Attributes
@@ -71,7 +71,7 @@ def smoothed(time: Array, values: Array | Complex, at: Array, span: float) -> Ar
     return np.einsum("nk,k->n", np.interp(points, time, values), _PARABOLA)
 
 
-def turning_of(drive: Drive, course: Course) -> Turning | None:
+def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
     """The fit of the column that explains the course best; None where the car hardly drives."""
     interval = float(np.median(np.diff(course.time)))
     rows = windows_of(
@@ -89,7 +89,7 @@ def turning_of(drive: Drive, course: Course) -> Turning | None:
     return better if better.share > own.share + CLEARLY_BETTER else own
 
 
-def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> Turning:
+def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> YawFit:
     """Course = gain x (turned until ``late`` s ago) + each window's own straight line."""
     time = drive.imu.time
     rate: Array = getattr(drive.imu, column)
@@ -126,7 +126,7 @@ def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> T
     def power(r: Regression) -> float:
         return float(np.sum(np.abs(weight * r.residual) ** 2))
 
-    return Turning(
+    return YawFit(
         column,
         float(fit.solution[0]),
         float(np.sqrt(fit.covariance[0, 0])),

@@ -1,4 +1,4 @@
-"""The accelerometers beside the path: how they are mounted, scaled and tilted, and how late the fixes are.
+"""Regression of the path on the accelerations, forward and lateral: mounting, scale, tilt, and the fixes' delay.
 
 Within a window of some seconds the path is that of the IMU, integrated from an unknown start:
 
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.doctor.fixes import Complex, Course, white_noise
-from sigmaswarm.doctor.turning import integral, smoothed
 from sigmaswarm.doctor.windows import Regression, regress, windows_of
+from sigmaswarm.doctor.yaw_fit import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 10.0
@@ -29,13 +29,15 @@ LEAST_NOISE = 0.03
 """m: no IMU follows a path over some seconds more closely."""
 Heading = Callable[[float], Array]
 
+LATENESS = np.arange(-0.8, 0.81, 0.1)
+"""s by which fixes may be later than the gyro says, tried one after the other."""
 DRIFT_SPAN = 6.0
 BIN = 3.0
 """s: gyro and course are brought together over a bell of that deviation, in bins of that length."""
 
 
 @dataclass(frozen=True, eq=False)
-class Pushing:
+class AccelerationFit:
     """The fit.
 
     Attributes
@@ -93,13 +95,13 @@ def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
     return float(np.median(slope))
 
 
-def pushing_of(drive: Drive, course: Course, heading: Heading, coarse: float) -> Pushing | None:
+def fit_acceleration(drive: Drive, course: Course, heading: Heading, coarse: float) -> AccelerationFit | None:
     """Fit; ``heading(late)`` gives theta at the IMU's times, ``coarse`` is where to look for ``late``, s."""
     rows = _windows(drive, course)
     if not len(rows):
         return None
     fit = _Fit(drive, course, heading, rows, max(white_noise(course.time, course.position), LEAST_NOISE))
-    tried = coarse + np.arange(-0.8, 0.81, 0.1)
+    tried = coarse + LATENESS
     late = float(tried[int(np.argmin([fit.at(float(late), rounds=1).cost for late in tried]))])
     step = 0.0
     for k in range(10):
@@ -112,7 +114,7 @@ def pushing_of(drive: Drive, course: Course, heading: Heading, coarse: float) ->
         fit.learn(found, late)
     found = fit.at(late)
     fit.learn(found, late)
-    return Pushing(
+    return AccelerationFit(
         found.solution[:4].reshape(2, 2),
         found.covariance * (1 + FEW / len(rows)),
         late,
