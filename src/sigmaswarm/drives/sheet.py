@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -24,6 +25,11 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 """Lowest and highest value allowed in a column, and the remedy."""
 
 
+def one_file(path: Path) -> dict[str, Any]:
+    """Arguments for polars' readers that name this one file: neither a pattern, run[1], nor a home, ~."""
+    return {"source": path.absolute(), "glob": False}
+
+
 @dataclass(frozen=True)
 class Sheet:
     """A CSV file's cells, still text (None where empty), and the file's line (n,) that each row stands on."""
@@ -40,7 +46,7 @@ class Sheet:
                 f"{path} is missing; a drive needs it, with a header line and one row per sample"
             )
         try:
-            cells = pl.read_csv(path, infer_schema=False)
+            cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
             raise _empty(path) from None
         except pl.exceptions.ComputeError:

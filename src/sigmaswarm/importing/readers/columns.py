@@ -7,6 +7,7 @@ from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles
 from sigmaswarm.importing.source import Batch, Choice, Guess, Source, Table, first_bytes
@@ -80,10 +81,10 @@ def scan(file: Path) -> pl.LazyFrame:
     """A table file, not yet read; the kinds of a CSV's columns are found over all its rows."""
     try:
         if first_bytes(file, 4) == b"PAR1":
-            frame = pl.scan_parquet(file)
+            frame = pl.scan_parquet(**one_file(file))
         else:
             frame = pl.scan_csv(
-                file, separator=_separator(file), infer_schema_length=None, comment_prefix="#"
+                **one_file(file), separator=_separator(file), infer_schema_length=None, comment_prefix="#"
             )
         names = frame.collect_schema().names()
     except (pl.exceptions.PolarsError, OSError) as error:

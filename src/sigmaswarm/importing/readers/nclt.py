@@ -11,6 +11,7 @@ from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.readers.columns import ColumnFiles, broken_table
 from sigmaswarm.importing.source import Guess, Part, Role, Source, Table
@@ -54,7 +55,9 @@ def open_log(path: Path) -> Generator[Source]:
     for role, (pattern, columns, expressions) in FILES.items():
         for file in sorted(path.glob(pattern))[:1]:
             kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns}
-            scans[file.name] = pl.scan_csv(file, has_header=False, schema=kinds, null_values=["nan", "NaN"])
+            scans[file.name] = pl.scan_csv(
+                **one_file(file), has_header=False, schema=kinds, null_values=["nan", "NaN"]
+            )
             _require_rows(file, scans[file.name])
             roles[role] = (Part(file.name, expressions),)
     tables = {name: Table(tuple(scan.collect_schema().names()), "NCLT") for name, scan in scans.items()}

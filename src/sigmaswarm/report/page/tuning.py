@@ -165,7 +165,7 @@ def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
         "median_cost": pl.Float64(),
     }
     try:
-        history = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
+        history = pl.read_csv(path, glob=False, schema_overrides=numbers).select(list(numbers))
     except (pl.exceptions.PolarsError, OSError):
         raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
     traces: list[dict[str, Any]] = []
