@@ -15,6 +15,8 @@ Values = dict[str, Array]
 
 LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
+TURNS = {"course": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
+"""The columns that are angles, and a whole turn of each: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 
@@ -36,11 +38,34 @@ def join(
         for name, column in other.items():
             known = np.isfinite(column)
             if known.any():
-                added = values.get(name[1:], 0.0) if name.startswith("+") else 0.0
-                values[name.removeprefix("+")] = added + np.interp(
-                    (time - since) / SECOND, (other_time[known] - since) / SECOND, column[known]
+                target = name.removeprefix("+")
+                added = values.get(target, 0.0) if name.startswith("+") else 0.0
+                values[target] = added + _between(
+                    (time - since) / SECOND,
+                    (other_time[known] - since) / SECOND,
+                    column[known],
+                    TURNS.get(target),
                 )
     return _complete_rows(time, values, role, required, say)
+
+
+def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
+    """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
+
+    An angle that its neighbors have within half a turn stays there; others, unwrapped or no angle at all, stay near
+    their neighbors, so that a wrong unit is still seen.
+    """
+    if turn is None:
+        return np.interp(time, known, values)
+    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    after = np.minimum(before + 1, len(known) - 1)
+    apart = values[after] - values[before]
+    apart -= turn * np.round(apart / turn)
+    length = np.where(after > before, known[after] - known[before], 1.0)
+    share = np.clip((time - known[before]) / length, 0.0, 1.0)
+    angle = values[before] + share * apart
+    wraps = (np.abs(angle) > turn / 2) & (np.abs(values[before]) <= turn / 2)
+    return np.where(wraps, angle - np.copysign(turn, angle), angle)
 
 
 def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
