@@ -55,7 +55,9 @@ def joined(folder: Path, recipe: str):
 
 def test_course_across_its_wrap(circle: Path):
     write(circle, "velocity.csv", t=BESIDE, speed=10 + 0 * BESIDE, course=wrap_angle(RATE * BESIDE))
-    recipe = 'x = "x"\ny = "y"\n[[gps]]\ntable = "velocity.csv"\nt = "t"\nspeed = "speed"\ncourse = "course"\n'
+    recipe = (
+        'x = "x"\ny = "y"\n[[gps]]\ntable = "velocity.csv"\nt = "t"\nspeed = "speed"\ncourse = "course"\n'
+    )
     gps = joined(circle, recipe).gps
     assert len(gps) > 90 and np.abs(np.diff(gps.course)).max() > 6  # it does wrap
     np.testing.assert_allclose(wrap_angle(gps.course - RATE * gps.time), 0, atol=1e-12)
@@ -81,7 +83,9 @@ def test_longitude_across_180(circle: Path):
     away = (gps.lon - longitude(gps.time) + 180) % 360 - 180
     np.testing.assert_allclose(away, 0, atol=1e-12)
     assert np.abs(gps.lon).max() <= 180
-    np.testing.assert_allclose(np.diff(gps.x) / np.diff(gps.time), 9.59, atol=0.01)  # 9e-5 deg/s at 17 deg south
+    np.testing.assert_allclose(
+        np.diff(gps.x) / np.diff(gps.time), 9.59, atol=0.01
+    )  # 9e-5 deg/s at 17 deg south
 
 
 def test_what_is_no_degrees_stays_so_and_is_refused(circle: Path):

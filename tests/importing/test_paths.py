@@ -43,7 +43,9 @@ def test_a_table_is_read_from_the_file_that_is_named(tmp_path: Path, name: str, 
 
     for i, file in enumerate(("run1", name)):
         drive = make_drive(duration=20, seed=i, gps_rate=100.0)
-        table = pl.DataFrame({"t": drive.imu.time, "ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz})
+        table = pl.DataFrame(
+            {"t": drive.imu.time, "ax": drive.imu.ax, "ay": drive.imu.ay, "gz": drive.imu.gz}
+        )
         table = table.with_columns(x=10 * pl.col("t"), y=2 * pl.col("t"))
         write = table.write_csv if suffix == "csv" else table.write_parquet
         write(tmp_path / f"{file}.{suffix}")

@@ -24,6 +24,9 @@ GRAVITY = 9.80665
 _WINDOW = 5.0
 """s over which fixes give speed and course: long enough for metres of noise, short enough for turns."""
 
+_SPARSEST = 1000.0
+"""Windows a fix: more of them mean times that are in no seconds, or a corrupt one, and nothing can be seen."""
+
 
 def shortage_of(drive: Drive) -> str | None:
     """What a drive lacks to be of use, as a sentence: time that IMU and GPS share, or samples of either."""
@@ -44,6 +47,7 @@ def shortage_of(drive: Drive) -> str | None:
     return None
 
 
+@np.errstate(all="ignore")  # values at the ends of the number range are the doctor's to tell
 def warnings_of(drive: Drive) -> list[str]:
     """What looks wrong about a drive, each as a sentence that names the file and the remedy.
 
@@ -99,8 +103,13 @@ def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex12
         rad, the change of course from each window to the next.
     """
     imu, gps = drive.imu, drive.gps
-    knots = np.arange(max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1]), _WINDOW)
+    begin, end = max(imu.time[0], gps.time[0]), min(imu.time[-1], gps.time[-1])
+    if end - begin > _SPARSEST * _WINDOW * len(gps):
+        end = begin
+    knots = np.arange(begin, end, _WINDOW)
     position = np.interp(knots, gps.time, gps.x) + 1j * np.interp(knots, gps.time, gps.y)
+    if len(knots) < 2:
+        return np.zeros(0, np.complex128), np.zeros(0), np.zeros(0)
     velocity = np.diff(position) / _WINDOW
     total = np.append(0.0, np.cumsum(body_rate[1:] * np.diff(imu.time)))
     integral = np.diff(np.interp(knots[:-1] + _WINDOW / 2, imu.time, total))

@@ -9,6 +9,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Columns
 from sigmaswarm.importing.source import Role
+from sigmaswarm.wording import shown
 
 Say = Callable[[str], None]
 Values = dict[str, Array]
@@ -33,6 +34,8 @@ def join(
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
             say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+        if not inside.any():
+            raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         since = other_time[0] if len(other_time) else 0
         for name, column in other.items():
@@ -70,7 +73,7 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
 
 def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
     """A part's rows with their times strictly increasing."""
-    table = part.part.table
+    table = shown(part.part.table)
     if part.unkept:
         say(
             f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {part.part.columns['keep']} is not true"
@@ -79,7 +82,10 @@ def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
     time, values = part.time, part.values
     if not len(time):
-        raise InputError(f"the {role}: {table} holds no usable row; --show shows what it holds")
+        why = "no usable row; --show shows what it holds"
+        if part.timeless:
+            why = "no time within 292 years of 1970; say its column and unit with --time"
+        raise InputError(f"the {role}: {table} holds {why}")
     if np.any(np.diff(time) < 0):
         say(
             f"{role}: {int(np.count_nonzero(np.diff(time) < 0))} rows of {table} came out of order; sorted by time"
@@ -118,7 +124,11 @@ def _complete_rows(
                 say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
             for other in gone:
                 values.pop(other, None)
-    full = np.all([np.isfinite(v) for v in values.values()], axis=0)
+    full = np.all([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+    if not full.any():
+        raise InputError(
+            f"the {role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
+        )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
         say(f"{role}: {left} rows with an empty cell left out")

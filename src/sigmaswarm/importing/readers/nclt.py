@@ -13,8 +13,9 @@ import polars as pl
 
 from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import ColumnFiles, broken_table
-from sigmaswarm.importing.source import Guess, Part, Role, Source, Table
+from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readers.columns import ColumnFiles, collect, tables_of
+from sigmaswarm.importing.source import Guess, Part, Role, Source
 
 ORIGIN = (42.293227, -83.709657, 270.0)
 """Latitude, longitude (deg) and altitude (m) of the truth's frame."""
@@ -48,7 +49,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open the files, which have no header lines; the truth may lie beside them."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
@@ -58,21 +59,15 @@ def open_log(path: Path) -> Generator[Source]:
             scans[file.name] = pl.scan_csv(
                 **one_file(file), has_header=False, schema=kinds, null_values=["nan", "NaN"]
             )
-            _require_rows(file, scans[file.name])
+            if not len(collect(scans[file.name].head(10), file, file.name)):
+                raise InputError(f"{file} is empty; unpack the session again")
             roles[role] = (Part(file.name, expressions),)
-    tables = {name: Table(tuple(scan.collect_schema().names()), "NCLT") for name, scan in scans.items()}
     notes = (
         "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
     )
     yield ColumnFiles(
-        path, scans, tables, Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
+        path,
+        scans,
+        tables_of(scans, "NCLT"),
+        Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"}),
     )
-
-
-def _require_rows(file: Path, scan: pl.LazyFrame) -> None:
-    try:
-        rows = scan.head(10).collect()
-    except pl.exceptions.PolarsError as error:
-        raise broken_table(file, file.name, error) from None
-    if not len(rows):
-        raise InputError(f"{file} is empty; unpack the session again")
