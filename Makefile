@@ -3,14 +3,16 @@
 # make check     the checks beside the tests: style, types, layers
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
 # make parity    how closely the filters agree, over a whole drive
+# make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30
 # make notebook  execute examples/paper.ipynb and keep its outputs in it
 
 PYTHON ?= python3
+MINUTES ?= 30
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check bench parity notebook clean
+.PHONY: demo test check bench parity fuzz notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
@@ -29,6 +31,9 @@ bench: $(VENV)/bench-installed
 
 parity: $(VENV)/test-installed
 	$(BIN)/python benchmarks/parity.py
+
+fuzz: $(VENV)/test-installed
+	cd tests && ../$(BIN)/python -m fuzzing --minutes $(MINUTES) --found ../fuzz-found
 
 notebook: $(VENV)/test-installed
 	$(BIN)/python examples/execute.py examples/paper.ipynb

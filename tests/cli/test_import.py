@@ -219,3 +219,44 @@ def test_help_names_every_format(sigmaswarm: Command):
     said = " ".join(sigmaswarm("import", "--help").out.split())
     for name in READERS:
         assert name in said
+
+
+def test_no_drive_is_written_that_can_not_be_read(sigmaswarm: Command, here: Path):
+    """The one that was there stays, and the name is refused before the log is read."""
+    rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
+    (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
+    assert sigmaswarm("import", "log.csv", "drive").code == 0
+    before = {path.name: path.read_bytes() for path in (here / "drive").iterdir()}
+    for arguments, said in (
+        (("--map", "gps.x=x*1e9"), "column x"),
+        (("--name", "a/b"), "name = 'a/b'"),
+    ):
+        ended = sigmaswarm("import", "log.csv", "drive", "--overwrite", *arguments)
+        lines = [line for line in ended.err.splitlines() if not line.startswith("importing")]
+        assert ended.code == 2 and len(lines) == 1 and said in lines[0], ended.err
+        assert {path.name: path.read_bytes() for path in (here / "drive").iterdir()} == before
+
+
+def test_columns_names_can_not_steer_the_terminal(sigmaswarm: Command, here: Path):
+    """Escapes of a column's name, its cells and a table's name are shown as such."""
+    rows = [f"{i / 100},0,0,0,{i},0,\x1b[31mred\x9b" for i in range(300)]
+    (here / "log\x1b[2J.csv").write_text("t,ax,ay,gz,x,y,\x1b]0;owned\x07\n" + "\n".join(rows) + "\n")
+    (here / "two").mkdir()
+    (here / "log\x1b[2J.csv").rename(here / "two" / "log\x1b[2J.csv")
+    (here / "two" / "b.csv").write_text("a,b\n1,2\n")
+    ended = sigmaswarm("import", "two", "--show")
+    assert ended.code == 0, ended.err
+    assert "\\x1b]0;owned\\x07" in ended.out and "log\\x1b[2J.csv" in ended.out
+    assert not {"\x1b", "\x07", "\x9b"} & set(ended.out), repr(ended.out)
+
+
+@pytest.mark.parametrize("option", ["--max-rows", "--max-columns", "--max-unpacked-mb"])
+def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
+    rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
+    (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
+    assert sigmaswarm("import", "log.csv", "a", option, "300").code == 0
+    ended = sigmaswarm("import", "log.csv", "b", option, "0")
+    assert ended.code == 2 and f"{option} 0 can't be" in ended.err
+    if option != "--max-unpacked-mb":
+        ended = sigmaswarm("import", "log.csv", "b", option, "5")
+        assert ended.code == 2 and f"raise {option}" in ended.err

@@ -77,7 +77,7 @@ def test_columns_are_those_of_the_format(tmp_path: Path):
 
 
 finite = st.floats(-1e7, 1e7)
-names = st.text(st.characters(codec="utf-8", exclude_characters="/\\\n"), min_size=1).filter(
+names = st.text(st.characters(codec="utf-8", exclude_characters="/\\\n\0"), min_size=1).filter(
     lambda n: n not in (".", "..")
 )
 

@@ -17,6 +17,10 @@ FRAME = pl.DataFrame(
         "q[0]": [2, 3],
         "kind": ["GPS", "NET"],
         "date": ["2024-02-29T12:00:00.25Z", "2024-02-29 14:00:00.250+02:00"],
+        "flag": [1, 0],
+        "on": [True, False],
+        "gap": [1.0, math.nan],
+        "hole": [None, 2.0],
     }
 )
 
@@ -41,6 +45,29 @@ def value(text: str) -> list[object]:
         ("utc(date)", [1709208000.25, 1709208000.25]),
         ("max(acc_y, 0) - min(acc_y, 0)", [1.0, 2.0]),
         ("-7 % 3", [2.0]),
+        ("not flag", [False, True]),
+        ("not on", [False, True]),
+        ("not acc_y", [False, False]),
+        ("flag and v.x", [True, False]),
+        ("flag or on", [True, False]),
+        ("on and acc_y > 0", [True, False]),
+        ("where(flag, 1, 2)", [1.0, 2.0]),
+        ("where(on, acc_y, v.x)", [1.0, 4.0]),
+        ("where(not flag, 1, 2)", [2.0, 1.0]),
+        ("-(acc_y > 0)", [-1.0, 0.0]),
+        ("+on", [1.0, 0.0]),
+        ("(acc_y > 0) + 1", [2.0, 1.0]),
+        ("2*on - 1", [1.0, -1.0]),
+        ("abs(acc_y > 0)", [1.0, 0.0]),
+        ("sqrt(on)", [1.0, 0.0]),
+        ("hypot(acc_y > 0, on)", [math.sqrt(2), 0.0]),
+        ("max(on, 0.5)", [1.0, 0.5]),
+        ("flag == True", [True, False]),
+        ("on == flag", [True, True]),
+        ("on < 1", [False, True]),
+        ("1 and 2", [True]),
+        ("not 0", [True]),
+        ("where(True, acc_y, 0)", [1.0, -2.0]),
     ],
 )
 def test_means_what_it_says(text: str, wanted: list[object]):
@@ -125,3 +152,55 @@ def test_every_operator_is_tested_against_pythons():
         python = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
         python |= {"==": operator.eq, "!=": operator.ne}
         assert value(f"acc_y {symbol} 1") == [python[symbol](v, 1) for v in (1.0, -2.0)]
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("gap >= 0", [True, None]),
+        ("gap == gap", [True, None]),
+        ("not hole", [None, False]),
+        ("where(hole, 1, 2)", [None, 1.0]),
+        ("where(gap, 1, 2)", [1.0, None]),
+        ("max(hole, 1)", [None, 2.0]),
+        ("min(gap, 5)", [1.0, None]),
+        ("hole + 1", [None, 3.0]),
+    ],
+)
+def test_what_comes_of_an_empty_cell_is_empty(text: str, wanted: list[object]):
+    """NaN is greater than all in polars, and a mean or a minimum passes empty cells over: none of it here."""
+    assert value(text) == wanted
+
+
+@pytest.mark.parametrize(
+    "text", ["1" + "0" * 400, "acc_y*" + "9" * 400, "0x" + "f" * 900, "acc_y < 1" + "0" * 400]
+)
+def test_a_number_beyond_floats_is_told(text: str):
+    with pytest.raises(InputError, match=r"a number beyond 1\.8e308") as caught:
+        compile_expression(text, FRAME.columns)
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    "text", ["stamp*1" + "0" * 400, "stamp/1" + "0" * 400, "stamp*1e999", "stamp/1e-400"]
+)
+def test_a_scale_beyond_floats_is_no_scale(text: str):
+    assert integer_scale(text, ["stamp"]) is None
+
+
+booleans = st.recursive(
+    st.sampled_from(["flag", "on", "acc_y", "v.x", "0", "1", "acc_y > 0"]),
+    lambda inner: st.one_of(
+        inner.map(lambda a: f"(not {a})"),
+        st.tuples(inner, st.sampled_from(["and", "or"]), inner).map(lambda t: f"({' '.join(t)})"),
+    ),
+    max_leaves=8,
+)
+
+
+@given(booleans)
+def test_logic_is_pythons(text: str):
+    rows = [{"flag": 1, "on": True, "acc_y": 1.0, "vx": 1}, {"flag": 0, "on": False, "acc_y": -2.0, "vx": 4}]
+    wanted = [bool(eval(text.replace("v.x", "vx"), {"__builtins__": {}}, row)) for row in rows]
+    got = FRAME.select(compile_expression(f"{text} and 1 + 0*acc_y", FRAME.columns).truth.alias("out"))["out"]
+    assert got.to_list() == wanted

@@ -5,8 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from sigmaswarm.wording import shown
+
 if TYPE_CHECKING:
     from sigmaswarm.importing.convert import Imported
+    from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.look import Look
     from sigmaswarm.importing.recipe import Recipe
 
@@ -38,6 +41,9 @@ def import_(
     origin: _Values = None,
     lever_arm: _Values = None,
     gps_from_truth: _Values = None,
+    max_rows: int | None = None,
+    max_columns: int | None = None,
+    max_unpacked_mb: int | None = None,
     name: str | None = None,
     overwrite: _Flag = False,
     json: _Flag = False,
@@ -74,7 +80,8 @@ def import_(
     time
         Expression of the time in s, in SOURCE's tables, as "stamp*1e-9" or "utc(date)".
     recipe
-        A recipe that was saved before.
+        A recipe that was saved before. Where a role has several tables, the others are interpolated to the first one's
+        times; course, theta and lon are angles and go the short way round.
     save_recipe
         File for the recipe, to be used again.
     imu_topic
@@ -99,6 +106,12 @@ def import_(
         From the IMU to the antenna, m forward,left,up.
     gps_from_truth
         rate,noise: make fixes of the truth, at so many Hz with so many m of white noise, as 5,1.
+    max_rows
+        Rows of a table that are read at most; 10 million by default, 28 hours at 100 Hz.
+    max_columns
+        Columns of all tables that are looked at, at most; 100 000 by default.
+    max_unpacked_mb
+        MB that a chunk, or the files that are wanted of a zip, may become when unpacked; 1000 by default.
     name
         The drive's name; the folder's by default.
     overwrite
@@ -131,6 +144,7 @@ def import_(
         maps=map or (),
         time=time,
         choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
+        limits=_limits(rows=max_rows, columns=max_columns, unpacked_mb=max_unpacked_mb),
     )
     if show:
         _show(request, save_recipe, json)
@@ -150,6 +164,16 @@ def _numbers(text: str, count: int, option: str, example: str) -> tuple[float, .
     if len(numbers) != count:
         raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
     return numbers
+
+
+def _limits(**given: int | None) -> "Limits":
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.importing.limits import Limits
+
+    for name, value in given.items():
+        if value is not None and value < 1:
+            raise InputError(f"--max-{name.replace('_', '-')} {value} can't be; give a number above 0")
+    return Limits(**{name: value for name, value in given.items() if value is not None})
 
 
 def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":
@@ -203,7 +227,7 @@ def _tell(imported: "Imported", out: Path) -> None:
     drive, console = imported.drive, stdout()
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     for note in imported.notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {shown(note, 1000)}", markup=False)
     if not imported.recipe.mount:
         console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
     rate = 1 / drive.nominal_interval
@@ -238,25 +262,26 @@ def _print_look(seen: "Look") -> None:
     for glance in seen.tables:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
-        console.print(f"{glance.table}: {glance.kind}{rows}{rate}", markup=False, style="bold")
-        shown = [r for r in glance.ranges if r.low or r.high or r.low is None]
-        width = max((len(r.column) for r in shown), default=0)
-        for r in shown:
+        title = f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}"
+        console.print(title, markup=False, style="bold")
+        told = [r for r in glance.ranges if r.low or r.high or r.low is None]
+        width = max((len(shown(r.column)) for r in told), default=0)
+        for r in told:
             cells = (
                 f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
             )
             console.print(
-                f"  {r.column:{width}} {r.example if r.low is None and r.example else cells}", markup=False
+                f"  {shown(r.column):{width}} {shown(r.example) if r.low is None and r.example else cells}",
+                markup=False,
             )
-        if left := len(glance.ranges) - len(shown):
+        if left := len(glance.ranges) - len(told):
             console.print(f"  and {left} columns that are 0")
     console.print("(each column's lowest value, median and highest, over the first rows)")
     console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
-    console.print(
-        seen.recipe.to_toml() or "nothing was recognized; say what is what with --map", markup=False
-    )
+    recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
+    console.print(recipe or "nothing was recognized; say what is what with --map", markup=False)
     for note in seen.notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {shown(note, 1000)}", markup=False)
 
 
 def _short(value: float | None) -> str:

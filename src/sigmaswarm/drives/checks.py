@@ -91,6 +91,7 @@ def shortage_of(drive: Drive) -> str | None:
     return None
 
 
+@np.errstate(all="ignore")  # values at the ends of the number range are the doctor's to tell
 def remarks_of(drive: Drive) -> list[Remark]:
     """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 

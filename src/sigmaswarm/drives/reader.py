@@ -1,6 +1,5 @@
 """Reading a drive's folder. Every fault is one sentence: file, row, column, value, what is wrong, remedy."""
 
-import math
 import tomllib
 import warnings
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
 from sigmaswarm.drives.sheet import Sheet
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
+from sigmaswarm.wording import names_shown, quoted, shown
 
 Frame = Literal["enu", "wgs84"]
 Place = tuple[float, float, float]
@@ -111,13 +111,12 @@ def _read_description(path: Path) -> dict[str, Any]:
         )
     try:
         about = tomllib.loads(path.read_text("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DriveError(f"{path} is not valid TOML: {error}; mend that line (text needs quotes)") from None
+    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
+        raise DriveError(
+            f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
+        ) from None
     name = about.get("name", "unnamed")
-    if not isinstance(name, str) or not name.strip():
-        raise DriveError(f'{path}: name = {name!r} is not text; write for example name = "monday"')
-    if name in (".", "..") or set(name) & {"/", "\\", "\n"}:
-        raise DriveError(f"{path}: name = {name!r} can't name a folder; leave slashes out")
+    require_name(name, path)
     if "origin" in about:
         about["origin"] = _origin(about["origin"], path)
     for key, (lengths, example) in _NUMBERS.items():
@@ -126,35 +125,59 @@ def _read_description(path: Path) -> dict[str, Any]:
     return about
 
 
+def require_name(name: object, where: object) -> None:
+    """Refuse what can't name a drive, which also names files and folders; ``where`` it was given is told."""
+    if not isinstance(name, str) or not name.strip():
+        raise DriveError(
+            f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
+        )
+    surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes of a file's name that are no UTF-8
+    if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
+        raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
+
+
 def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
     """Refuse a key of drive.toml that filters look at and can't use."""
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    plain = all(type(v) in (int, float) and math.isfinite(v) for v in numbers)
-    if not plain or (len(numbers) if isinstance(value, list) else 0) not in lengths:
-        raise DriveError(f"{path}: {key} = {value!r} can't be used; write for example {key} = {example}")
+    plain = all(type(v) in (int, float) and abs(v) < 1e300 for v in numbers)
+    length = len(numbers) if isinstance(value, list) else 0
+    said = f"{path}: {key} = {value_shown(value)}"
+    if not plain or length not in lengths or not numbers:
+        raise DriveError(f"{said} can't be used; write for example {key} = {example}")
     if lengths == (0,) and not numbers[0] > 0:
-        raise DriveError(f"{path}: {key} = {value!r} must be positive; leave it out where it is not known")
+        raise DriveError(f"{said} must be positive; leave it out where it is not known")
+
+
+def value_shown(value: object) -> str:
+    """A key's value as a message shows it; a whole number of 5000 digits has no text."""
+    try:
+        return shown(repr(value))
+    except (ValueError, RecursionError):
+        return "what stands there"
 
 
 def _origin(value: Any, path: Path) -> Place:
     """A stated origin as latitude (deg), longitude (deg), altitude (m)."""
     if isinstance(value, list) and [type(v) in (int, float) for v in cast("list[Any]", value)] == [True] * 3:
-        latitude, longitude, altitude = (float(v) for v in cast("list[float]", value))
-        if abs(latitude) <= 90 and abs(longitude) <= 180 and math.isfinite(altitude):
-            return latitude, longitude, altitude
+        latitude, longitude, altitude = cast("list[float]", value)
+        if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
+            return float(latitude), float(longitude), float(altitude)
     raise DriveError(
-        f"{path}: origin = {value!r} is not a place; write origin = [latitude deg, longitude deg, altitude m]"
+        f"{path}: origin = {value_shown(value)} is not a place; "
+        "write origin = [latitude deg, longitude deg, altitude m]"
     )
 
 
 def _frame(stated: Any, folder: Path, columns: Sequence[str]) -> Frame:
     """The frame of the fixes, as stated or else as the columns of gps.csv say; both must agree."""
     if stated not in (None, *_POSITIONS):
-        raise DriveError(f'{folder / "drive.toml"}: frame = {stated!r} is unknown; write "enu" or "wgs84"')
+        raise DriveError(
+            f'{folder / "drive.toml"}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"'
+        )
     present = [frame for frame, pair in _POSITIONS.items() if set(pair) <= set(columns)]
     if not present:
         raise DriveError(
-            f"{folder / 'gps.csv'}, row 1: has neither columns x, y nor lat, lon, only {', '.join(columns)}; "
+            f"{folder / 'gps.csv'}, row 1: has neither columns x, y nor lat, lon, only {names_shown(columns)}; "
             "name the positions x, y (m east, north) or lat, lon (deg)"
         )
     frame = cast("Frame", stated or present[0])

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.forking import require_threads
+from sigmaswarm.wording import names_shown, quoted, shown
 
 _NO_STD = "leave the column out where the receiver states no deviation"
 _RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "alt": (-1e7, 1e7, "give metres above the ellipsoid"),
     "x": (-1e7, 1e7, "give metres from an origin near by"),
     "y": (-1e7, 1e7, "give metres from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
@@ -23,6 +26,11 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "std_y": (1e-6, np.inf, _NO_STD),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
+
+
+def one_file(path: Path) -> dict[str, Any]:
+    """Arguments for polars' readers that name this one file: neither a pattern, run[1], nor a home, ~."""
+    return {"source": path.absolute(), "glob": False}
 
 
 @dataclass(frozen=True)
@@ -42,10 +50,10 @@ class Sheet:
             )
         require_threads()
         try:
-            cells = pl.read_csv(path, infer_schema=False)
+            cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
             raise _empty(path) from None
-        except pl.exceptions.ComputeError:
+        except pl.exceptions.PolarsError:
             raise _shape_fault(path) from None
         filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
         if filled.is_empty():
@@ -56,7 +64,7 @@ class Sheet:
         for name in names:
             if names.count(name) > 1:
                 raise DriveError(
-                    f"{path}, row 1: column {name!r} appears twice; delete or rename one of them"
+                    f"{path}, row 1: column {quoted(name)} appears twice; delete or rename one of them"
                 )
         cells.columns = names
         return cls(path, cells[filled], filled.to_numpy() + 2)  # the header is line 1
@@ -71,19 +79,27 @@ class Sheet:
             if name not in names:
                 if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
                     raise DriveError(
-                        f"{self.path}, row 1: {names[0]!r} is one cell; separate cells by commas, and write "
+                        f"{self.path}, row 1: {quoted(names[0])} is one cell; separate cells by commas, and write "
                         "decimals with a dot"
                     )
                 raise DriveError(
-                    f"{self.path}, row 1: no column {name}, only {', '.join(names)}; add or rename it"
+                    f"{self.path}, row 1: no column {name}, only {names_shown(names)}; add or rename it"
                 )
-        if unknown := [repr(name) for name in names if name not in known]:
-            remarks.append(
-                f"{self.path}: ignoring {', '.join(unknown)}; the known columns are {', '.join(known)}"
-            )
+        if unknown := [name for name in names if name not in known]:
+            self._require_one_line(unknown)
+            said = names_shown(unknown, "'")
+            remarks.append(f"{self.path}: ignoring {said}; the known columns are {', '.join(known)}")
         numbers = {name: self._numbers(name) for name in known if name in names}
         self._require_increasing(numbers["t"])
         return {"time" if name == "t" else name: values for name, values in numbers.items()}
+
+    def _require_one_line(self, columns: Sequence[str]) -> None:
+        """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
+        for name in columns:
+            broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
+            if broken.any():
+                what = "holds a line break"
+                raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
 
     def _numbers(self, column: str) -> Array:
         """A column (n,) as finite numbers within its range."""
@@ -108,12 +124,13 @@ class Sheet:
         late = np.flatnonzero(np.diff(time) <= 0)
         if late.size:
             i = int(late[0]) + 1
-            what = f"is not after {self.cells['t'][i - 1]} in row {self.lines[i - 1]}"
+            what = f"is not after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         value = self.cells[column][i] or ""
-        return DriveError(f"{self.path}, row {self.lines[i]}, column {column}: {value!r} {what}; {remedy}")
+        where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
+        return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
 
 
 def _empty(path: Path) -> DriveError:
@@ -125,11 +142,14 @@ def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
     """The first row whose number of cells is not the header's, looked for only once something is wrong."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
-        width = len(next(rows))
-        for row in rows:
-            if row and len(row) != width:
-                return DriveError(
-                    f"{path}, row {rows.line_num}: {','.join(row)[:60]!r} has {len(row)} cells, "
-                    f"the header {width}; complete or delete the row, and write decimals with a dot"
-                )
+        try:
+            width = len(next(rows))
+            for row in rows:
+                if row and len(row) != width:
+                    return DriveError(
+                        f"{path}, row {rows.line_num}: {quoted(','.join(row))} has {len(row)} cells, "
+                        f"the header {width}; complete or delete the row, and write decimals with a dot"
+                    )
+        except csv.Error:  # an endless cell
+            return DriveError(f'{path}, row {rows.line_num}: a quote (") is not closed; close or delete it')
     return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")

@@ -19,10 +19,15 @@ from sigmaswarm.importing.source import Role
 
 SEED = 0
 """Of the noise of fixes that are made of the truth."""
+MOST_FIXES = 10_000_000
+"""That are made of the truth."""
+LONGEST_OFFSET = 4e9
+"""s: 126 years, beyond which times in ns leave 64 bits."""
 MOVING = 1.0
 """m/s; slower than this, the course says nothing about the heading."""
 
 
+@np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
 def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Recipe, say: Say) -> Drive:
     """Make a drive of what was gathered; ``say`` takes a sentence on whatever was assumed or left out.
 
@@ -85,6 +90,9 @@ def _seconds(
 ) -> tuple[dict[Role, Array], int]:
     """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
     offsets: dict[Role, float] = {"imu": 0.0, "gps": recipe.gps_offset_s, "truth": recipe.truth_offset_s}
+    for role, offset in offsets.items():
+        if not abs(offset) < LONGEST_OFFSET:
+            raise InputError(f"--{role}-offset {offset:g} can't be; give seconds")
     moved: dict[Role, Nanoseconds] = {
         role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
     }
@@ -100,6 +108,9 @@ def _fixes(
     if "vx" in values and "vy" in values:
         vx, vy = values.pop("vx"), values.pop("vy")
         values["speed"], values["course"] = np.hypot(vx, vy), np.arctan2(vy, vx)
+    for lone in ("vx", "vy"):
+        if values.pop(lone, None) is not None:
+            say(f"gps: {lone} left out, since a velocity needs vx and vy")
     if "course" in values:
         values["course"] = np.asarray(wrap_angle(values["course"]))
     if "lat" in values and "lon" in values:
@@ -167,6 +178,10 @@ def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]
     if not (0 < rate <= 1000 and 0 <= noise < np.inf):
         raise InputError(
             f"--gps-from-truth {rate:g},{noise:g} can't be; give a rate in Hz and a deviation in m, as 5,1"
+        )
+    if not (truth.time[-1] - truth.time[0]) * rate <= MOST_FIXES:
+        raise InputError(
+            f"--gps-from-truth {rate:g},{noise:g} would make more than {MOST_FIXES} fixes; check the truth's times"
         )
     time = np.arange(truth.time[0] + 0.5 / rate, truth.time[-1], 1 / rate)
     error = noise * np.random.default_rng(SEED).standard_normal((2, len(time)))

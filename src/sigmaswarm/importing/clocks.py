@@ -37,6 +37,16 @@ def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
     return seconds - leaps
 
 
+_COUNTED = {"ms": 1000, "us": 1_000_000, "ns": SECOND}
+"""A date's units in a second."""
+
+
+def _whole(count: pl.Expr, factor: int) -> pl.Expr:
+    """A count (64 bits) times a factor; null where that leaves 64 bits, instead of some other time."""
+    most = (2**63 - 1) // max(factor, 1)
+    return pl.when(count.is_between(-most, most)).then(count * factor)
+
+
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
     """The expression of a time (s) as whole nanoseconds; integer columns keep all their digits."""
     columns = frame.columns
@@ -45,8 +55,8 @@ def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
         name, factor = scaled
         kind = frame.schema[name]
         if isinstance(kind, pl.Datetime) and factor == 1:
-            return pl.col(name).dt.timestamp("ns")
+            return _whole(pl.col(name).dt.timestamp(kind.time_unit), SECOND // _COUNTED[kind.time_unit])
         whole = round(factor * SECOND)
         if kind.is_integer() and abs(whole - factor * SECOND) < 1e-9 * whole and whole < SECOND:
-            return pl.col(name).cast(pl.Int64) * whole
+            return _whole(pl.col(name).cast(pl.Int64, strict=False), whole)
     return (compile_expression(text, columns).polars * float(SECOND)).round().cast(pl.Int64, strict=False)

@@ -1,5 +1,6 @@
 """The whole way: open a log, guess or take a recipe, gather, assemble, write."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -7,12 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import require_name
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
+from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readback import require_readable
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
+from sigmaswarm.wording import names_shown
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,7 @@ class Request:
     maps : ``column=expression``
     time : expression of the time, in every table of the source
     choice : tables and times
+    limits : how much is read
     """
 
     source: Path
@@ -38,6 +44,7 @@ class Request:
     maps: Sequence[str] = ()
     time: str | None = None
     choice: Choice = field(default_factory=Choice)
+    limits: Limits = field(default_factory=Limits)
 
 
 @dataclass(frozen=True)
@@ -63,8 +70,10 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     Raises
     ------
     InputError
-        A log is broken, lacks something, or a column can't be made; one line says which, and what to do.
+        A log is broken, lacks something, or a column can't be made, or what is made could not be read back; one line
+        says which, and what to do.
     """
+    require_name(name, "the drive")
     notes: list[str] = []
     with ExitStack() as stack:
         sources = open_logs(request, stack)
@@ -81,7 +90,9 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
             metadata |= guess.metadata
     progress(1.0)
     drive = assemble(name, gathered, recipe, notes.append)
-    drive = replace(drive, metadata={**metadata, **drive.metadata, "source": request.source.name})
+    source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
+    drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
+    require_readable(drive)
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
 
 
@@ -94,7 +105,7 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
     for role, what, remedy in wanted:
         if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
             path = home_of(role, request)
-            there = ", ".join(list(sources[path].tables)[:12])
+            there = names_shown(sources[path].tables)
             raise InputError(
                 f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (see --show)"
             )
@@ -110,7 +121,9 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
     """Open every log that the request names; the stack closes them."""
     paths = dict.fromkeys(home_of(role, request) for role in ROLES)
     return {
-        path: stack.enter_context(open_log(path, request.form if path == request.source else None))
+        path: stack.enter_context(
+            open_log(path, request.form if path == request.source else None, request.limits)
+        )
         for path in paths
     }
 
@@ -171,7 +184,9 @@ def _gather_all(
         for role, part in mine:
             check_part(part, source, role)
         share = _share(progress, before / total, size[path] / total)
-        for (role, _), columns in zip(mine, gather(source, [p for _, p in mine], share), strict=True):
+        for (role, _), columns in zip(
+            mine, gather(source, [p for _, p in mine], share, request.limits), strict=True
+        ):
             gathered.setdefault(role, []).append(columns)
         before += size[path]
     return gathered

@@ -2,6 +2,9 @@
 
 ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
 ```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
+
+Everything is a number, an empty cell is null, and what comes of an empty cell is empty. A comparison is 1 or 0 where it
+is reckoned with, and a number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0.
 """
 
 import ast
@@ -16,6 +19,7 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
 """Characters of an expression at most: nesting stays within what Python can walk."""
@@ -26,11 +30,36 @@ def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
 
 
 def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return pl.when(condition).then(a).otherwise(b)
+    true = _truth(condition)
+    return pl.when(true).then(a).when(~true).then(b)
 
 
-def _not(a: Any) -> Any:
-    return ~a
+def _least(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return pl.when(a <= b).then(a).when(b < a).then(b)
+
+
+def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return pl.when(a >= b).then(a).when(b > a).then(b)
+
+
+def _number(a: pl.Expr) -> pl.Expr:
+    return a.cast(pl.Float64)
+
+
+def _truth(a: pl.Expr) -> pl.Expr:
+    return _number(a).fill_nan(None) != 0
+
+
+def _not(a: pl.Expr) -> pl.Expr:
+    return ~_truth(a)
+
+
+def _and(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return _truth(a) & _truth(b)
+
+
+def _or(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return _truth(a) | _truth(b)
 
 
 _CONSTANTS = {"pi": math.pi, "g": 9.80665}
@@ -44,8 +73,8 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Not: _not,
-    ast.And: operator.and_,
-    ast.Or: operator.or_,
+    ast.And: _and,
+    ast.Or: _or,
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -65,8 +94,8 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
     "degrees": (1, pl.Expr.degrees),
     "atan2": (2, pl.arctan2),
     "hypot": (2, _hypot),
-    "min": (2, pl.min_horizontal),
-    "max": (2, pl.max_horizontal),
+    "min": (2, _least),
+    "max": (2, _most),
     "where": (3, _where),
 }
 """What may be called: how many values it takes, and what it does."""
@@ -81,6 +110,11 @@ class Expression:
     polars: pl.Expr
     columns: frozenset[str]
     numbers: frozenset[str]
+
+    @property
+    def truth(self) -> pl.Expr:
+        """Whether it is true; null where it is empty."""
+        return _truth(self.polars)
 
 
 @dataclass(frozen=True)
@@ -120,7 +154,12 @@ def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | No
         right = tree.right
         if not isinstance(right, ast.Constant) or not isinstance(right.value, int | float) or not right.value:
             return None
-        factor = right.value if isinstance(tree.op, ast.Mult) else 1 / right.value
+        try:
+            factor = float(right.value) if isinstance(tree.op, ast.Mult) else 1 / float(right.value)
+        except (OverflowError, ZeroDivisionError):  # a whole number of 400 digits, or 1e-400
+            return None
+        if not math.isfinite(factor):
+            return None
         tree = tree.left
     name = _column_name(tree)
     return None if name is None or name not in columns else (name, factor)
@@ -135,7 +174,8 @@ def parse(text: str) -> ast.expr:
         return ast.parse(plain, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise InputError(
-            f"{text!r} is not an expression; write for example -acc_y*9.80665, and `a name with spaces` in backticks"
+            f"{quoted(text)} is not an expression; write for example -acc_y*9.80665, and `a name with spaces` in "
+            "backticks"
         ) from None
 
 
@@ -165,11 +205,11 @@ def _build(node: ast.AST, about: _Context) -> pl.Expr:
         return _column(name, about)
     match node:
         case ast.Constant(value=bool() | int() | float() as value):
-            return pl.lit(value if isinstance(value, bool) else float(value))
+            return _constant(value, about)
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](build(operand))
+            return _OPERATORS[type(op)](_number(build(operand)))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](build(left), build(right))
+            return _OPERATORS[type(op)](_number(build(left)), _number(build(right)))
         case ast.Compare(left=left, ops=ops, comparators=others) if {type(o) for o in ops} <= set(_OPERATORS):
             return _chain(left, ops, others, about)
         case ast.BoolOp(op=op, values=values):
@@ -183,14 +223,13 @@ def _build(node: ast.AST, about: _Context) -> pl.Expr:
             wanted, function = _FUNCTIONS[f]
             if len(args) != wanted:
                 raise InputError(
-                    f"{f} in {about.text!r} takes {wanted} value(s), not {len(args)}; mend the expression"
+                    f"{f} in {quoted(about.text)} takes {wanted} value(s), not {len(args)}; mend the expression"
                 )
-            return function(*(build(a) for a in args))
+            return function(*(_number(build(a)) for a in args))
         case _:
-            shown = ast.unparse(node)
             raise InputError(
-                f"{shown!r} in {about.text!r} is not allowed; use columns, numbers, + - * / ** %, comparisons, "
-                f"and {', '.join(FUNCTIONS)}"
+                f"{quoted(ast.unparse(node))} in {quoted(about.text)} is not allowed; use columns, numbers, "
+                f"+ - * / ** %, comparisons, and {', '.join(FUNCTIONS)}"
             )
 
 
@@ -205,23 +244,30 @@ def _compare(a: ast.expr, op: ast.cmpop, b: ast.expr, about: _Context) -> pl.Exp
     if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
         _require_column(name, about)
         return _OPERATORS[type(op)](pl.col(name).cast(pl.String), pl.lit(b.value))
-    return _OPERATORS[type(op)](_build(a, about), _build(b, about))
+    return _OPERATORS[type(op)](_number(_build(a, about)), _number(_build(b, about)))
+
+
+def _constant(value: float, about: _Context) -> pl.Expr:
+    try:
+        return pl.lit(float(value))
+    except OverflowError:
+        raise InputError(f"{quoted(about.text)} has a number beyond 1.8e308; write a smaller one") from None
 
 
 def _column(name: str, about: _Context) -> pl.Expr:
-    """A column as float64 (text is read as a number, null where it is none), or a constant."""
+    """A column as float64, null where it is empty, NaN or no number; or a constant."""
     if name in _CONSTANTS and name not in about.columns:
         return pl.lit(_CONSTANTS[name])
     _require_column(name, about)
     about.numbers.add(name)
-    return pl.col(name).cast(pl.Float64, strict=False)
+    return pl.col(name).cast(pl.Float64, strict=False).fill_nan(None)
 
 
 def _require_column(name: str, about: _Context) -> None:
     if name not in about.columns:
         near = difflib.get_close_matches(name, about.columns, 1, 0.5)
-        hint = f"perhaps `{near[0]}`" if near else f"there are {_listed(about.columns)}"
-        raise InputError(f"{about.text!r} names the column {name!r}, which is not there; {hint}")
+        hint = f"perhaps `{shown(near[0])}`" if near else f"there are {names_shown(about.columns, '`')}"
+        raise InputError(f"{quoted(about.text)} names the column {quoted(name)}, which is not there; {hint}")
     about.used.add(name)
 
 
@@ -229,7 +275,7 @@ def _utc(inner: ast.expr, about: _Context) -> pl.Expr:
     """Seconds since 1970 of a column that holds dates, as text (ISO 8601) or as such; without a zone they are UTC."""
     name = _column_name(inner)
     if name is None:
-        raise InputError(f"utc(...) in {about.text!r} takes the name of a column; mend the expression")
+        raise InputError(f"utc(...) in {quoted(about.text)} takes the name of a column; mend the expression")
     _require_column(name, about)
     said = pl.col(name).cast(pl.String).str.replace("T", " ").str.replace(r"(Z| ?UTC)$", "")
     zone = said.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
@@ -239,8 +285,3 @@ def _utc(inner: ast.expr, about: _Context) -> pl.Expr:
         time_unit="ns", strict=False
     )
     return moment.dt.timestamp("ns") / 1e9 - ahead
-
-
-def _listed(names: Collection[str], count: int = 12) -> str:
-    shown = ", ".join(f"`{name}`" for name in list(names)[:count])
-    return shown + (f" and {len(names) - count} more" if len(names) > count else "")

@@ -8,6 +8,7 @@ from typing import Protocol, cast
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.forking import require_threads
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Source
 
 READERS: dict[str, tuple[str, str]] = {
@@ -35,12 +36,14 @@ class Reader(Protocol):
         """Whether a file or folder looks like the format, by its name or first bytes; needs no library."""
         ...
 
-    def open_log(self, path: Path) -> AbstractContextManager[Source]:
+    def open_log(self, path: Path, limits: Limits) -> AbstractContextManager[Source]:
         """Open the log; InputError where it is broken, or the format's library is missing."""
         ...
 
 
-def open_log(path: Path, form: str | None = None) -> AbstractContextManager[Source]:
+def open_log(
+    path: Path, form: str | None = None, limits: Limits | None = None
+) -> AbstractContextManager[Source]:
     """Open a log of a format that is named, or found out by looking.
 
     Raises
@@ -53,7 +56,7 @@ def open_log(path: Path, form: str | None = None) -> AbstractContextManager[Sour
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:
         raise InputError(f"{path} is empty; copy the log again")
-    return _reader(form or format_of(path)).open_log(path)
+    return _reader(form or format_of(path)).open_log(path, limits or Limits())
 
 
 def format_of(path: Path) -> str:

@@ -10,7 +10,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import Nanoseconds, time_expression
 from sigmaswarm.importing.expressions import compile_expression
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Part, Progress, Source
+from sigmaswarm.wording import names_shown, quoted, shown
 
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that mean a cell is empty."""
@@ -37,26 +39,33 @@ class Columns:
 
     def add(self, frame: pl.DataFrame, source: Source) -> None:
         """Evaluate the part's expressions on some rows of its table."""
-        texts = dict(self.part.columns)
-        keep = texts.pop("keep", None)
-        time = texts.pop("t")
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
         _require_numbers(frame, self.part, source, self.seen)
         self.seen += len(frame)
+        try:
+            rows = self._evaluated(frame)
+        except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
+            said = shown(" ".join(str(error).split("\n")[0].split()), 160)
+            raise InputError(
+                f"{source.path}, {self.part.table}: its columns can't be made numbers ({said}); map others"
+            ) from None
+        usable = rows.filter(pl.col("t").is_not_null())
+        self.timeless += len(rows) - len(usable)
+        if len(usable):
+            self.chunks.append(usable)
+
+    def _evaluated(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """The time and the values of the rows that are kept."""
+        texts = dict(self.part.columns)
+        keep, time = texts.pop("keep", None), texts.pop("t")
         if keep:
-            kept = frame.filter(
-                compile_expression(keep, frame.columns).polars.fill_null(False).cast(pl.Boolean)
-            )
+            kept = frame.filter(compile_expression(keep, frame.columns).truth.fill_null(False))
             self.unkept += len(frame) - len(kept)
             frame = kept
         expressions = [
             compile_expression(t, frame.columns).polars.cast(pl.Float64).alias(n) for n, t in texts.items()
         ]
-        rows = frame.lazy().select(time_expression(time, frame).alias("t"), *expressions).collect()
-        usable = rows.filter(pl.col("t").is_not_null())
-        self.timeless += len(rows) - len(usable)
-        if len(usable):
-            self.chunks.append(usable)
+        return frame.lazy().select(time_expression(time, frame).alias("t"), *expressions).collect()
 
     def finish(self) -> "Columns":
         """Put the chunks together."""
@@ -72,19 +81,23 @@ class Columns:
 def check_part(part: Part, source: Source, role: str) -> None:
     """Refuse a part whose table or columns the log does not have, or that has no time."""
     if part.table not in source.tables:
-        there = ", ".join(list(source.tables)[:12])
-        raise InputError(f"{source.path}: has no {part.table!r} for the {role}; there are {there}")
+        there = names_shown(source.tables)
+        raise InputError(f"{source.path}: has no {quoted(part.table)} for the {role}; there are {there}")
     if "t" not in part.columns:
         raise InputError(
-            f"{source.path}: which column of {part.table} is the time of the {role} was not found; say it with --time"
+            f"{source.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
+            "say it with --time"
         )
     columns = source.tables[part.table].columns
     for text in part.columns.values():
         compile_expression(text, columns)
 
 
-def gather(source: Source, parts: Sequence[Part], progress: Progress) -> list[Columns]:
+def gather(
+    source: Source, parts: Sequence[Part], progress: Progress, limits: Limits | None = None
+) -> list[Columns]:
     """Read the log once and evaluate all parts."""
+    limits = limits or Limits()
     gathered = [Columns(part) for part in parts]
     wanted: dict[str, set[str]] = {}
     for part in parts:
@@ -95,6 +108,7 @@ def gather(source: Source, parts: Sequence[Part], progress: Progress) -> list[Co
         for columns in gathered:
             if columns.part.table == batch.table:
                 columns.add(batch.rows, source)
+                limits.check_rows(columns.seen, source.path, batch.table)
         progress(batch.done)
     return [columns.finish() for columns in gathered]
 
@@ -108,6 +122,7 @@ def _require_numbers(frame: pl.DataFrame, part: Part, source: Source, seen: int)
         if wrong.fill_null(False).any():
             i = int(wrong.fill_null(False).arg_max() or 0)
             raise InputError(
-                f"{source.path}, {part.table}, row {seen + i + 1} of the data, column {name}: {said[i]!r} is not a "
-                "number; mend or delete the row, or use utc(...) where the column holds dates"
+                f"{source.path}, {shown(part.table)}, row {seen + i + 1} of the data, column {shown(name)}: "
+                f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
+                "holds dates"
             )

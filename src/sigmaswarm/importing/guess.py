@@ -8,6 +8,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Part, Role
+from sigmaswarm.wording import names_shown
 
 _TIME = (
     "t|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
@@ -73,13 +74,20 @@ class _Found:
 
     def median(self, what: str) -> float:
         """The median size of a column over the sample, 0 where it has no numbers."""
-        values = self.frame[self.name[what]].cast(pl.Float64, strict=False).drop_nulls().drop_nans().abs()
+        values = numbers_of(self.frame[self.name[what]]).abs()
         return float(values.median() or 0.0)  # pyright: ignore[reportArgumentType]
 
     def largest(self, what: str) -> float:
         """The 99th percentile of a column's size."""
-        values = self.frame[self.name[what]].cast(pl.Float64, strict=False).drop_nulls().drop_nans().abs()
+        values = numbers_of(self.frame[self.name[what]]).abs()
         return float(values.quantile(0.99) or 0.0)
+
+
+def numbers_of(values: pl.Series) -> pl.Series:
+    """The numbers among a column's values; lists and bytes are none."""
+    if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
+        return pl.Series([], dtype=pl.Float64)
+    return values.cast(pl.Float64, strict=False).drop_nulls().drop_nans()
 
 
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] | None = None) -> Guess:
@@ -102,7 +110,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
     hints: dict[Role, str] = {"imu": "imu", "gps": "gps|gnss|fix|location", "truth": "truth"}
     for role, tables in candidates.items():
         if role in chosen and chosen[role] not in samples:
-            raise InputError(f"there is no table {chosen[role]!r}; there are {', '.join(samples)}")
+            raise InputError(f"there is no table {chosen[role]!r}; there are {names_shown(samples)}")
         if tables or role in chosen:
             best = chosen[role] if role in chosen else _best(tables, hints[role])
             roles[role] = (Part(best, dict(_expressions(found[best], role, notes))),)
@@ -181,7 +189,7 @@ def _time(found: _Found, text: str, role: Role, notes: list[str]) -> str:
     """A time in s: text are dates; else the unit in the name, the size of numbers, or the step between them."""
     column = found.name["t"]
     values = found.frame[column]
-    if values.dtype == pl.String and values.cast(pl.Float64, strict=False).null_count() == len(values):
+    if values.dtype == pl.String and not len(numbers_of(values)):
         return f"utc({text})"
     if values.dtype.is_temporal():
         return text
@@ -206,7 +214,7 @@ def _time_unit(found: _Found, values: pl.Series, role: Role) -> str:
 
 def _step(values: pl.Series) -> float:
     """The median of a time's forward steps."""
-    steps = values.cast(pl.Float64, strict=False).drop_nulls().diff().drop_nulls()
+    steps = numbers_of(values).diff().drop_nulls()
     return float(steps.filter(steps > 0).median() or 0.0)  # pyright: ignore[reportArgumentType]
 
 

@@ -9,12 +9,15 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Columns
 from sigmaswarm.importing.source import Role
+from sigmaswarm.wording import shown
 
 Say = Callable[[str], None]
 Values = dict[str, Array]
 
 LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
+TURNS = {"course": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
+"""The columns that are angles, and a whole turn of each: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 
@@ -31,21 +34,46 @@ def join(
         inside = (time >= other_time[0]) & (time <= other_time[-1])
         if left := int(np.count_nonzero(~inside)):
             say(f"{role}: {left} rows left out, since not all its tables have begun or still go on there")
+        if not inside.any():
+            raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
         since = other_time[0] if len(other_time) else 0
         for name, column in other.items():
             known = np.isfinite(column)
             if known.any():
-                added = values.get(name[1:], 0.0) if name.startswith("+") else 0.0
-                values[name.removeprefix("+")] = added + np.interp(
-                    (time - since) / SECOND, (other_time[known] - since) / SECOND, column[known]
+                target = name.removeprefix("+")
+                added = values.get(target, 0.0) if name.startswith("+") else 0.0
+                values[target] = added + _between(
+                    (time - since) / SECOND,
+                    (other_time[known] - since) / SECOND,
+                    column[known],
+                    TURNS.get(target),
                 )
     return _complete_rows(time, values, role, required, say)
 
 
+def _between(time: Array, known: Array, values: Array, turn: float | None) -> Array:
+    """Values (n,) at times (n,), s, straight between those (m,) at times (m,), s; of an angle the short way round.
+
+    An angle that its neighbors have within half a turn stays there; others, unwrapped or no angle at all, stay near
+    their neighbors, so that a wrong unit is still seen.
+    """
+    if turn is None:
+        return np.interp(time, known, values)
+    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    after = np.minimum(before + 1, len(known) - 1)
+    apart = values[after] - values[before]
+    apart -= turn * np.round(apart / turn)
+    length = np.where(after > before, known[after] - known[before], 1.0)
+    share = np.clip((time - known[before]) / length, 0.0, 1.0)
+    angle = values[before] + share * apart
+    wraps = (np.abs(angle) > turn / 2) & (np.abs(values[before]) <= turn / 2)
+    return np.where(wraps, angle - np.copysign(turn, angle), angle)
+
+
 def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
     """A part's rows with their times strictly increasing."""
-    table = part.part.table
+    table = shown(part.part.table)
     if part.unkept:
         say(
             f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {part.part.columns['keep']} is not true"
@@ -54,7 +82,10 @@ def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
     time, values = part.time, part.values
     if not len(time):
-        raise InputError(f"the {role}: {table} holds no usable row; --show shows what it holds")
+        why = "no usable row; --show shows what it holds"
+        if part.timeless:
+            why = "no time within 292 years of 1970; say its column and unit with --time"
+        raise InputError(f"the {role}: {table} holds {why}")
     if np.any(np.diff(time) < 0):
         say(
             f"{role}: {int(np.count_nonzero(np.diff(time) < 0))} rows of {table} came out of order; sorted by time"
@@ -93,7 +124,11 @@ def _complete_rows(
                 say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
             for other in gone:
                 values.pop(other, None)
-    full = np.all([np.isfinite(v) for v in values.values()], axis=0)
+    full = np.all([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+    if not full.any():
+        raise InputError(
+            f"the {role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
+        )
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
         say(f"{role}: {left} rows with an empty cell left out")

@@ -9,7 +9,7 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, time_expression
 from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, open_logs
-from sigmaswarm.importing.guess import time_of
+from sigmaswarm.importing.guess import numbers_of, time_of
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Source
 
@@ -104,15 +104,19 @@ def _rate(frame: pl.DataFrame, time: str | None) -> float | None:
     time = time or (time_of(frame) if len(frame) else None)
     if time is None or len(frame) < 2:
         return None
-    steps = frame.select(time_expression(time, frame).alias("t"))["t"].diff().drop_nulls()
+    try:
+        steps = frame.select(time_expression(time, frame).alias("t"))["t"].diff().drop_nulls()
+    except pl.exceptions.PolarsError:  # a list, or a text that is no date
+        return None
     step = steps.filter(steps > 0).median()
     return SECOND / step if isinstance(step, int | float) and step > 0 else None
 
 
 def _ranges(frame: pl.DataFrame) -> Iterator[Range]:
     for name in frame.columns:
-        numbers = frame[name].cast(pl.Float64, strict=False).drop_nulls().drop_nans()
-        example = str(frame[name].drop_nulls().first() if len(frame) else "")
+        values = frame[name].drop_nulls()
+        example = str(values.first() if len(values) else "")
+        numbers = numbers_of(values)
         if len(numbers):
             yield Range(name, *(float(v) for v in (numbers.min(), numbers.median(), numbers.max())), example)  # type: ignore
         else:

@@ -8,9 +8,11 @@ from typing import Any, Self, cast
 
 import tomli_w
 
+from sigmaswarm.drives.reader import value_shown
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.importing.source import ROLES, Guess, Part, Role
+from sigmaswarm.wording import quoted, shown
 
 COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
@@ -72,11 +74,11 @@ class Recipe:
             content = tomllib.loads(path.read_text("utf-8-sig"))
         except OSError as error:
             raise InputError(f"{path}: can't be read ({error.strerror}); name a recipe file") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path} is not valid TOML: {error}; mend that line") from None
+        except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
+            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; mend that line") from None
         known = (*ROLES, *_SETTINGS, *_PLACES)
         if unknown := sorted(set(content) - set(known)):
-            raise InputError(f"{path}: {unknown[0]!r} is unknown; the keys are {', '.join(known)}")
+            raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")
         settings = {
             key: _setting(content[key], key, path) for key in (*_SETTINGS, *_PLACES) if key in content
         }
@@ -102,16 +104,16 @@ def _setting(value: Any, key: str, path: Path) -> Any:
     length = _PLACES.get(key)
     if length:
         values = cast("list[Any]", value if isinstance(value, list) else [])
-        if len(values) == length and all(type(v) in (int, float) for v in values):
+        if len(values) == length and all(type(v) in (int, float) and abs(v) < 1e300 for v in values):
             return tuple(float(v) for v in values)
-        raise InputError(f"{path}: {key} = {value!r} can't be used; write {length} numbers")
+        raise InputError(f"{path}: {key} = {value_shown(value)} can't be used; write {length} numbers")
     kind = _SETTINGS[key]
-    if kind is float and type(value) in (int, float):
+    if kind is float and type(value) in (int, float) and abs(value) < 1e300:
         return float(value)
     if isinstance(value, kind):
         return value
     raise InputError(
-        f"{path}: {key} = {value!r} can't be used; write {'text' if kind is str else 'a number'}"
+        f"{path}: {key} = {value_shown(value)} can't be used; write {'text' if kind is str else 'a number'}"
     )
 
 
@@ -120,13 +122,16 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
     for entry in entries:
         if not isinstance(entry, dict):
             raise InputError(
-                f"{path}: {role} = {entry!r} can't be used; write [[{role}]] and its columns below"
+                f"{path}: {role} = {value_shown(entry)} can't be used; write [[{role}]] and its columns below"
             )
-        columns = {str(k): str(v) for k, v in cast("dict[str, Any]", entry).items()}
+        columns = {
+            str(k): v if isinstance(v, str) else value_shown(v)
+            for k, v in cast("dict[str, Any]", entry).items()
+        }
         table = columns.pop("table", "")
         if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(
-                f"{path}: {unknown[0]!r} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
+                f"{path}: {quoted(unknown[0])} under [[{role}]] is unknown; it can hold {', '.join(COLUMNS[role])}"
             )
         yield Part(table, columns)
 

@@ -9,6 +9,7 @@ from typing import Any, Literal, Protocol
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.wording import quoted
 
 Role = Literal["imu", "gps", "truth"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth")
@@ -188,6 +189,13 @@ def library(name: str, extra: str) -> Any:
         raise InputError(
             f"this format needs {top}, which is not installed; run: pip install {EXTRAS[extra]}"
         ) from None
+
+
+def require_distinct(columns: Sequence[str], path: Path) -> None:
+    """Refuse a header that names a column twice, since nobody knows which is meant."""
+    for name in columns:
+        if columns.count(name) > 1:
+            raise InputError(f"{path}: column {quoted(name)} appears twice; delete or rename one of them")
 
 
 def first_bytes(path: Path, count: int = 4096) -> bytes:

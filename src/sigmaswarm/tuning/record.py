@@ -103,7 +103,7 @@ class History:
         whole, real = pl.Int64(), pl.Float64()
         numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
         try:
-            table = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
+            table = pl.read_csv(path, glob=False, schema_overrides=numbers).select(list(numbers))
         except (pl.exceptions.PolarsError, OSError):
             raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
         return cls(tuple(_trial(rows) for _, rows in table.group_by("trial", maintain_order=True)))

@@ -1,19 +1,25 @@
 """CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
 
-from collections.abc import Collection, Generator, Iterator, Mapping
+import re
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Batch, Choice, Guess, Source, Table, first_bytes
+from sigmaswarm.wording import quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 SAMPLE = 2000
 """Rows by which units are guessed."""
+BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
+"""What polars raises on damaged tables: on some bytes of Parquet its own assertions fail."""
 CHUNK = 100_000
 """Rows of a batch."""
 
@@ -49,50 +55,83 @@ class ColumnFiles:
                 for frame in rows.collect_batches(chunk_size=CHUNK, maintain_order=True):
                     seen += len(frame)
                     yield Batch(table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted))
-            except pl.exceptions.PolarsError as error:
+            except BROKEN as error:
                 raise broken_table(self.path, table, error) from None
 
     def guess(self, choice: Choice) -> Guess:
         """As the format says, or by the columns' names, and units by their first rows."""
         if self.guessed is not None:
             return self.guessed
-        samples: dict[str, pl.DataFrame] = {}
-        for name, rows in self.scans.items():
-            try:
-                samples[name] = rows.head(SAMPLE).collect()
-            except pl.exceptions.PolarsError as error:
-                raise broken_table(self.path, name, error) from None
+        samples = {name: collect(rows.head(SAMPLE), self.path, name) for name, rows in self.scans.items()}
         return guess_roles(samples, choice.tables)
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open a table file or a folder of them."""
     files = _files(path) if path.is_dir() else [path]
-    scans: dict[str, pl.LazyFrame] = {}
-    for file in files:
-        scans[file.name] = scan(file)
-    tables = {name: Table(tuple(s.collect_schema().names()), "columns") for name, s in scans.items()}
-    yield ColumnFiles(path, scans, tables)
+    remarks: list[str] = []
+    scans = {file.name: scan(file, file, limits, remarks) for file in files}
+    yield ColumnFiles(path, scans, tables_of(scans, "columns"), remarks=tuple(remarks))
 
 
-def scan(file: Path) -> pl.LazyFrame:
-    """A table file, not yet read; the kinds of a CSV's columns are found over all its rows."""
+def tables_of(scans: Mapping[str, pl.LazyFrame], kind: str) -> dict[str, Table]:
+    """The tables with their columns' names."""
+    return {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
+
+
+def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
+    """A table file, not yet read; the kinds of a CSV's columns are found over all its rows.
+
+    Parameters
+    ----------
+    shown_as : the file's name in messages, where it was unpacked to another place
+    remarks : is told of columns that have one name
+    """
     try:
         if first_bytes(file, 4) == b"PAR1":
-            frame = pl.scan_parquet(file)
+            frame = pl.scan_parquet(**one_file(file))
+            limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
         else:
+            _require_closed_quotes(file, shown_as)
             frame = pl.scan_csv(
-                file, separator=_separator(file), infer_schema_length=None, comment_prefix="#"
+                **one_file(file), separator=_separator(file), infer_schema_length=None, comment_prefix="#"
             )
         names = frame.collect_schema().names()
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise broken_table(file, file.name, error) from None
+    except (*BROKEN, OSError) as error:
+        raise broken_table(shown_as, shown_as.name, error) from None
     if len(names) < 2:
         raise InputError(
-            f"{file}: is one column, {names[0][:40]!r}; name the format, or separate cells by commas"
+            f"{shown_as}: is one column, {quoted(''.join(names))}; name the format, or separate cells by commas"
         )
-    return frame.rename({name: name.strip() for name in names if name.strip() != name})
+    limits.first_columns(iter(names), shown_as)
+    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
+    return frame.rename(dict(zip(names, _plain(names, shown_as, remarks), strict=True)))
+
+
+def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
+    """Names without spaces around them; the second column of a name is called as polars calls it."""
+    plain: list[str] = []
+    for name in names:
+        bare = name.strip()
+        first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
+        if first in plain:
+            again = next(s for i in range(len(names)) if (s := f"{first}_duplicated_{i}") not in plain)
+            if first:
+                remarks.append(
+                    f"{file.name}: column {quoted(first)} appears twice; the other is {quoted(again)}"
+                )
+            bare = again
+        plain.append(bare)
+    return plain
+
+
+def _require_closed_quotes(file: Path, shown_as: Path) -> None:
+    """Refuse a text with an odd number of quotes: the rest of the file would count as one cell."""
+    with file.open("rb") as stream:
+        count = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
+    if count % 2:
+        raise InputError(f'{shown_as}: a quote (") is not closed; close or delete it')
 
 
 def _separator(file: Path) -> str:
@@ -110,7 +149,16 @@ def _expected_rows(file: Path) -> int:
     return int(file.stat().st_size / max(len(head) / max(head.count(b"\n"), 1), 1.0)) if file.is_file() else 1
 
 
+def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
+    """The rows; what polars stumbles over becomes one line."""
+    try:
+        return rows.collect()
+    except BROKEN as error:
+        raise broken_table(path, table, error) from None
+
+
 def broken_table(path: Path, table: str, error: Exception) -> InputError:
+    """One line for what polars says of a damaged table."""
     where = path if path.name == table else path / table
-    said = " ".join(str(error).split("\n")[0].split())[:160]
+    said = shown(" ".join(str(error).split("\n")[0].split()), 160)
     return InputError(f"{where}: can't be read as a table ({said}); mend or export it again")

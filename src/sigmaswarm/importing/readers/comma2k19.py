@@ -15,7 +15,9 @@ import polars as pl
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_axes, enu_to_geodetic, geodetic_to_ecef
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source
+from sigmaswarm.wording import shown
 
 _SENSORS = {
     "accelerometer": ("IMU/accelerometer", "IMU/acceleration"),
@@ -40,7 +42,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read a segment: a minute, a few MB."""
     frames: dict[str, pl.DataFrame] = {}
     for name, folders in _SENSORS.items():
@@ -65,9 +67,13 @@ def open_log(path: Path) -> Generator[Source]:
 
 def _load(path: Path) -> Array:
     try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError) as error:
-        said = " ".join(str(error).split())[:120]
+        # mapped, a header that says more than the file holds is refused before memory is asked for
+        array = np.load(path, allow_pickle=False, mmap_mode="r")
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
+            raise ValueError("no array of numbers")
+        return np.array(array, dtype=np.float64)
+    except Exception as error:  # a damaged header is evaluated as Python, and raises whatever that does
+        said = shown(" ".join(str(error).split()), 120)
         raise InputError(
             f"{path}: can't be read as a NumPy array ({said}); unpack the segment again"
         ) from None
@@ -76,19 +82,28 @@ def _load(path: Path) -> Array:
 def _table(folder: Path, columns: tuple[str, ...]) -> pl.DataFrame:
     """Times and values of a sensor."""
     time, values = _load(folder / "t"), _load(folder / "value")
-    if values.shape != (len(time), len(columns)):
-        raise InputError(
-            f"{folder}: value has shape {values.shape}, not {(len(time), len(columns))}; unpack the segment again"
-        )
+    _require_shape(time, (time.size,), folder / "t")
+    _require_shape(values, (len(time), len(columns)), folder / "value")
     return pl.DataFrame({"t": time, **dict(zip(columns, values.T, strict=True))})
 
 
+def _require_shape(array: Array, shape: tuple[int, ...], path: Path) -> None:
+    if array.shape != shape:
+        raise InputError(f"{path}: has shape {array.shape}, not {shape}; unpack the segment again")
+
+
+@np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
     """The camera's place in degrees, and its velocity and heading about the first place."""
     time, ecef = _load(folder / "frame_times"), _load(folder / "frame_positions")
     velocity, quaternion = _load(folder / "frame_velocities"), _load(folder / "frame_orientations")
-    if not len(time) == len(ecef) == len(velocity) == len(quaternion):
-        raise InputError(f"{folder}: its arrays differ in length; unpack the segment again")
+    _require_shape(time, (max(time.size, 1),), folder / "frame_times")
+    for array, width, name in (
+        (ecef, 3, "positions"),
+        (velocity, 3, "velocities"),
+        (quaternion, 4, "orientations"),
+    ):
+        _require_shape(array, (len(time), width), folder / f"frame_{name}")
     center = (0.0, 0.0, 0.0)  # any plane serves to get from ECEF to degrees
     first = enu_to_geodetic((ecef[:1] - geodetic_to_ecef(*center)) @ enu_axes(0.0, 0.0).T, center)[0]
     axes = enu_axes(first[0], first[1])

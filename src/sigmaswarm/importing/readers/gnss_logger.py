@@ -14,8 +14,20 @@ from typing import ClassVar
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68
-from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Part, Role, Source, Table, first_bytes
+from sigmaswarm.importing.source import (
+    CHUNK,
+    Batch,
+    Choice,
+    Guess,
+    Part,
+    Role,
+    Source,
+    Table,
+    first_bytes,
+    require_distinct,
+)
 
 _KINDS = ("Fix", "Accel", "UncalAccel", "Gyro", "UncalGyro")
 
@@ -106,7 +118,7 @@ def _fix(columns: Collection[str], shared: bool) -> dict[str, str]:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the comments, and lines when they are wanted."""
     tables: dict[str, Table] = {}
     present = _kinds_present(path)
@@ -116,6 +128,7 @@ def open_log(path: Path) -> Generator[Source]:
                 break
             kind, *columns = line.lstrip("# ").strip().split(",")
             if kind in present:
+                require_distinct(columns, path)
                 tables[kind] = Table(tuple(columns), "lines")
     if not tables:
         raise InputError(f"{path}: holds no lines of {', '.join(_KINDS)}; log fixes and sensors")

@@ -4,6 +4,7 @@ One text of 30 numbers a sample and a file of times; meaning, units and signs fr
 (A. Geiger et al., "Vision meets Robotics: The KITTI Dataset", IJRR 2013): x forward, y left, z up, yaw from east.
 """
 
+import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,9 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Frames, Guess, Part, Source
+from sigmaswarm.wording import shown
 
 COLUMNS = (
     *("lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu"),
@@ -53,7 +56,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read all texts of a drive: an hour of 100 Hz is 360 000 files, and 90 MB."""
     folder = _oxts(path)
     if not recognizes(path):
@@ -67,23 +70,29 @@ def open_log(path: Path) -> Generator[Source]:
     rows = np.array([_numbers(file) for file in files])
     number = np.array([_number(file, len(stamps)) for file in files])
     frame = pl.DataFrame({"stamp": stamps[number], **dict(zip(COLUMNS, rows.T, strict=True))})
+    lost = np.iinfo(np.int64).min  # NaT: a sample whose line is empty has no time
+    frame = frame.with_columns(pl.col("stamp").replace(lost, None))
     yield Frames(path, {TABLE: frame}, GUESS, {TABLE: "OXTS RT3003"})
 
 
 def _stamps(path: Path) -> np.ndarray:
     """Nanoseconds of each line; a line may be empty where a sample was lost."""
-    lines = path.read_text().splitlines()
+    lines = path.read_text("utf-8", "replace").splitlines()
     try:
-        times = np.array([line.strip() or "NaT" for line in lines], dtype="datetime64[ns]")
+        said = [line.strip() or "NaT" for line in lines]
+        times = np.array(said, dtype="datetime64[ns]")
+        days = np.array([text[:10] for text in said], dtype="datetime64[D]")
     except ValueError as error:
-        raise InputError(f"{path}: {error}; unpack the drive again") from None
+        raise InputError(f"{path}: {shown(error, 160)}; unpack the drive again") from None
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
+    if np.any(times.astype("datetime64[D]") != days, where=~np.isnat(days)):  # ns reach from 1678 to 2262
+        raise InputError(f"{path}: holds a date beyond what ns can count; unpack the drive again")
     return times.astype(np.int64)
 
 
 def _numbers(path: Path) -> list[float]:
-    cells = path.read_text().split()
+    cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]
     except ValueError:
@@ -97,7 +106,7 @@ def _numbers(path: Path) -> list[float]:
 
 def _number(path: Path, count: int) -> int:
     """The sample's number, which is the file's name."""
-    if not path.stem.isdigit() or int(path.stem) >= count:
+    if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(
             f"{path}: timestamps.txt has only {count} lines, none for it; unpack the drive again"
         )

@@ -1,17 +1,24 @@
 """MCAP files of any profile: messages of ROS 2 (CDR), ROS 1 and JSON."""
 
 import json
+import struct
 from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.definitions import columns_of
+from sigmaswarm.importing.readers.fields import stamp_of
 from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
 from sigmaswarm.importing.source import Source, Table, first_bytes, library
 
 Decode = Callable[[bytes], Any]
+
+LOOKED_AT = 20
+"""Messages in JSON, which no definition describes, by which a topic's columns are known."""
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -22,23 +29,42 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open an MCAP file by the index at its end."""
     reading = library("mcap.reader", "ros")
     with path.open("rb") as file:
         try:
-            reader = reading.make_reader(file)
+            reader = reading.make_reader(file, validate_crcs=True)
             summary = reader.get_summary()
+            if summary is None or not summary.channels:
+                raise InputError(
+                    f"{path}: has no index or no topics; run `mcap recover` on it, or record it again"
+                )
+            for chunk in summary.chunk_indexes:
+                limits.check_unpacked(_unpacked(file, chunk.chunk_start_offset), path)
+            log = _log(path, reader, summary, limits)
+        except InputError:
+            raise
         except Exception as error:  # the library raises anything on damaged bytes
             raise broken(path, error) from None
-        if summary is None or not summary.channels:
-            raise InputError(
-                f"{path}: has no index or no topics; run `mcap recover` on it, or record it again"
-            )
-        yield _log(path, reader, summary)
+        yield log
 
 
-def _log(path: Path, reader: Any, summary: Any) -> MessageLog:
+def _unpacked(file: BinaryIO, offset: int) -> int:
+    """Bytes that a chunk becomes, as its record and its packed data say themselves."""
+    file.seek(offset + 9 + 16)  # behind the opcode, the record's length, and the first and last time
+    size, _, length = struct.unpack("<QII", file.read(16))
+    kind = file.read(min(length, 16))
+    data = file.read(8 + 32)[8:]
+    said = 0
+    if kind == b"zstd":
+        said = library("zstandard", "ros").frame_content_size(data)
+    elif kind == b"lz4":
+        said = library("lz4.frame", "ros").get_frame_info(data)["content_size"]
+    return max(size, said)
+
+
+def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> MessageLog:
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
     store = library("rosbags.typesys", "ros").get_typestore(library("rosbags.typesys", "ros").Stores.EMPTY)
     tables: dict[str, Table] = {}
@@ -46,7 +72,8 @@ def _log(path: Path, reader: Any, summary: Any) -> MessageLog:
     unread: list[str] = []
     for number, channel in summary.channels.items():
         schema = summary.schemas.get(channel.schema_id)
-        columns, decode = _decoder(channel, schema, store, reader)
+        columns, decode = _decoder(channel, schema, store, reader, limits, path)
+        limits = limits.less(len(columns))
         kind = schema.name if schema else channel.message_encoding
         if decode is None or not columns:
             unread.append(f"{channel.topic} ({channel.message_encoding} {kind})")
@@ -63,43 +90,57 @@ def _log(path: Path, reader: Any, summary: Any) -> MessageLog:
     return MessageLog(path, tables, stream, tuple(unread))
 
 
-def _decoder(channel: Any, schema: Any, store: Any, reader: Any) -> tuple[tuple[str, ...], Decode | None]:
+def _decoder(
+    channel: Any, schema: Any, store: Any, reader: Any, limits: Limits, path: Path
+) -> tuple[tuple[str, ...], Decode | None]:
     """The columns of a channel's messages, and what decodes them; None where nothing here does."""
     encoding = channel.message_encoding
     if encoding == "json":
-        return _json_columns(reader, channel.topic), json.loads
+        return limits.first_columns(_json_columns(reader, channel.topic), path), _json
     if encoding not in ("cdr", "ros1") or schema is None:
         return (), None
     typesys = library("rosbags.typesys", "ros")
     name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/", 1)
-    text = schema.data.decode()
     try:
+        text = schema.data.decode()
         parse = typesys.get_types_from_idl if schema.encoding == "ros2idl" else None
         types = parse(text) if parse else typesys.get_types_from_msg(text, name)
         store.register({k: v for k, v in types.items() if k not in store.fielddefs})
         deserialize = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
-        return columns_of(store, name), lambda data: deserialize(data, name)
-    except typesys.TypesysError:
+    except (typesys.TypesysError, UnicodeDecodeError, RecursionError):
         return (), None
+    return columns_of(store, name, limits, path), lambda data: deserialize(data, name)
 
 
-def _json_columns(reader: Any, topic: str) -> tuple[str, ...]:
-    """The paths of the numbers in a topic's first message."""
-    for _, _, message in reader.iter_messages(topics=[topic]):
-        content = json.loads(message.data)
-        paths = tuple(_json_paths(content, "")) if isinstance(content, dict) else ()
-        stamped = any(p.endswith(("header.stamp.sec", "timestamp.sec")) for p in paths)
-        return ("received", *(("stamp",) if stamped else ()), *paths)
-    return ()
+def _json(data: bytes) -> dict[str, Any]:
+    """A message; one that is no object holds nothing."""
+    content = json.loads(data)
+    return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
-def _json_paths(content: Any, before: str) -> Iterator[str]:
+def _json_columns(reader: Any, topic: str) -> Iterator[str]:
+    """The paths of the numbers in a topic's first messages: lists may be empty in the very first."""
+    known: set[str] = set()
+    for _, _, message in islice(reader.iter_messages(topics=[topic]), LOOKED_AT):
+        content = _json(message.data)
+        if not known:
+            yield "received"
+            known.add("received")
+        if "stamp" not in known and stamp_of(content) is not None:
+            yield "stamp"
+            known.add("stamp")
+        for path in _json_paths(content, ""):
+            if path and path not in known:
+                known.add(path)
+                yield path
+
+
+def _json_paths(content: dict[str, Any], before: str) -> Iterator[str]:
     for name, value in content.items():
         if isinstance(value, dict):
-            yield from _json_paths(value, f"{before}{name}.")
+            yield from _json_paths(cast("dict[str, Any]", value), f"{before}{name}.")
         elif isinstance(value, int | float):
             yield before + name
         elif isinstance(value, list):
-            yield from (
-                f"{before}{name}[{i}]" for i, v in enumerate(value[:36]) if isinstance(v, int | float)
-            )
+            first = enumerate(cast("list[Any]", value)[:36])
+            yield from (f"{before}{name}[{i}]" for i, v in first if isinstance(v, int | float))

@@ -4,9 +4,8 @@
 """
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,8 +13,10 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.fields import getter
 from sigmaswarm.importing.readers.topics import guess_topics
 from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Table
+from sigmaswarm.wording import shown
 
 LATE = 0.1
 """s: header stamps that differ more from the receive times get a remark."""
@@ -89,13 +90,16 @@ class _Collector:
         values = iter([get(message) for get in self.getters])
         self.rows.append(tuple(received if c == "received" else next(values) for c in self.columns))
         if "stamp" in self.columns:
-            self.delays.append((received - self.rows[-1][self.columns.index("stamp")]) * 1e-9)
+            stamp = self.rows[-1][self.columns.index("stamp")]
+            if stamp is not None:
+                self.delays.append((received - stamp) * 1e-9)
 
     def take(self) -> pl.DataFrame:
         """The rows so far; begin anew."""
         rows, self.rows = self.rows, []
         self.delays = self.delays[:: max(len(self.delays) // 20_000, 1)]
-        return pl.DataFrame(rows, schema=self.columns, orient="row", infer_schema_length=None)
+        values = zip(*rows, strict=True)
+        return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
         """Whether stamps and receive times tell different things."""
@@ -108,37 +112,25 @@ class _Collector:
             )
 
 
-def getter(column: str) -> Callable[[Any], Any]:
-    """What takes a column's number out of a message."""
-    if column == "stamp":
-        return stamp_of
-    path, _, index = column.partition("[")
-    take = attrgetter(path)
-    if not index:
-        return lambda message: take(message) if not isinstance(message, dict) else _key(message, path)
-    i = int(index.rstrip("]"))
-    return lambda message: (
-        float(take(message)[i]) if not isinstance(message, dict) else _key(message, path)[i]
-    )
+def _numbers(values: Sequence[Any]) -> pl.Series:
+    """A column (n,) of whole numbers as such, a time has more digits than a float holds; of any others as floats."""
+    if {type(v) for v in values} <= {int, type(None)}:
+        try:
+            return pl.Series(values, dtype=pl.Int64)
+        except (OverflowError, TypeError, pl.exceptions.PolarsError):  # beyond 64 bits
+            pass
+    return pl.Series([_float(v) for v in values], dtype=pl.Float64)
 
 
-def _key(message: Any, path: str) -> Any:
-    for name in path.split("."):
-        message = message.get(name) if isinstance(message, dict) else None
-    return message
-
-
-def stamp_of(message: Any) -> int:
-    """The stamp of a message's header, ns."""
-    if isinstance(message, dict):
-        stamp = _key(message, "header.stamp") or _key(message, "timestamp") or {}
-        return stamp.get("sec", 0) * 10**9 + stamp.get("nanosec", stamp.get("nsec", 0))
-    stamp = message.header.stamp
-    return stamp.sec * 10**9 + stamp.nanosec
+def _float(value: Any) -> float | None:
+    try:
+        return None if value is None else float(value)
+    except OverflowError:  # a whole number of 400 digits
+        return None
 
 
 def broken(path: Path, error: Exception) -> InputError:
     """One line for what a library says of a damaged file."""
-    said = " ".join(str(error).split())[:160] or type(error).__name__
-    said = re.sub(r"^b'|'$", "", said)
+    said = " ".join(str(error).split()) or type(error).__name__
+    said = shown(re.sub(r"^b'|'$", "", said), 160)
     return InputError(f"{path}: is cut short or broken ({said}); record or copy it again")

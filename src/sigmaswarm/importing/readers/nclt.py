@@ -11,9 +11,11 @@ from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import ColumnFiles, broken_table
-from sigmaswarm.importing.source import Guess, Part, Role, Source, Table
+from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readers.columns import ColumnFiles, collect, tables_of
+from sigmaswarm.importing.source import Guess, Part, Role, Source
 
 ORIGIN = (42.293227, -83.709657, 270.0)
 """Latitude, longitude (deg) and altitude (m) of the truth's frame."""
@@ -47,29 +49,25 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open the files, which have no header lines; the truth may lie beside them."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():
         for file in sorted(path.glob(pattern))[:1]:
             kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns}
-            scans[file.name] = pl.scan_csv(file, has_header=False, schema=kinds, null_values=["nan", "NaN"])
-            _require_rows(file, scans[file.name])
+            scans[file.name] = pl.scan_csv(
+                **one_file(file), has_header=False, schema=kinds, null_values=["nan", "NaN"]
+            )
+            if not len(collect(scans[file.name].head(10), file, file.name)):
+                raise InputError(f"{file} is empty; unpack the session again")
             roles[role] = (Part(file.name, expressions),)
-    tables = {name: Table(tuple(scan.collect_schema().names()), "NCLT") for name, scan in scans.items()}
     notes = (
         "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
     )
     yield ColumnFiles(
-        path, scans, tables, Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
+        path,
+        scans,
+        tables_of(scans, "NCLT"),
+        Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"}),
     )
-
-
-def _require_rows(file: Path, scan: pl.LazyFrame) -> None:
-    try:
-        rows = scan.head(10).collect()
-    except pl.exceptions.PolarsError as error:
-        raise broken_table(file, file.name, error) from None
-    if not len(rows):
-        raise InputError(f"{file} is empty; unpack the session again")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, library
 
 KNOT = 1852 / 3600
@@ -52,7 +53,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open a log; it is decoded when its rows are wanted."""
     pynmeagps = library("pynmeagps", "logs")
     remarks: list[str] = []
@@ -111,29 +112,43 @@ def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[
 
 
 def _day(message: Any) -> date | None:
-    if message.msgID == "RMC" and isinstance(message.date, date):
-        return message.date
-    if message.msgID == "ZDA" and message.year:
-        return date(int(message.year), int(message.month), int(message.day))
+    if message.msgID == "RMC" and isinstance(said := _field(message, "date"), date):
+        return said
+    if message.msgID == "ZDA":
+        try:
+            said = date(*(int(_field(message, name)) for name in ("year", "month", "day")))
+        except (TypeError, ValueError):  # empty, or none of a calendar
+            return None
+        return said if 1980 <= said.year < 2100 else None
     return None
+
+
+def _field(message: Any, name: str) -> Any:
+    """A sentence's field, empty where the sentence is too short to have it."""
+    return getattr(message, name, "")
 
 
 def _values(message: Any) -> dict[str, float]:
     """What a sentence says of the fix, in a drive's units but for the course, which is in degrees from north."""
     kind = message.msgID
+
+    def said(name: str) -> float:
+        return _number(_field(message, name))
+
     if kind in ("GGA", "GNS"):
-        quality = message.quality if kind == "GGA" else float(any(m not in "N" for m in str(message.posMode)))
-        height = _number(message.alt) + (_number(message.sep) if message.sep != "" else 0.0)
-        place = {"lat": _number(message.lat), "lon": _number(message.lon), "alt": height}
-        return {**place, "quality": _number(quality), "hdop": _number(message.HDOP)}
-    if kind == "RMC" and message.status == "A":
-        speed, course = _number(message.spd) * KNOT, _number(message.cog)
+        modes = str(_field(message, "posMode"))
+        quality = said("quality") if kind == "GGA" else float(any(m not in "N" for m in modes))
+        height = said("alt") + (said("sep") if _field(message, "sep") != "" else 0.0)
+        place = {"lat": said("lat"), "lon": said("lon"), "alt": height}
+        return {**place, "quality": quality, "hdop": said("HDOP")}
+    if kind == "RMC" and _field(message, "status") == "A":
+        speed, course = said("spd") * KNOT, said("cog")
         if math.isnan(course) and speed < STILL:
             course = 0.0  # receivers leave the course empty at standstill, where it means nothing
-        place = {"rmc_lat": _number(message.lat), "rmc_lon": _number(message.lon), "rmc_quality": 1.0}
+        place = {"rmc_lat": said("lat"), "rmc_lon": said("lon"), "rmc_quality": 1.0}
         return {"speed": speed, "course": course, **place}
     if kind == "GST":
-        return {"std_lat": _number(message.stdLat), "std_lon": _number(message.stdLong)}
+        return {"std_lat": said("stdLat"), "std_lon": said("stdLong")}
     return {}
 
 

@@ -7,8 +7,10 @@ Column names carry their units: "Time (s)" since the start on one clock, "Accele
 import re
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files, unpacked
 from sigmaswarm.importing.source import Guess, Part, Role, Source
 
@@ -29,10 +31,10 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open an export."""
-    with unpacked(path) as folder:
-        files = phone_files(path, folder, Guess({}), FILES)
+    with unpacked(path, FILES, limits) as folder:
+        files = phone_files(path, folder, Guess({}), FILES, limits)
         roles: dict[Role, tuple[Part, ...]] = {}
         names = {table: _find(_NAMES[table], files.tables[table].columns) for table in files.tables}
         accelerometer, gyroscope = names.get(FILES[0], {}), names.get(FILES[1], {})
@@ -43,7 +45,7 @@ def open_log(path: Path) -> Generator[Source]:
             roles["imu"] = (acceleration, rates)
         if (place := names.get(FILES[2], {})).keys() >= {"t", "lat", "lon"}:
             roles["gps"] = (Part(FILES[2], _fix(place)),)
-        yield phone_files(path, folder, Guess(roles, (FLAT,)), FILES)
+        yield replace(files, guessed=Guess(roles, (FLAT,)))
 
 
 def _find(wanted: dict[str, str], columns: Sequence[str]) -> dict[str, str]:

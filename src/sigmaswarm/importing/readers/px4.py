@@ -13,6 +13,7 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.messages import broken
 from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source, first_bytes, library
 
@@ -31,7 +32,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the topics that a drive is made of; the others are passed over."""
     core = library("pyulog.core", "logs")
     try:

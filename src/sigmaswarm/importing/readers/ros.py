@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.definitions import columns_of
 from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
 from sigmaswarm.importing.source import Source, Table, first_bytes, library
@@ -28,7 +29,7 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open a bag; definitions that a ROS 2 bag does not bring along are those of the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
@@ -43,16 +44,18 @@ def open_log(path: Path) -> Generator[Source]:
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
     try:
-        yield _log(path, reader)
+        yield _log(path, reader, limits)
     finally:
         reader.close()
 
 
-def _log(path: Path, reader: Any) -> MessageLog:
+def _log(path: Path, reader: Any, limits: Limits) -> MessageLog:
     tables: dict[str, Table] = {}
     for topic, info in reader.topics.items():
         kind = info.msgtype or "several types"
-        tables[topic] = Table(columns_of(reader.typestore, kind), kind, info.msgcount)
+        columns = columns_of(reader.typestore, kind, limits, path)
+        tables[topic] = Table(columns, kind, info.msgcount)
+        limits = limits.less(len(columns))
 
     def stream(topics: Collection[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]

@@ -13,7 +13,9 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import GPS_EPOCH, gps_to_unix
-from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes
+from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, require_distinct
+from sigmaswarm.wording import names_shown
 
 WEEK = 604_800
 """s."""
@@ -35,7 +37,7 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the header, and rows when they are wanted."""
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
@@ -62,15 +64,16 @@ def _header(path: Path) -> tuple[str, list[str]]:
             if re.match(r"%\s*(GPST|UTC|JST)\b", line):
                 said = line
     words = re.sub(r"[%,;]", " ", said).split()
-    if len(words) < 3 or words[0] == "JST":
+    if len(words) < 3 or words[0] not in ("GPST", "UTC"):
         raise InputError(
             f"{path}: has no header of RTKLIB's with GPST or UTC; write the solution with its header"
         )
     columns = [_NAMES.get(word, word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
-            f"{path}: has {', '.join(words[1:4])}; write the solution as latitude, longitude, height"
+            f"{path}: has {names_shown(words[1:4])}; write the solution as latitude, longitude, height"
         )
+    require_distinct(columns, path)
     return words[0], columns
 
 
@@ -85,7 +88,7 @@ def _rows(path: Path, width: int, utc: Callable[[float], float]) -> Iterator[tup
             cells = re.split(r"[\s,;]+", line.strip())
             try:
                 time, values = utc(_seconds(*cells[:2])), [float(cell) for cell in cells[2:]]
-            except (ValueError, TypeError):
+            except (ValueError, TypeError, OverflowError):
                 time, values = 0.0, []
             if len(values) != width:
                 raise InputError(
@@ -100,5 +103,7 @@ def _seconds(first: str, second: str) -> float:
     if "/" in first:
         day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)
         hours, minutes, seconds = second.split(":")
+        if not (0 <= int(hours) < 24 and 0 <= int(minutes) < 60 and 0 <= float(seconds) <= 60):
+            raise ValueError("no time of day")
         return float(day) + int(hours) * 3600 + int(minutes) * 60 + float(seconds)
     return GPS_EPOCH + int(first) * WEEK + float(second)

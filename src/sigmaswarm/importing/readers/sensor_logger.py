@@ -7,15 +7,18 @@ with gravity on Android; bearing in degrees from north; negative values are inva
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.readers.columns import scan
+from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readers.columns import ColumnFiles, collect
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files, unpacked
 from sigmaswarm.importing.source import Guess, Part, Role, Source
 
+FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
 _T = "time*1e-9"
 _DEVIATION = f"where(horizontalAccuracy > 0, horizontalAccuracy/{RADIUS_68}, 0/0)"
 _FIX = {
@@ -35,24 +38,24 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open an export."""
-    with unpacked(path) as folder:
-        there = {file.name for file in folder.iterdir()}
+    with unpacked(path, FILES, limits) as folder:
+        log = phone_files(path, folder, Guess({}), FILES, limits)
+        there = log.tables.keys()
         roles: dict[Role, tuple[Part, ...]] = {}
         notes = [FLAT]
-        if "Gyroscope.csv" in there and (parts := _acceleration(folder, there, notes)):
+        if "Gyroscope.csv" in there and (parts := _acceleration(log, notes)):
             rates = Part("Gyroscope.csv", {"t": _T, "gx": "y", "gy": "-x", "gz": "z"})
             roles["imu"] = (*parts, rates)
         if "Location.csv" in there:
             roles["gps"] = (Part("Location.csv", _FIX),)
-        guess = Guess(roles, tuple(notes))
-        files = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
-        yield phone_files(path, folder, guess, files)
+        yield replace(log, guessed=Guess(roles, tuple(notes)))
 
 
-def _acceleration(folder: Path, there: set[str], notes: list[str]) -> tuple[Part, ...]:
+def _acceleration(log: ColumnFiles, notes: list[str]) -> tuple[Part, ...]:
     """Specific force: with gravity as logged, or without it and gravity added (iOS has both with its own sign)."""
+    there = log.tables.keys()
     if "TotalAcceleration.csv" in there:
         return (Part("TotalAcceleration.csv", {"t": _T, "ax": "y", "ay": "-x", "az": "z"}),)
     if not {"Accelerometer.csv", "Gravity.csv"} <= there:
@@ -62,14 +65,10 @@ def _acceleration(folder: Path, there: set[str], notes: list[str]) -> tuple[Part
             if "Accelerometer.csv" in there
             else ()
         )
-    down = (
-        scan(folder / "Gravity.csv")
-        .select(pl.col("z").cast(pl.Float64, strict=False).median())
-        .collect()
-        .item()
-    )
+    z = pl.col("z").cast(pl.Float64, strict=False)
+    down = collect(log.scans["Gravity.csv"].select(z.median()), log.path, "Gravity.csv").item()
     if down is None:
-        raise InputError(f"{folder.name}/Gravity.csv: holds no numbers; export it again")
+        raise InputError(f"{log.path / 'Gravity.csv'}: holds no numbers; export it again")
     sign = "-" if down < 0 else ""
     notes.append(
         f"gravity added to Accelerometer.csv{', both with their signs turned, as iOS has them' if sign else ''}"

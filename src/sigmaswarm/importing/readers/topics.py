@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.readers.fields import stamp_of
 from sigmaswarm.importing.source import Choice, Guess, Part, Role, Table
+from sigmaswarm.wording import names_shown
 
 _IMU = {
     "ax": "linear_acceleration.x",
@@ -62,7 +64,7 @@ def guess_topics(tables: Mapping[str, Table], choice: Choice, first: First, path
         roles["truth"] = (pick.part(truth, pick.motion(truth)),)
     elif poses := sorted(t for t in tables if "Odometry" in tables[t].kind):
         notes.append(
-            f"{', '.join(poses)} not taken as truth, since no name says so; choose one with --truth-topic"
+            f"{names_shown(poses)} not taken as truth, since no name says so; choose one with --truth-topic"
         )
     return Guess(roles, tuple(notes))
 
@@ -91,7 +93,7 @@ class _Picker:
         if chosen is not None:
             near = {chosen, "/" + chosen.lstrip("/")} & set(self.tables)
             if not near:
-                there = ", ".join(self.tables)
+                there = names_shown(self.tables)
                 raise InputError(
                     f"{self.path}: has no topic {chosen!r} for --{role}-topic; there are {there}"
                 )
@@ -99,7 +101,7 @@ class _Picker:
         ranked = sorted(candidates, key=lambda t: (-(self.tables[t].rows or 0), t))
         ranked = [t for t in ranked if self.tables[t].rows != 0]
         if len(ranked) > 1:
-            others = ", ".join(ranked[1:])
+            others = names_shown(ranked[1:])
             self.notes.append(f"{ranked[0]} taken for the {role}, not {others}; choose with --{role}-topic")
         return ranked[0] if ranked else None
 
@@ -183,7 +185,5 @@ class _Picker:
             )
 
 
-def _stamp(message: tuple[str, int, Any] | None) -> int:
-    from sigmaswarm.importing.readers.messages import stamp_of
-
-    return stamp_of(message[2]) if message else 0
+def _stamp(message: tuple[str, int, Any] | None) -> int | None:
+    return stamp_of(message[2]) if message else None

@@ -7,10 +7,12 @@ standard deviations as the receiver sees them. Other messages in the stream, NME
 import calendar
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, library
 
 SYNC = b"\xb5\x62"
@@ -44,13 +46,22 @@ def recognizes(path: Path) -> bool:
 
 
 @contextmanager
-def open_log(path: Path) -> Generator[Source]:
+def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Open a stream; it is decoded when its rows are wanted."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: holds no UBX messages; name the format with --format")
     remarks: list[str] = []
     yield Rows(path, "NAV-PVT", COLUMNS, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
+
+
+def _time(message: Any) -> float:
+    """s since 1970; ValueError where the calendar has no such day or the day no such time."""
+    day = date(message.year, message.month, message.day)
+    if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
+        raise ValueError("no time of day")
+    clock = (message.hour, message.min, message.second)
+    return calendar.timegm((*day.timetuple()[:3], *clock)) + message.nano * 1e-9
 
 
 def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
@@ -68,16 +79,19 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
                 if raw[2:4] != b"\x01\x07":
                     continue
                 message = pyubx2.UBXReader.parse(raw)
+                dated = message.validDate and message.validTime
+                row = (
+                    (_time(message), *(float(getattr(message, name)) for name in COLUMNS[1:]))
+                    if dated
+                    else None
+                )
             except Exception:  # a damaged message; the next one begins at its own sync bytes
                 broken += 1
                 continue
-            if not (message.validDate and message.validTime):
+            if row is None:
                 undated += 1
                 continue
-            clock = (message.year, message.month, message.day, message.hour, message.min, message.second)
-            time = calendar.timegm(clock) + message.nano * 1e-9
-            values = (float(getattr(message, name)) for name in COLUMNS[1:])
-            yield (time, *values), min(file.tell() / size, 1.0)
+            yield row, min(file.tell() / size, 1.0)
     if broken:
         remarks.append(f"{path.name}: {broken} damaged messages passed over")
     if undated:

@@ -152,7 +152,7 @@ def read_spreads(folder: Path) -> list[Spread]:
     path, keys = folder / "scores.csv", ["protocol", "method", "measure"]
     value = pl.col("value").filter(pl.col("value").is_finite())
     try:
-        scores = pl.scan_csv(path, schema_overrides={"value": pl.Float64()})
+        scores = pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()})
         drives = scores.group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
         found = drives.group_by(keys, maintain_order=True).agg(
             *[value.quantile(q, "linear").alias(name) for name, q in QUANTILES.items()],

@@ -1,0 +1,51 @@
+"""How much of a log is read: a small file can say that it holds more than any memory does."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+from sigmaswarm.errors import InputError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The most that is taken; whoever has more, and the memory for it, raises them.
+
+    Attributes
+    ----------
+    rows : of a table; 10 million are 28 hours at 100 Hz
+    columns : of all tables of a log
+    unpacked_mb : MB that a chunk, or the files that are wanted of a zip, become when they are unpacked
+    """
+
+    rows: int = 10_000_000
+    columns: int = 100_000
+    unpacked_mb: int = 1000
+
+    def check_rows(self, count: int, path: Path, table: str) -> None:
+        """Refuse a table of too many rows."""
+        if count > self.rows:
+            where = path if path.name == table else f"{path}, {table}"
+            raise InputError(f"{where}: holds more than {self.rows} rows; split the log, or raise --max-rows")
+
+    def check_unpacked(self, count: int, path: Path) -> None:
+        """Refuse what becomes too many bytes."""
+        if count > self.unpacked_mb * 1_000_000:
+            raise InputError(
+                f"{path}: would unpack {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
+                "yourself, or raise --max-unpacked-mb"
+            )
+
+    def first_columns(self, names: Iterator[str], path: Path) -> tuple[str, ...]:
+        """All names but empty ones, which count as well: fields without a number take their time, too."""
+        found = list(islice(names, self.columns + 1))
+        if len(found) > self.columns:
+            raise InputError(
+                f"{path}: has more than {self.columns} columns; raise --max-columns if it is sound"
+            )
+        return tuple(name for name in found if name)
+
+    def less(self, columns: int) -> "Limits":
+        """What is left for a log's other tables."""
+        return replace(self, columns=self.columns - columns)

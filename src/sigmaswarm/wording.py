@@ -1,0 +1,28 @@
+"""How messages show what comes from files: on one line, without what steers a terminal, and not at any length."""
+
+from collections.abc import Iterable
+
+MOST_CHARACTERS = 60
+"""Of a name or a cell in a message."""
+MOST_NAMES = 12
+"""Of a list in a message."""
+
+
+def shown(text: object, most: int = MOST_CHARACTERS) -> str:
+    """A name or a cell as a message shows it: control characters escaped, as repr does, and cut."""
+    whole = str(text)
+    cut = "".join(c if c.isprintable() else repr(c)[1:-1] for c in whole[:most])
+    return cut + ("..." if len(whole) > most else "")
+
+
+def quoted(text: object, most: int = MOST_CHARACTERS) -> str:
+    """The same between quotes."""
+    whole = str(text)
+    return repr(whole[:most]) + ("..." if len(whole) > most else "")
+
+
+def names_shown(names: Iterable[object], mark: str = "") -> str:
+    """The first names of a list, each shown between ``mark``, and how many more there are."""
+    every = [f"{mark}{shown(name)}{mark}" for name in names]
+    more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
+    return ", ".join(every[:MOST_NAMES]) + more

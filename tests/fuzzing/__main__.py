@@ -1,0 +1,128 @@
+"""The fuzzer's long run: ``python -m fuzzing --minutes 30``. Prints what was tried, and keeps what was found."""
+
+import argparse
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from pathlib import Path
+
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
+
+from fuzzing.check import break_files, check, copied, peak_megabytes
+from fuzzing.seeds import SEEDS
+from importing.test_datasets import imu_csv
+
+BATCH = 50
+"""Inputs of one run of hypothesis; the clock is looked at in between."""
+
+
+def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, object]:
+    """Break one reader's log for some time; each kind of finding is kept once, as a folder."""
+    about, begin = SEEDS[name], time.monotonic()
+    counts: dict[str, int] = {}
+    tried = accepted = 0
+    slowest = 0.0
+    with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        root = Path(place)
+        (root / "sound").mkdir()
+        imu, path = imu_csv(root), about.write(root / "sound")
+        drive = about.read(path, imu)
+
+        def one(data: st.DataObject) -> None:
+            nonlocal tried, accepted, slowest
+            copy = copied(root / "sound", path, root / "in")
+            touched = break_files(data.draw, about, root / "in")
+            tried, start = tried + 1, time.monotonic()
+            try:
+                accepted += check(about, copy, imu, drive, touched, root / "out")
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                kind = signature(error)
+                counts[kind] = counts.get(kind, 0) + 1
+                if counts[kind] == 1:
+                    keep(found / name / str(len(counts)), root / "in", kind)
+            slowest = max(slowest, time.monotonic() - start)
+
+        batch = 0
+        while time.monotonic() - begin < seconds:
+            run = settings(
+                max_examples=BATCH,
+                database=None,
+                deadline=None,
+                phases=[Phase.generate],
+                suppress_health_check=list(HealthCheck),
+            )(given(data=st.data())(one))
+            seed(number * 100_000 + batch)(run)()
+            batch += 1
+    return {
+        "reader": name,
+        "tried": tried,
+        "accepted": accepted,
+        "slowest_s": round(slowest, 2),
+        "peak_mb": round(peak_megabytes()),
+        "findings": counts,
+    }
+
+
+def signature(error: BaseException) -> str:
+    """The kind of a finding: what was raised, and where in our code."""
+    own = [f for f in traceback.extract_tb(error.__traceback__) if "/sigmaswarm/" in f.filename]
+    where = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
+    said = " ".join(str(error).split())[:100] if not own else ""
+    return f"{type(error).__name__} {where}{said}"
+
+
+def keep(folder: Path, source: Path, why: str) -> None:
+    """Keep an input with what it does."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(source, folder / "in")
+    (folder / "why.txt").write_text(f"{why}\n\n{traceback.format_exc()}")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="fuzzing", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=30.0, help="in all, over all readers")
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--found", type=Path, default=Path("fuzz-found"), help="folder for what is found")
+    parser.add_argument("--reader", choices=SEEDS, help="this one alone")
+    options = parser.parse_args()
+    share = options.minutes * 60 / (1 if options.reader else len(SEEDS))
+    if options.reader:
+        resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
+        print(json.dumps(fuzz(options.reader, share, options.seed, options.found)))
+        return 0
+    print(f"seed {options.seed}, {share:.0f} s a reader, findings go to {options.found}/")
+    failed = total = 0
+    for name in SEEDS:  # each in a process of its own, so that a crash and the peak memory are its own
+        command = [sys.executable, "-m", "fuzzing", "--reader", name, "--minutes", str(share / 60)]
+        command += ["--seed", str(options.seed), "--found", str(options.found)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        if ended.returncode:
+            failed += 1
+            print(f"{name}: died with {ended.returncode}: {ended.stderr.strip()[-300:]}", flush=True)
+            continue
+        told = json.loads(ended.stdout.splitlines()[-1])
+        total += told["tried"]
+        failed += len(told["findings"])
+        print(
+            f"{name:22} {told['tried']:6} inputs, {told['accepted']:6} read, slowest {told['slowest_s']:5.2f} s, "
+            f"peak {told['peak_mb']:5} MB, {len(told['findings'])} findings",
+            flush=True,
+        )
+        for kind, count in told["findings"].items():
+            print(f"    {count:5} x {kind}", flush=True)
+    print(f"{total} inputs, {failed} findings")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

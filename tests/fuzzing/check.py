@@ -1,0 +1,188 @@
+"""What must hold of any broken input: refused in one line, or a drive in which only what was broken differs."""
+
+import resource
+import shutil
+import signal
+import struct
+import warnings
+from collections import Counter
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from fuzzing.mutations import Draw, broken
+from fuzzing.seeds import Seed
+from sigmaswarm import read_drive, write_drive
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
+
+SECONDS, MEGABYTES, CHARACTERS = 10, 2000, 1000
+"""What an input may take at most, and the length of a line at most."""
+REACH = 5
+"""Samples that one record of a log can touch: in another table its neighbors are interpolated from it."""
+
+
+class Hang(BaseException):
+    """An input took too long; no Exception, so that no reader takes it for a broken file."""
+
+
+class Finding(AssertionError):
+    """What is promised does not hold."""
+
+
+@contextmanager
+def limited(seconds: int) -> Generator[None]:
+    """Stop after so many seconds of this process's own: a busy machine is no failure."""
+
+    def stop(*_: object) -> None:
+        raise Hang(f"takes longer than {seconds} s")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def peak_megabytes() -> float:
+    """The most memory that this process ever had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
+
+
+def copied(sound: Path, path: Path, folder: Path) -> Path:
+    """A copy of a sound log, which is ``path`` below ``sound``."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(sound, folder)
+    return folder / path.relative_to(sound)
+
+
+def break_files(draw: Draw, seed: Seed, folder: Path) -> int | None:
+    """Break one or two files in place; how many records differ, None where that can't be told."""
+    from hypothesis import strategies as st
+
+    files = sorted(f for f in folder.rglob("*") if f.is_file())
+    touched: int | None = 0
+    for file in draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True)):
+        before = file.read_bytes()
+        after = broken(draw, file.name, seed.kind, before)[: 8 << 20]
+        file.write_bytes(after)
+        count = None if file.suffix == ".toml" else records_touched(seed.kind, before, after)
+        touched = None if touched is None or count is None else touched + count
+    return touched
+
+
+def records_touched(kind: str, before: bytes, after: bytes) -> int | None:
+    """How many lines, messages or numbers differ; None where all may hang on what differs."""
+    if kind in ("text", "nmea", "ubx"):
+        mark = b"\xb5\x62" if kind == "ubx" else b"\n"
+        old, new = before.split(mark), after.split(mark)
+        data = next((i for i, line in enumerate(old) if line[:1].isdigit()), 0)
+        if kind == "text" and old[: max(data, 1)] != new[: max(data, 1)]:
+            return None  # the header
+        if before.count(b'"') != after.count(b'"') or (kind == "nmea" and Counter(old) == Counter(new)):
+            return None  # quotes join lines; a sentence belongs to the one before
+        return _different(Counter(old), Counter(new))
+    if kind == "npy":
+        if len(before) != len(after) or before[:128] != after[:128]:
+            return None
+        return int(np.count_nonzero(np.frombuffer(before[128:], "V8") != np.frombuffer(after[128:], "V8")))
+    if kind == "ulog":
+        old, new = _ulog(before), _ulog(after)
+        if [m for m in old if m[2:3] != b"D"] != [m for m in new if m[2:3] != b"D"]:
+            return None  # definitions
+        return _different(Counter(old), Counter(new))
+    return None
+
+
+def _different(old: Counter[bytes], new: Counter[bytes]) -> int:
+    return (old - new).total() + (new - old).total()
+
+
+def _ulog(data: bytes) -> list[bytes]:
+    found, at = [], 16
+    while at + 3 <= len(data):
+        end = at + 3 + struct.unpack_from("<H", data, at)[0]
+        found.append(data[at:end])
+        at = end
+    return found
+
+
+def check(seed: Seed, path: Path, imu: Path, sound: Drive, touched: int | None, scratch: Path) -> bool:
+    """Read a broken log; whether it gave a drive.
+
+    Raises
+    ------
+    Finding
+        A line is no line, a drive can't be read back, or samples differ that the faults did not touch.
+    """
+    with limited(SECONDS), warnings.catch_warnings():
+        warnings.simplefilter("error")  # a line of NumPy's on stderr is not one of ours
+        warnings.simplefilter("ignore", SigmaswarmWarning)
+        for read in (seed.look, seed.read):
+            try:
+                got = read(path, imu)
+            except SigmaswarmError as error:
+                said = str(error)
+                if not said.isprintable() or len(said) > CHARACTERS:
+                    raise Finding(f"no line: {said[:200]!r}, {len(said)} characters") from None
+                got = None
+            except OSError:
+                got = None  # the command line says which file it was
+        if not isinstance(got, Drive):
+            return False
+        shutil.rmtree(scratch, ignore_errors=True)
+        again = read_drive(write_drive(got, scratch))
+    require_same(got, again)
+    if touched is not None:
+        differing(sound, got, REACH * touched)
+    if peak_megabytes() > MEGABYTES:
+        raise Finding(f"{peak_megabytes():.0f} MB")
+    return True
+
+
+def require_same(got: Drive, again: Drive) -> None:
+    """Refuse a drive that reads back otherwise than it was."""
+    for name in ("imu", "gps", "truth"):
+        old, new = getattr(got, name), getattr(again, name)
+        for field in fields(old) if old is not None else ():
+            a, b = getattr(old, field.name), getattr(new, field.name)
+            apart = field.name in ("x", "y") and name == "gps" and got.frame == "wgs84"  # computed again
+            if not (np.allclose(a, b) if apart else np.array_equal(a, b)):
+                raise Finding(f"{name}.{field.name} reads back otherwise")
+
+
+def differing(sound: Drive, got: Drive, allowed: int) -> None:
+    """Refuse more than ``allowed`` samples of a table to differ from, or to be missing beside, the sound one's."""
+    for name in ("imu", "gps", "truth"):
+        old, new = getattr(sound, name), getattr(got, name)
+        if old is None or new is None:
+            if old is not None and not allowed:
+                raise Finding(f"{name} is gone")
+            continue
+        _, i, j = np.intersect1d(_clock(sound, old.time), _clock(got, new.time), return_indices=True)
+        wrong = np.zeros(len(i), bool)
+        for field in fields(old):
+            a, b = getattr(old, field.name), getattr(new, field.name)
+            if field.name != "time" and a is not None and b is not None:
+                apart = np.abs(a[i] - b[j])
+                apart = (
+                    np.minimum(apart, np.abs(apart - 2 * np.pi))
+                    if field.name in ("course", "theta")
+                    else apart
+                )
+                wrong |= apart > 1e-5 * (1 + np.abs(a[i]))  # times in ns that come as floats lose 0.3 us
+        if wrong.sum() > allowed or len(old) - len(i) > allowed:
+            raise Finding(
+                f"{name}: {wrong.sum()} samples differ and {len(old) - len(i)} are gone, {allowed} could be"
+            )
+
+
+def _clock(drive: Drive, time: np.ndarray) -> np.ndarray:
+    """Tenths of a ms of the log's own clock."""
+    zero = int(drive.metadata.get("time_origin_s", 0))
+    return np.round(np.clip(time * 1e4, -9e17, 9e17)).astype(np.int64) + zero * 10_000

@@ -1,0 +1,47 @@
+"""A short run of the fuzzer; `make fuzz MINUTES=30` is the long one."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from fuzzing.check import break_files, check, copied
+from fuzzing.seeds import SEEDS
+from importing.test_datasets import imu_csv
+
+
+@pytest.mark.parametrize("name", SEEDS)
+@settings(
+    max_examples=3,
+    derandomize=True,
+    database=None,
+    phases=[Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+@given(data=st.data())
+def test_a_broken_log_is_refused_in_one_line_or_loses_only_what_is_broken(
+    name: str, sound: dict[str, tuple[Path, Path]], imu: Path, tmp_path: Path, data: st.DataObject
+):
+    seed = SEEDS[name]
+    if name not in sound:
+        folder = imu.parent / name
+        folder.mkdir()
+        sound[name] = folder, seed.write(folder)
+    folder, path = sound[name]
+    drive = seed.read(path, imu)
+    copy = copied(folder, path, tmp_path / "in")
+    touched = break_files(data.draw, seed, tmp_path / "in")
+    check(seed, copy, imu, drive, touched, tmp_path / "out")
+
+
+@pytest.fixture(scope="module")
+def sound() -> dict[str, tuple[Path, Path]]:
+    """The sound logs that are written, by their readers: the folder and the log."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An IMU's table, beside which fixes are read."""
+    return imu_csv(tmp_path_factory.mktemp("sound"))

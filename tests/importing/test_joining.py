@@ -1,0 +1,103 @@
+"""A role of several tables: the first one's times, the others in between, angles the short way round."""
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from importing.logs import imported
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.importing.recipe import Recipe
+
+RATE = 0.5
+"""rad/s of the circle: the course wraps every 12.6 s."""
+TIME = np.arange(2000) * 0.01
+FIXES, BESIDE = TIME[::20], TIME[7::20]
+
+PARTS = """
+[[imu]]
+table = "imu.csv"
+t = "t"
+ax = "ax"
+ay = "ay"
+gz = "gz"
+[[gps]]
+table = "places.csv"
+t = "t"
+"""
+
+
+def write(folder: Path, name: str, **columns: np.ndarray) -> None:
+    pl.DataFrame(columns).write_csv(folder / name)
+
+
+@pytest.fixture
+def circle(tmp_path: Path) -> Path:
+    """IMU and fixes of a circle of 20 m at 10 m/s, begun to the east."""
+    zero = 0 * TIME
+    write(tmp_path, "imu.csv", t=TIME, ax=zero, ay=zero + 5, gz=zero + RATE)
+    write(
+        tmp_path,
+        "places.csv",
+        t=FIXES,
+        x=20 * np.sin(RATE * FIXES),
+        y=-20 * np.cos(RATE * FIXES),
+        alt=0 * FIXES,
+    )
+    return tmp_path
+
+
+def joined(folder: Path, recipe: str):
+    (folder / "r.toml").write_text(PARTS + recipe)
+    return imported(folder, recipe=Recipe.load(folder / "r.toml")).drive
+
+
+def test_course_across_its_wrap(circle: Path):
+    write(circle, "velocity.csv", t=BESIDE, speed=10 + 0 * BESIDE, course=wrap_angle(RATE * BESIDE))
+    recipe = (
+        'x = "x"\ny = "y"\n[[gps]]\ntable = "velocity.csv"\nt = "t"\nspeed = "speed"\ncourse = "course"\n'
+    )
+    gps = joined(circle, recipe).gps
+    assert len(gps) > 90 and np.abs(np.diff(gps.course)).max() > 6  # it does wrap
+    np.testing.assert_allclose(wrap_angle(gps.course - RATE * gps.time), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("written", [wrap_angle, np.array, lambda a: a % (2 * np.pi)])
+def test_heading_across_its_wrap(circle: Path, written):
+    """However the log has it: wrapped, unwrapped, from 0 to 2 pi."""
+    write(circle, "heading.csv", t=BESIDE, theta=written(RATE * BESIDE + 3.0))
+    recipe = 'x = "x"\ny = "y"\n[[truth]]\ntable = "places.csv"\nt = "t"\nx = "x"\ny = "y"\n'
+    recipe += '[[truth]]\ntable = "heading.csv"\nt = "t"\ntheta = "theta"\n'
+    truth = joined(circle, recipe).truth
+    np.testing.assert_allclose(wrap_angle(truth.theta - RATE * truth.time - 3.0), 0, atol=1e-12)
+
+
+def test_longitude_across_180(circle: Path):
+    def longitude(time: np.ndarray) -> np.ndarray:
+        return (180 + 9e-5 * (time - 10) + 180) % 360 - 180
+
+    write(circle, "lonlat.csv", t=BESIDE, lat=0 * BESIDE - 17, lon=longitude(BESIDE))
+    recipe = 'alt = "alt"\n[[gps]]\ntable = "lonlat.csv"\nt = "t"\nlat = "lat"\nlon = "lon"\n'
+    gps = joined(circle, recipe).gps
+    away = (gps.lon - longitude(gps.time) + 180) % 360 - 180
+    np.testing.assert_allclose(away, 0, atol=1e-12)
+    assert np.abs(gps.lon).max() <= 180
+    np.testing.assert_allclose(
+        np.diff(gps.x) / np.diff(gps.time), 9.59, atol=0.01
+    )  # 9e-5 deg/s at 17 deg south
+
+
+def test_what_is_no_degrees_stays_so_and_is_refused(circle: Path):
+    write(circle, "lonlat.csv", t=BESIDE, lat=0 * BESIDE, lon=86_000_000 + 100 * BESIDE)
+    recipe = 'alt = "alt"\n[[gps]]\ntable = "lonlat.csv"\nt = "t"\nlat = "lat"\nlon = "lon"\n'
+    with pytest.raises(ValueError, match=r"lon = 8\.6e\+07 is no degrees"):
+        joined(circle, recipe)
+
+
+def test_samples_of_one_time_keep_every_bit(circle: Path):
+    theta = wrap_angle(RATE * FIXES + 0.1)
+    write(circle, "heading.csv", t=FIXES, theta=theta)
+    recipe = 'x = "x"\ny = "y"\n[[truth]]\ntable = "places.csv"\nt = "t"\nx = "x"\ny = "y"\n'
+    recipe += '[[truth]]\ntable = "heading.csv"\nt = "t"\ntheta = "theta"\n'
+    np.testing.assert_array_equal(joined(circle, recipe).truth.theta, theta)
