@@ -52,3 +52,10 @@ def first_mistake(error: "ValidationError") -> Mistake:
     first = error.errors()[0]
     message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
     return Mistake(".".join(str(part) for part in first["loc"]), first["input"], first["type"], message)
+
+
+def visible(text: str) -> str:
+    """The text with control characters as escapes: a name may hold what moves a terminal's cursor."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)

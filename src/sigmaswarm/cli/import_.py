@@ -180,9 +180,9 @@ def _import(
     else:
         _tell(imported, out)
         print_diagnosis(diagnosis)
-        stdout().print(f"next: sigmaswarm plot {out}", markup=False)
+        stdout().print(f"next: sigmaswarm plot {out}")
         better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}", markup=False)
+        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -203,14 +203,13 @@ def _tell(imported: "Imported", out: Path) -> None:
     drive, console = imported.drive, stdout()
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     for note in imported.notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}")
     if not imported.recipe.mount:
         console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
     rate = 1 / drive.nominal_interval
     console.print(
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
         f"{len(drive.gps)} fixes{truth}",
-        markup=False,
     )
 
 
@@ -238,25 +237,21 @@ def _print_look(seen: "Look") -> None:
     for glance in seen.tables:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
-        console.print(f"{glance.table}: {glance.kind}{rows}{rate}", markup=False, style="bold")
+        console.print(f"{glance.table}: {glance.kind}{rows}{rate}", style="bold")
         shown = [r for r in glance.ranges if r.low or r.high or r.low is None]
         width = max((len(r.column) for r in shown), default=0)
         for r in shown:
             cells = (
                 f"{_short(r.low):>20} {_short(r.middle):>20} {_short(r.high):>20}" if r.example else "empty"
             )
-            console.print(
-                f"  {r.column:{width}} {r.example if r.low is None and r.example else cells}", markup=False
-            )
+            console.print(f"  {r.column:{width}} {r.example if r.low is None and r.example else cells}")
         if left := len(glance.ranges) - len(shown):
             console.print(f"  and {left} columns that are 0")
     console.print("(each column's lowest value, median and highest, over the first rows)")
     console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
-    console.print(
-        seen.recipe.to_toml() or "nothing was recognized; say what is what with --map", markup=False
-    )
+    console.print(seen.recipe.to_toml() or "nothing was recognized; say what is what with --map")
     for note in seen.notes:
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}")
 
 
 def _short(value: float | None) -> str:
