@@ -1,12 +1,15 @@
 """The `sigmaswarm` command: its subcommands, and how errors are told."""
 
 import sys
+import traceback
 import warnings
+from tempfile import NamedTemporaryFile
 from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, MissingArgumentError
 
 import sigmaswarm
+from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
@@ -50,30 +53,69 @@ app.command(import_, name="import")
 
 
 def main() -> NoReturn:
-    """Run the command line and exit: 0 done, 1 the doctor is alarmed, 2 the user's mistake, 130 interrupted."""
+    """Run the command line and exit.
+
+    0: done. 1: the doctor is alarmed. 2: the user's mistake. 3: something unforeseen. 130: interrupted.
+    """
     warnings.showwarning = _show_warning
+    terminal.prepare()
+    code = _run()
     try:
-        app(exit_on_error=False, print_error=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:  # what was printed last found no reader, or no room
+        terminal.mute()
+        if not isinstance(error, BrokenPipeError):
+            code = _told(2, f"the output: {error.strerror or error}")
+    sys.exit(code)
+
+
+def _run() -> int:
+    """Run a command; the code to exit with."""
+    try:
+        app(exit_on_error=False, print_error=False, console=terminal.console())
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        said = _forgotten_out(error) or " ".join(str(error).split()).removesuffix(".")
-        print(f"sigmaswarm: {said}{hint}", file=sys.stderr)
-        sys.exit(2)
+        said = _forgotten_out(error) or terminal.one_line(error).removesuffix(".")
+        return _told(2, f"{said}{hint}")
     except KeyboardInterrupt:
         saved = (
             "; repeat the command with --resume to go on"
             if {"tune", "compare", "simulate", "study"} & set(sys.argv[1:2])
             else ""
         )
-        print(f"\nsigmaswarm: interrupted{saved}", file=sys.stderr)
-        sys.exit(130)
+        print(file=sys.stderr)
+        return _told(130, f"interrupted{saved}")
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
-        sys.stderr.close()
-        sys.exit(0)
-    except OSError as error:  # a full disk, no permission: nothing to be mended in the library
-        print(f"sigmaswarm: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(2)
-    sys.exit(0)
+        terminal.mute()
+    except (
+        OSError
+    ) as error:  # no permission, a network drive that is gone: nothing to be mended in the library
+        if not error.filename:  # all files that are written here are named
+            terminal.mute()
+        return _told(2, f"{error.filename or 'the output'}: {error.strerror or error}")
+    except Exception as error:
+        return _unforeseen(error)
+    return 0
+
+
+def _told(code: int, said: str) -> int:
+    print(f"sigmaswarm: {terminal.one_line(said)}", file=sys.stderr)
+    return code
+
+
+def _unforeseen(error: Exception) -> int:
+    """Tell a defect, or a lack of memory, in one line that names the file with the whole story."""
+    what = "not enough memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
+    try:
+        with NamedTemporaryFile("w", prefix="sigmaswarm-", suffix=".txt", delete=False) as file:
+            file.writelines(traceback.format_exception(error))
+        where = f"; the traceback is in {file.name}"
+    except OSError:
+        where = ""
+    return _told(3, f"unforeseen: {terminal.one_line(what)}{where}")
 
 
 def _forgotten_out(error: Exception) -> str | None:
@@ -91,6 +133,6 @@ _default_showwarning = warnings.showwarning
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
     if issubclass(category, SigmaswarmWarning):
-        print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+        print(f"warning: {terminal.one_line(message)}", file=sys.stderr)
     else:
         _default_showwarning(message, category, *where, **more)

@@ -26,9 +26,9 @@ def read_drives(paths: Sequence[Path]) -> "list[Drive]":
 
 def stdout() -> "Console":
     """Where results go."""
-    from rich.console import Console
+    from sigmaswarm.cli.terminal import console
 
-    return Console(highlight=False, soft_wrap=True)
+    return console(soft_wrap=True)
 
 
 def print_json(content: Any) -> None:
@@ -152,7 +152,6 @@ def print_evaluation(
         console.print(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
             "over outages, against hidden fixes, and the consistency can be told.",
-            markup=False,
         )
     _print_consistency(evaluation, console)
     for over in ("defaults", "datasheet", "raw_gps"):

@@ -72,5 +72,5 @@ def demo(
     print_evaluation(evaluation)
     console.print(f"tuned filter: {out / 'tuning' / 'tuning.toml'}")
     console.print(f"pictures:     {out / 'tuning'} and {out / 'evaluation'} (*.png)")
-    console.print(f"next:         sigmaswarm report {out / 'evaluation'}", markup=False)
+    console.print(f"next:         sigmaswarm report {out / 'evaluation'}")
     console.print("then:         sigmaswarm tune YOUR_DRIVE... --out tuned")

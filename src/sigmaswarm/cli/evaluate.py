@@ -68,7 +68,7 @@ def evaluate(
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
-    stdout().print(f"next: {page}", markup=False)
+    stdout().print(f"next: {page}")
 
 
 def _warn_of_training_drives(tuning: Path, evaluation: "Evaluation") -> None:

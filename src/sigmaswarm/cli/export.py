@@ -51,7 +51,7 @@ def export(
         return
     for path in written:
         stdout().print(f"wrote {path}")
-    stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}", markup=False)
+    stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}")
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:

@@ -204,9 +204,9 @@ def _import(
     else:
         _tell(imported, out)
         print_diagnosis(diagnosis)
-        stdout().print(f"next: sigmaswarm plot {out}", markup=False)
+        stdout().print(f"next: sigmaswarm plot {out}")
         better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}", markup=False)
+        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -227,14 +227,13 @@ def _tell(imported: "Imported", out: Path) -> None:
     drive, console = imported.drive, stdout()
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     for note in imported.notes:
-        console.print(f"note: {shown(note, 1000)}", markup=False)
+        console.print(f"note: {shown(note, 1000)}")
     if not imported.recipe.mount:
         console.print("note: the IMU's axes taken as x forward, y left, z up; say otherwise with --mount")
     rate = 1 / drive.nominal_interval
     console.print(
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
         f"{len(drive.gps)} fixes{truth}",
-        markup=False,
     )
 
 
@@ -263,7 +262,7 @@ def _print_look(seen: "Look") -> None:
         rows = f", {glance.rows} rows" if glance.rows is not None else ""
         rate = f", {glance.rate:.4g} Hz" if glance.rate else ""
         title = f"{shown(glance.table)}: {shown(glance.kind)}{rows}{rate}"
-        console.print(title, markup=False, style="bold")
+        console.print(title, style="bold")
         told = [r for r in glance.ranges if r.low or r.high or r.low is None]
         width = max((len(shown(r.column)) for r in told), default=0)
         for r in told:
@@ -279,9 +278,9 @@ def _print_look(seen: "Look") -> None:
     console.print("(each column's lowest value, median and highest, over the first rows)")
     console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
-    console.print(recipe or "nothing was recognized; say what is what with --map", markup=False)
+    console.print(recipe or "nothing was recognized; say what is what with --map")
     for note in seen.notes:
-        console.print(f"note: {shown(note, 1000)}", markup=False)
+        console.print(f"note: {shown(note, 1000)}")
 
 
 def _short(value: float | None) -> str:

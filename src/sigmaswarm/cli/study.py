@@ -105,7 +105,7 @@ def study(
         return
     console = stdout()
     for text in table_texts(done.results):
-        console.print(text + "\n", markup=False)
+        console.print(text + "\n")
     _say_where(done, out)
 
 

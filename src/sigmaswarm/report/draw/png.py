@@ -1,5 +1,6 @@
 """Charts drawn by matplotlib: the same chart, the same bytes; no global state of pyplot is touched."""
 
+import warnings
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, Literal
@@ -9,6 +10,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from sigmaswarm.files import whole_file
 from sigmaswarm.report.views.charts import (
@@ -26,6 +28,7 @@ from sigmaswarm.report.views.charts import (
     Span,
     Symbol,
 )
+from sigmaswarm.wording import visible
 
 Legend = Literal["none", "inside", "below"]
 
@@ -79,9 +82,20 @@ def new_figure(
     return figure, axes
 
 
+def _plain(figure: Figure) -> None:
+    """Have titles and legends drawn as they are: names of drives are no formulas, and no commands to a terminal."""
+    ticks = [text for ax in figure.axes for axis in (ax.xaxis, ax.yaxis) for text in axis.findobj(Text)]
+    for text in figure.findobj(Text):
+        if text not in ticks:  # which may have powers
+            text.set_parse_math(False)
+            text.set_text(visible(text.get_text()))
+
+
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG, with nothing in it that changes from one run to the next."""
-    with whole_file(path) as file:
+    _plain(figure)
+    with whole_file(path) as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # a name may have letters that the font lacks
         figure.savefig(file, format="png", dpi=130, metadata={"Software": None})
     return path
 
@@ -89,6 +103,7 @@ def save(figure: Figure, path: Path) -> Path:
 def save_both(figure: Figure, stem: Path) -> list[Path]:
     """Write a PNG and an SVG, with no date in either."""
     path = stem.with_name(f"{stem.name}.svg")
+    _plain(figure)
     with rc_context({"svg.hashsalt": "sigmaswarm"}), whole_file(path) as file:
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]

@@ -1,0 +1,58 @@
+"""Text for a terminal that may be narrow, ASCII only or gone: what is shown changes nothing there but what is seen."""
+
+import os
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from sigmaswarm.wording import visible
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+LONGEST_LINE = 600
+"""Characters of an error or warning; a path or an expression may be any length."""
+NARROWEST = 20
+"""Columns; with fewer a table has no room."""
+
+
+def prepare() -> None:
+    """Have streams show what they can't encode as an escape, and forget a width that nothing fits in."""
+    for stream in (sys.stdout, sys.stderr):
+        if reconfigure := getattr(stream, "reconfigure", None):  # neither if the stream is closed
+            reconfigure(errors="backslashreplace")
+    columns = os.environ.get("COLUMNS", "")
+    if columns.isdecimal() and int(columns) < NARROWEST:
+        del os.environ["COLUMNS"]
+
+
+def console(**options: Any) -> "Console":
+    """A console on stdout that shows text as it is: no markup, no emoji, control characters escaped."""
+    from rich.console import Console
+    from rich.segment import Segment
+
+    class Plain(Console):
+        def render(self, *arguments: Any, **named: Any) -> Iterable[Segment]:
+            for segment in super().render(*arguments, **named):
+                yield segment if segment.control else Segment(visible(segment.text), segment.style)
+
+        def on_broken_pipe(self) -> None:
+            raise  # where it is caught by `main`; Rich would exit with 1
+
+    return Plain(markup=False, emoji=False, highlight=False, **options)
+
+
+def one_line(text: object) -> str:
+    """What is told in one line of a length that can be read."""
+    line = visible(" ".join(str(text).split()))
+    half = LONGEST_LINE // 2
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
+
+
+def mute() -> None:
+    """Drop what is still to be printed: nobody reads it, and Python would complain at its end."""
+    if sys.stdout is not None:
+        try:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except (OSError, ValueError):  # not a stream of the system's
+            sys.stdout = None

@@ -1,0 +1,178 @@
+"""Kills and full disks: nothing half-written under its own name, nothing lost that was there."""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sigmaswarm import files
+
+DYING = """
+import os, signal, sys
+sync, left = os.fsync, [int(sys.argv.pop(1))]
+def dying(handle):
+    left[0] -= 1
+    if not left[0]:
+        os.kill(os.getpid(), signal.SIGKILL)
+    sync(handle)
+os.fsync = dying
+from sigmaswarm.cli import main
+main()
+"""
+PROGRAM = "from sigmaswarm.cli import main; main()"
+COMMANDS: dict[str, tuple[str, ...]] = {
+    "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv"),
+    "run-bag": ("run", "{tuned}", "{drive}", "--out", "out/e.ros2"),
+    "evaluate": ("evaluate", "{tuned}", "{drive}", "--out", "out"),
+    "export": ("export", "{tuned}", "--to", "c99", "--out", "out"),
+    "report": ("report", "evaluated", "--out", "out/page.html"),
+    "simulate": ("simulate", "--out", "out", "--maneuver", "brake", "--environment", "clear", "--runs", "2",
+                 "--workers", "1", "--resume"),
+    "import": ("import", "imu.csv", "--gps", "gps.csv", "--out", "out/d", "--overwrite"),
+}  # fmt: skip
+FOLDERS = {"run-bag", "simulate"}
+"""What can't take the place of something that is there."""
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
+
+
+def hidden(folder: Path) -> Iterator[Path]:
+    return folder.rglob(".*")
+
+
+@pytest.fixture
+def arguments(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    """A function that gives a command's arguments, in a folder that has what it needs."""
+
+    def prepared(name: str) -> list[str]:
+        drive = drives / "urban-clear-00"
+        for file in ("imu.csv", "gps.csv"):
+            shutil.copy(drive / file, file)
+        if name == "report":
+            assert sigmaswarm("evaluate", tuned, drive, "--out", "evaluated").code == 0
+        if name == "run-bag":
+            pytest.importorskip("rosbags")
+        Path("out").mkdir()
+        return [word.format(tuned=tuned, drive=drive) for word in COMMANDS[name]]
+
+    return prepared
+
+
+def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, bytes], int]:
+    """What a command leaves that nobody disturbs, and how many times it flushed a file."""
+    count, sync = [0], os.fsync
+
+    def counted(handle: int) -> None:
+        count[0] += 1
+        sync(handle)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", counted)
+        ended = sigmaswarm(*words)
+    assert ended.code == 0, ended.err
+    found = tree(Path("out"))
+    assert found and not list(hidden(Path("out")))
+    shutil.rmtree("out")
+    return found, count[0]
+
+
+def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]:
+    """Something older in the place of what a command is going to write."""
+    Path("out").mkdir()
+    if name == "import":
+        shutil.copytree(drive, "out/d")
+    elif name not in FOLDERS:
+        for file in found:
+            Path("out", file).write_text("old")
+    return tree(Path("out"))
+
+
+@pytest.mark.parametrize("moment", ["first", "last"])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_kill_leaves_nothing_half_done(
+    sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str, moment: str
+):
+    words = arguments(name)
+    found, flushed = whole(sigmaswarm, words, monkeypatch)
+    old = put_old(name, found, drives / "urban-clear-01")
+    at = 1 if moment == "first" else flushed
+    done = subprocess.run([sys.executable, "-c", DYING, str(at), *words], capture_output=True, check=False)
+    assert done.returncode == -9, done.stderr
+    left = tree(Path("out"))
+    assert list(hidden(Path("out")))  # it was killed while it wrote
+    shown = {
+        file: text for file, text in left.items() if not any(part[0] == "." for part in Path(file).parts)
+    }
+    assert set(old) <= set(shown)
+    for file, text in shown.items():
+        assert text in (old.get(file), found[file]), file
+    files._sweep.cache_clear()
+    assert sigmaswarm(*words).code == 0
+    assert tree(Path("out")) == found  # and nothing hidden is left
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_full_disk_leaves_what_was_there(
+    sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    words = arguments(name)
+    found, _ = whole(sigmaswarm, words, monkeypatch)
+    old = put_old(name, found, drives / "urban-clear-01")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+    )
+    assert done.returncode == 2, done.stderr
+    told = [line for line in done.stderr.splitlines() if line.startswith("sigmaswarm: ")]
+    assert len(told) == 1
+    assert "can't be written (File too large); make room, or name another place" in told[0]
+    assert "out" in told[0]
+    left = tree(Path("out"))
+    assert set(old) <= set(left)
+    for file, text in left.items():
+        assert text in (old.get(file), found.get(file)), file
+
+
+def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPatch):
+    words = arguments("run")
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", "out"], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("only root can mount a small disk here")
+    try:
+        Path("out/e.csv").write_text("good")
+        ended = sigmaswarm(*words)
+        assert ended.code == 2
+        assert ended.err == (
+            "sigmaswarm: out/e.csv: can't be written (No space left on device); make room, or name another place\n"
+        )
+        assert tree(Path("out")) == {"e.csv": b"good"}
+    finally:
+        subprocess.run(["umount", "-l", "out"], check=True)
+
+
+def test_two_runs_into_one_bag(sigmaswarm, arguments):
+    """One of them gives it its name, the other one says so; nobody removes what the other made."""
+    words = arguments("run-bag")
+    both = [
+        subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    ended = [(process.communicate(timeout=300)[1], process.returncode) for process in both]
+    assert {code for _, code in ended} <= {0, 2}
+    assert 0 in {code for _, code in ended}
+    for said, code in ended:
+        assert not code or "out/e.ros2: exists already" in said
+    assert sorted(p.name for p in Path("out").iterdir()) == ["e.ros2"]
+    assert sorted(p.name for p in Path("out/e.ros2").iterdir()) == ["e.ros2.mcap", "metadata.yaml"]
