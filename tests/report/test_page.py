@@ -286,7 +286,7 @@ MISTAKES: dict[str, tuple[Edit, str]] = {
         lambda f: (f / "tuning.toml").write_text(
             '[filter]\nalpha = 1\n[result]\ncost = "x"\nobjective = "o"'
         ),
-        "tuning.toml: result.cost: Input should be a valid number",
+        "tuning.toml: result.cost: should be a valid number",
     ),
     "no evaluation.json": (lambda f: (f / "evaluation.json").unlink(), "evaluation.json: no such file"),
     "damaged tracks": (lambda f: (f / "tracks.npz").write_bytes(b"PK\3\4"), "tracks.npz: not readable"),
