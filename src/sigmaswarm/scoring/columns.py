@@ -1,9 +1,6 @@
 """What a track keeps of estimates: place, errors against truth, and 3 sigma, row by row."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Truth
 from sigmaswarm.filters.models import THETA
@@ -29,9 +26,7 @@ class TrueMotion:
         return np.degrees(wrap_angle(theta - true))
 
 
-def columns_of(
-    time: Array, mean: Array, covariance: Array, truth: TrueMotion | None
-) -> dict[str, NDArray[np.floating[Any]]]:
+def columns_of(time: Array, mean: Array, covariance: Array, truth: TrueMotion | None) -> dict[str, Array]:
     """The columns of `Tracks` of estimates: means (r, n), covariances (r, n, n), or an empty array."""
     columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
     if truth is not None:

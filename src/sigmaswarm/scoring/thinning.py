@@ -91,7 +91,7 @@ class CloseUp:
         """The next rows."""
         if "x" not in columns:
             return
-        points = np.column_stack([columns["x"], columns["y"]])
+        points = np.column_stack([columns["x"], columns["y"]]).astype(np.float64)
         near = np.all(np.abs(points - self._place) <= self._reach, axis=1)
         leaves = ~near & np.append(self._was_near, near[:-1])
         points[~near] = np.nan

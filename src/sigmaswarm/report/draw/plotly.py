@@ -69,17 +69,20 @@ def layout(chart: Chart) -> dict[str, Any]:
     """Axes, legend, size, and the lines across."""
     shapes = [_shape(mark) for mark in chart.marks if isinstance(mark, Rule | Span)]
     notes = [_note(mark) for mark in chart.marks if isinstance(mark, Rule) and mark.label]
+    bars = any(isinstance(mark, Bars) and mark.texts for mark in chart.marks)
     size: dict[str, Any] = {}
-    if chart.y.categories:
+    if bars:  # texts at their ends need room
+        size = {"height": max(230, 50 + ROW * len(chart.y.categories)), "margin": {"r": 56}}
+    elif chart.y.categories:
         named = any(getattr(mark, "name", "") for mark in chart.marks)
-        size = {"height": (80 if named else 50) + ROW * len(chart.y.categories), "margin": {"b": 28}}
-        size["margin"] |= {"b": 44} if chart.x.title else {}
+        size = {"height": (80 if named else 50) + ROW * len(chart.y.categories)}
+        size |= {"margin": {"b": 44 if chart.x.title else 28}}
         size |= {"legend": LEGEND_ABOVE | {"x": 1, "xanchor": "right"}} if named else {}
     elif any(isinstance(mark, Band) for mark in chart.marks):
         size = {"legend": LEGEND_ABOVE}
-    if any(isinstance(mark, Bars) and mark.texts for mark in chart.marks):
-        size["margin"] = size.get("margin", {}) | {"r": 56}
     axes = {"xaxis": _axis(chart.x, sparse=bool(chart.y.categories)), "yaxis": _axis(chart.y, top_down=True)}
+    if chart.y.categories and not bars:
+        axes["yaxis"]["tickfont"] = {"size": 11}
     if chart.equal:
         axes["yaxis"]["scaleanchor"] = "x"
     return axes | size | ({"shapes": shapes} if shapes else {}) | ({"annotations": notes} if notes else {})
@@ -89,7 +92,7 @@ def _axis(axis: Axis, *, sparse: bool = False, top_down: bool = False) -> dict[s
     if axis.categories:
         names = list(reversed(axis.categories)) if top_down else list(axis.categories)
         order = {"type": "category", "categoryorder": "array", "categoryarray": names}
-        return {**order, "range": [-0.6, len(names) - 0.4], "automargin": True, "tickfont": {"size": 11}}
+        return {**order, "range": [-0.6, len(names) - 0.4], "automargin": True}
     told: dict[str, Any] = {"title": {"text": axis.title}} if axis.title else {}
     told |= {"type": axis.scale, "automargin": True}
     low, high = axis.range
