@@ -23,7 +23,7 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
     from sigmaswarm.doctor.diagnose import diagnose

@@ -1,5 +1,10 @@
 """What can go wrong, each as one sentence that says where and what to do."""
 
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
 
 class SigmaswarmError(Exception):
     """Base of every error that this library raises on purpose."""
@@ -19,3 +24,31 @@ class AlignmentError(DriveError):
 
 class SigmaswarmWarning(UserWarning):
     """Something looks wrong, but work goes on."""
+
+
+class Mistake(NamedTuple):
+    """What pydantic found wrong first.
+
+    Attributes
+    ----------
+    key : str
+        Where, with dots; empty for the whole.
+    value
+        What stands there.
+    kind : str
+        Pydantic's word for what is wrong.
+    message : str
+        The same in one line.
+    """
+
+    key: str
+    value: Any
+    kind: str
+    message: str
+
+
+def first_mistake(error: "ValidationError") -> Mistake:
+    """The first thing that pydantic found wrong, as one line."""
+    first = error.errors()[0]
+    message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
+    return Mistake(".".join(str(part) for part in first["loc"]), first["input"], first["type"], message)

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sigmaswarm.files import finite
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
@@ -31,15 +33,7 @@ def stdout() -> "Console":
 
 def print_json(content: Any) -> None:
     """Print for machines; NaN and inf, which JSON does not know, become null."""
-    print(json.dumps(_finite(content), indent=2))
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}  # pyright: ignore
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]  # pyright: ignore
-    return None if isinstance(content, float) and not math.isfinite(content) else content
+    print(json.dumps(finite(content), indent=2))
 
 
 @contextmanager

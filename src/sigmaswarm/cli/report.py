@@ -33,17 +33,17 @@ def report(
         Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.files import write_whole
     from sigmaswarm.report.page.folders import read_report
     from sigmaswarm.report.page.html import page
     from sigmaswarm.report.style import check_file
-    from sigmaswarm.tuning.store import write_whole
 
     if out is not None:
         check_file(out, ".html")
     read = read_report(folder)
     file = out or folder / "page.html"
     check_file(file, ".html")
-    write_whole(file, page(read).encode())
+    write_whole(file, page(read))
     if json:
         print_json({"out": str(file)})
     else:

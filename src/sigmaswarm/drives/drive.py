@@ -1,8 +1,8 @@
 """The Drive: one recorded or simulated journey, as frozen arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 from sigmaswarm.errors import DriveError
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+
+def listed(given: Iterable[T] | T) -> list[T]:
+    """One or many, as a list: what takes drives takes a single one, too."""
+    return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
 
 
 class _Table:

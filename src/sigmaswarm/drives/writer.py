@@ -1,6 +1,5 @@
 """Writing a drive's folder, whole or not at all."""
 
-import tempfile
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.errors import DriveError
+from sigmaswarm.files import make_folder, whole_folder
 
 FILES = frozenset({"imu.csv", "gps.csv", "truth.csv", "drive.toml"})
 """All that a drive's folder may hold for ``write_drive`` to replace it."""
@@ -44,21 +44,11 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
     texts = _texts(drive, folder)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DriveError(
-            f"{folder.parent}: can't be made a folder ({error.strerror}); name another folder"
-        ) from None
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as name:
-        staging = Path(name)
-        new, old = staging / "new", staging / "old"
+    make_folder(folder.parent, "name another folder")
+    with whole_folder(folder, replace=overwrite) as new:
         new.mkdir()
         for file, text in texts.items():
             (new / file).write_bytes(text.encode())
-        if folder.exists():
-            folder.rename(old)
-        new.rename(folder)
     return folder
 
 

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable
 
-import sigmaswarm
 from sigmaswarm.drives import timeline
 from sigmaswarm.filters import batch
 from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
@@ -55,7 +55,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "STANDSTILL_RATE_NOISE": batch.STANDSTILL_RATE_NOISE,
     }
     return plain(numbers) | {
-        "VERSION": sigmaswarm.__version__,
+        "VERSION": __version__,
         "DESCRIPTION": f"{p.model}, {p.kind}",
         "MODEL": p.model,
         "MOST_REJECTED": str(MOST_REJECTED),

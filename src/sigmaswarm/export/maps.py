@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.files import write_whole
 
 Origin = tuple[float, float, float]
 """Latitude (deg), longitude (deg), altitude (m) of x = y = 0."""
@@ -27,7 +28,7 @@ def geojson(time: Array, places: Array, path: Path) -> None:
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": line},
     }
-    path.write_text(json.dumps(feature) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(feature) + "\n")
 
 
 def gpx(time: Array, places: Array, path: Path) -> None:
@@ -52,7 +53,7 @@ def kml(time: Array, places: Array, path: Path) -> None:
 
 
 def _write_xml(path: Path, lines: list[str]) -> None:
-    path.write_text("\n".join(['<?xml version="1.0" encoding="UTF-8"?>', *lines]) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', *lines]) + "\n")
 
 
 def _escaped(text: str) -> str:

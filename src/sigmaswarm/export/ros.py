@@ -6,7 +6,6 @@ The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``,
 
 import heapq
 import math
-import shutil
 from collections.abc import Iterator
 from contextlib import nullcontext
 from operator import itemgetter
@@ -18,6 +17,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.beside import RawMessage, recording
+from sigmaswarm.files import whole_folder
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 
@@ -64,16 +64,15 @@ def ros2(estimate: Estimate, path: Path, *, time_origin: float = 0.0, beside: Pa
             recorded.require_span(round(first * 1e9), round(last * 1e9))
             if TOPIC in recorded.topics:
                 raise InputError(f"{beside}: has {TOPIC} already; name the bag as it was recorded")
-        try:
-            with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-                originals = recorded.add_to(writer) if recorded else iter(())
-                connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
-                estimates = _messages(estimate, store, connection, time_origin)
-                for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
-                    writer.write(to, nanoseconds, raw)
-        except BaseException:
-            shutil.rmtree(path, ignore_errors=True)
-            raise
+        with (
+            whole_folder(path) as new,
+            Writer(new, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
+        ):
+            originals = recorded.add_to(writer) if recorded else iter(())
+            connection = writer.add_connection(TOPIC, "nav_msgs/msg/Odometry", typestore=store)
+            estimates = _messages(estimate, store, connection, time_origin)
+            for nanoseconds, to, raw in heapq.merge(originals, estimates, key=itemgetter(0)):
+                writer.write(to, nanoseconds, raw)
 
 
 def _messages(estimate: Estimate, store: Any, connection: Any, time_origin: float) -> Iterator[RawMessage]:

@@ -9,8 +9,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.export.c99 import c99, replay_rows
 from sigmaswarm.export.filterpy import filterpy
 from sigmaswarm.export.robot_localization import robot_localization
+from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.store import write_whole
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 
@@ -64,13 +64,7 @@ def export_filter(
     texts = TARGETS[target](parameters, parameters.nominal_interval)
     if replay is not None:
         texts["replay.csv"] = replay_rows(replay)
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: can't be made a folder ({error.strerror}); choose another --out"
-        ) from None
+    folder = make_folder(Path(folder))
     for name, text in texts.items():
-        write_whole(folder / name, text.encode())
+        write_whole(folder / name, text)
     return [folder / name for name in texts]

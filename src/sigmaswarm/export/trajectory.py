@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import polars as pl
@@ -11,6 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.maps import MAPS, Origin
 from sigmaswarm.export.ros import ros2
+from sigmaswarm.files import whole_file
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import STATE_NAMES
 from sigmaswarm.filters.run import Estimate
@@ -59,7 +61,8 @@ def write_estimate(
     elif path.suffix == BAG:
         ros2(estimate, path, time_origin=time_origin, beside=Path(beside) if beside else None)
     else:
-        _WRITERS[path.suffix](estimate, path)
+        with whole_file(path) as file:
+            _WRITERS[path.suffix](estimate, file)
 
 
 def time_origin_of(drive: Drive) -> float:
@@ -111,22 +114,22 @@ def _columns(estimate: Estimate) -> dict[str, Array]:
     return {"t": estimate.time} | {name: estimate.mean[:, i] for i, name in enumerate(states)}
 
 
-def _csv(estimate: Estimate, path: Path) -> None:
+def _csv(estimate: Estimate, file: BinaryIO) -> None:
     columns = _columns(estimate)
     if estimate.covariance.size:  # dead reckoning has none
         std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
         columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
-    pl.DataFrame(columns).write_csv(path)
+    pl.DataFrame(columns).write_csv(file)
 
 
-def _mat(estimate: Estimate, path: Path) -> None:
+def _mat(estimate: Estimate, file: BinaryIO) -> None:
     from scipy.io import savemat
 
     columns = _columns(estimate) | {"covariance": estimate.covariance}
-    savemat(path, columns, oned_as="column")
+    savemat(file, columns, oned_as="column")
 
 
-def _tum(estimate: Estimate, path: Path) -> None:
+def _tum(estimate: Estimate, file: BinaryIO) -> None:
     half = estimate.mean[:, THETA] / 2
     zero = np.zeros_like(half)
     rows = [
@@ -139,20 +142,20 @@ def _tum(estimate: Estimate, path: Path) -> None:
         np.sin(half),
         np.cos(half),
     ]
-    np.savetxt(path, np.column_stack(rows), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
+    np.savetxt(file, np.column_stack(rows), fmt=["%.9f", *["%.6f"] * 3, *["%.9f"] * 4])
 
 
-def _kitti(estimate: Estimate, path: Path) -> None:
+def _kitti(estimate: Estimate, file: BinaryIO) -> None:
     x, y = estimate.mean[:, 0], estimate.mean[:, 1]
     c, s = np.cos(estimate.mean[:, THETA]), np.sin(estimate.mean[:, THETA])
     zero, one = np.zeros_like(c), np.ones_like(c)
     pose = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]
-    np.savetxt(path, np.column_stack(pose), fmt="%.9f")
+    np.savetxt(file, np.column_stack(pose), fmt="%.9f")
 
 
 BAG = ".ros2"
 """A folder; written by `ros2`, which takes more than an estimate."""
-_WRITERS: dict[str, Callable[[Estimate, Path], None]] = {
+_WRITERS: dict[str, Callable[[Estimate, BinaryIO], None]] = {
     ".csv": _csv,
     ".mat": _mat,
     ".tum": _tum,

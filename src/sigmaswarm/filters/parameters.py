@@ -10,7 +10,8 @@ import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.files import write_whole
 
 ModelName = Literal["planar5", "planar8"]
 FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"]
@@ -132,7 +133,7 @@ class FilterParameters:
     def save(self, path: str | Path) -> None:
         """Write a TOML file that `load` reads."""
         text = tomli_w.dumps({"filter": self.to_dict(), "units": units(self)})
-        Path(path).write_text(text, encoding="utf-8")
+        write_whole(Path(path), text)
 
     @classmethod
     def load(cls, path: str | Path) -> "FilterParameters":
@@ -167,18 +168,15 @@ class FilterParameters:
         try:
             parameters = TypeAdapter(cls).validate_python(table)
         except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in ("filter", *first["loc"]))
-            value = "" if isinstance(first["input"], dict) else f" (is {first['input']!r})"
+            first = first_mistake(error)
+            key = ".".join(part for part in ("filter", first.key) if part)
+            value = "" if isinstance(first.value, dict) else f" (is {first.value!r})"
             known = {
                 "unexpected_keyword_argument": "unknown key",
                 "tuple_type": "should be a list of variances",
             }
-            message = known.get(first["type"], first["msg"].removeprefix("Value error, "))
-            message = _one_line(message).replace("Input should", "should")
-            remedy = (
-                "delete it" if first["type"] == "unexpected_keyword_argument" else "correct it in the file"
-            )
+            message = known.get(first.kind, first.message)
+            remedy = "delete it" if first.kind == "unexpected_keyword_argument" else "correct it in the file"
             raise InputError(f"{path}: {key}: {message}{value}; {remedy}") from None
         for key in ("process_noise", "measurement_noise"):
             for i, variance in enumerate(getattr(parameters, key)):

@@ -9,6 +9,7 @@ from typing import Any, Self, cast
 import tomli_w
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.importing.source import ROLES, Guess, Part, Role
 
 COLUMNS: dict[Role, tuple[str, ...]] = {
@@ -93,10 +94,8 @@ class Recipe:
 
     def save(self, path: Path) -> None:
         """Write the recipe as a file."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml(), encoding="utf-8"
-        )
+        make_folder(path.parent, "name another file")
+        write_whole(path, "# How `sigmaswarm import` makes a drive of a log.\n" + self.to_toml())
 
 
 def _setting(value: Any, key: str, path: Path) -> Any:

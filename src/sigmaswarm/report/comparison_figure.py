@@ -7,6 +7,7 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sigmaswarm.files import write_whole
 from sigmaswarm.report.draw.png import new_figure, save
 from sigmaswarm.tuning.summary import MEASURES, Comparison
 
@@ -23,8 +24,8 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
         "curves.csv": comparison.curves,
     }
     for name, frame in tables.items():
-        frame.write_csv(folder / name)
-    (folder / "comparison.md").write_text(comparison.markdown())
+        write_whole(folder / name, frame.write_csv())
+    write_whole(folder / "comparison.md", comparison.markdown())
     picture = save(comparison_figure(comparison), folder / "comparison.png")
     return [folder / "comparison.md", *(folder / name for name in tables), picture]
 

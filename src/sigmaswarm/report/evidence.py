@@ -1,17 +1,16 @@
 """What an evaluation leaves in its folder beside scores and figures, so that its page needs nothing but the folder."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.report.tracks import compared, save_tracks, tracks_of
 from sigmaswarm.scoring.evaluation import Evaluation
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH
-from sigmaswarm.tuning.result import versions
-from sigmaswarm.tuning.store import write_json
+from sigmaswarm.versions import versions
 
 FROM_THE_TUNING = ("tuning.toml", "convergence.csv")
 
@@ -55,6 +54,6 @@ def save_evidence(
     for name, source in zip(FROM_THE_TUNING, (file, file.parent / "convergence.csv"), strict=True):
         copy = folder / name
         if source.is_file() and not (copy.exists() and copy.samefile(source)):
-            shutil.copyfile(source, copy)
+            write_whole(copy, source.read_bytes())
             written.append(copy)
     return written

@@ -1,6 +1,5 @@
 """Figures of a tuning and of an evaluation."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import make_folder, write_json, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_innovations
 from sigmaswarm.report.draw.png import look, new_figure, save
@@ -30,7 +30,7 @@ def save_tuning_figures(tuning: Tuning, drives: Sequence[Drive], folder: Path) -
     for i, trial in enumerate(tuning.trials):
         pairs = zip(trial.best, trial.median, strict=True)
         lines += [f"{i},{g},{best!r},{median!r}" for g, (best, median) in enumerate(_floats(pairs), 1)]
-    (folder / "convergence.csv").write_text("\n".join(lines) + "\n")
+    write_whole(folder / "convergence.csv", "\n".join(lines) + "\n")
     pictures = [save(convergence(tuning), folder / "convergence.png")]
     pictures.append(save(tracks(drives[0], tuning.parameters), folder / "training-track.png"))
     return pictures
@@ -44,15 +44,10 @@ def save_evaluation(
     evaluation: Evaluation, parameters: FilterParameters, drives: Sequence[Drive], folder: Path
 ) -> list[Path]:
     """Write scores.json, scores.csv and figures of an evaluation; the paths of all files."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: can't be made a folder ({error.strerror}); choose another --out"
-        ) from None
+    make_folder(folder)
     written = [folder / "scores.json", folder / "scores.csv"]
-    written[0].write_text(json.dumps(evaluation.to_dict(), indent=2) + "\n")
-    evaluation.to_frame().write_csv(written[1])
+    write_json(written[0], evaluation.to_dict())
+    write_whole(written[1], evaluation.to_frame().write_csv())
     written.append(save(comparison(evaluation), folder / "comparison.png"))
     for name, drive in zip(evaluation.scores, drives, strict=True):
         stem = name.replace("/", "-")

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.files import make_folder
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
@@ -34,7 +35,7 @@ LINES: dict[str, dict[str, Any]] = {
 
 def save_study_figures(study: Study, folder: Path) -> list[Path]:
     """Write all figures of a study, each as PNG and SVG; their paths."""
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
     figures = study_figures(study)
     return [path for name, figure in figures.items() for path in save_both(figure, folder / name)]
 

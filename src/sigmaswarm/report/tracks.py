@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import whole_file
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -125,7 +126,8 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
         for series, columns in one.series.items()
         for column, values in columns.items()
     }
-    np.savez_compressed(path, allow_pickle=False, names=np.array([t.name for t in tracks]), **arrays)
+    with whole_file(path) as file:
+        np.savez_compressed(file, allow_pickle=False, names=np.array([t.name for t in tracks]), **arrays)
     return path
 
 

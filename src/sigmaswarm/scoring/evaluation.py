@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
@@ -136,7 +136,7 @@ def evaluate(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives = [drives] if isinstance(drives, Drive) else list(drives)
+    drives = listed(drives)
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
     scores: dict[str, dict[str, Score]] = {}

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
 from sigmaswarm.simulation.environments import ENVIRONMENTS
@@ -95,10 +95,8 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     try:
         return StudyConfig(**(asked | changes))
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].replace("Input should", "should")
-        if first["type"] == "extra_forbidden":
+        key, value, kind, message = first_mistake(error)
+        if kind == "extra_forbidden":
             message = f"no such option; there are {', '.join(StudyConfig.model_fields)}"
-        where = f"{path}: " if path is not None and first["loc"][0] not in changes else ""
-        raise InputError(f"{where}{name} = {first['input']!r}: {message}") from None
+        where = f"{path}: " if path is not None and key.split(".")[0] not in changes else ""
+        raise InputError(f"{where}{key} = {value!r}: {message}") from None

@@ -26,8 +26,6 @@ results.json holds (null where a figure can't be said):
     paper          the paper's figures, as `paper.py` has them
 """
 
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -36,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.files import finite, write_json, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.study.config import PROTOCOLS
 from sigmaswarm.study.design import ALL, Design, Task
@@ -43,7 +42,6 @@ from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.scores import LABELS, MEASURES, Cell, ScoreTable
 from sigmaswarm.study.statistics import compare, holm, summarize
 from sigmaswarm.tuning.search import Trial
-from sigmaswarm.tuning.store import write_whole
 
 STABLE = 0.01
 """Share of its last value within which a convergence counts as stable."""
@@ -91,9 +89,9 @@ def write_results(
         "convergence": _convergence(trials),
         "paper": PAPER_RESULTS,
     }
-    content = _finite(content)
-    write_whole(out / "scores.csv", scores.to_frame().write_csv().encode())
-    write_whole(out / "results.json", (json.dumps(content, indent=1) + "\n").encode())
+    content = finite(content)
+    write_whole(out / "scores.csv", scores.to_frame().write_csv())
+    write_json(out / "results.json", content, indent=1)
     return Results(content, scores)
 
 
@@ -203,11 +201,3 @@ def stable_generation(costs: Array) -> int:
     """The first generation, from 1 on, from which on the cost stays within 1% of its last value."""
     away = np.abs(costs - costs[-1]) > STABLE * abs(float(costs[-1]))
     return int(np.flatnonzero(away)[-1]) + 2 if away.any() else 1
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {str(key): _finite(value) for key, value in content.items()}  # pyright: ignore
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]  # pyright: ignore
-    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.study.config import ProtocolName, StudyConfig, read_config
@@ -34,10 +35,10 @@ from sigmaswarm.study.scores import score_all
 from sigmaswarm.study.tables import write_tables
 from sigmaswarm.study.timings import Clock, write_timings
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.result import versions
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.space import SearchSpace, search_space
-from sigmaswarm.tuning.store import ResultFolder, write_whole
+from sigmaswarm.tuning.store import ResultFolder
+from sigmaswarm.versions import versions
 
 
 @dataclass(frozen=True)
@@ -207,7 +208,7 @@ def _write_best(
     for task, trial in trials.items():
         if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
             best[task.folder] = task
-    (out / "best").mkdir(exist_ok=True)
+    make_folder(out / "best")
     for name, task in best.items():
         points[task].save(out / "best" / f"{name}.toml")
     return {name: points[task] for name, task in best.items()}
@@ -228,11 +229,8 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
                     f"{getattr(config, name)!r}; repeat the first command, or name another folder"
                 )
         return
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: can't be made a folder ({error.strerror}); name another one") from None
-    write_whole(file, config.to_toml().encode())
+    make_folder(out)
+    write_whole(file, config.to_toml())
 
 
 def _space(design: Design, task: Task) -> SearchSpace:

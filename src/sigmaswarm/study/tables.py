@@ -8,12 +8,12 @@ from typing import Any
 
 import polars as pl
 
+from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.study.config import TUNED
 from sigmaswarm.study.design import ALL
 from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.results import Results
 from sigmaswarm.study.scores import LABELS, UNTUNED
-from sigmaswarm.tuning.store import write_whole
 
 ROWS: tuple[tuple[str, str, str | None], ...] = (
     (UNTUNED, "imu-only", "imu-only"),
@@ -110,11 +110,11 @@ def study_tables(results: Results) -> list[Table]:
 def write_tables(out: Path, results: Results) -> None:
     """Write each table three times into OUT/tables; the run time's from timings.json."""
     folder = out / "tables"
-    folder.mkdir(exist_ok=True)
+    make_folder(folder)
     timings = json.loads((out / "timings.json").read_text())
     for table in [*study_tables(results), runtime_table(timings)]:
         for ending, text in (("md", table.to_markdown()), ("tex", table.to_latex()), ("csv", table.to_csv())):
-            write_whole(folder / f"{table.name}.{ending}", text.encode())
+            write_whole(folder / f"{table.name}.{ending}", text)
 
 
 def table_texts(results: Results) -> list[str]:

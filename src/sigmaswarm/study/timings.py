@@ -9,11 +9,11 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.files import write_json
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.study.design import Design
-from sigmaswarm.tuning.store import write_json
 
 LIVE: dict[str, tuple[FilterKind, int]] = {
     "EKF": ("ekf", 5),

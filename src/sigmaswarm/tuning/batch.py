@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
@@ -68,7 +68,7 @@ def run_batch(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives = [drives] if isinstance(drives, Drive) else list(drives)
+    drives = listed(drives)
     goal = objective_named(objective)
     check_drives(drives, goal)
     replayer = replayer_for(goal, drives, outage_seed)

@@ -19,15 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.contenders import Contender, budget, contenders
 from sigmaswarm.tuning.problem import CarProblem
-from sigmaswarm.tuning.result import Tuning, versions
-from sigmaswarm.tuning.store import ResultFolder, write_json
+from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.summary import Comparison, Run
 from sigmaswarm.tuning.tune import objective_for, tune
+from sigmaswarm.versions import versions
 
 
 def compare(
@@ -74,7 +76,7 @@ def compare(
     InputError
         If an option, optimizer, drive or folder can't be used.
     """
-    drives, held_out = _listed(drives), _listed(test)
+    drives, held_out = listed(drives), listed(test)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
     for name in ("seed", "optimizer", "scale"):
@@ -108,10 +110,6 @@ def compare(
         drives=tuple(drive.name for drive in drives),
         test=tuple(drive.name for drive in held_out),
     )
-
-
-def _listed(drives: Sequence[Drive] | Drive) -> list[Drive]:
-    return [drives] if isinstance(drives, Drive) else list(drives)
 
 
 def _asked(
@@ -163,10 +161,10 @@ class _Job:
         return _read(folder / "run.json")
 
     def _note(self, rival: Contender, seed: int, seconds: float) -> None:
-        with self.lock, (self.folder / "times.csv").open("a") as file:
-            if not file.tell():
-                file.write("optimizer,scale,seed,cpu_seconds\n")
-            file.write(f'"{rival.name}",{rival.scale},{seed},{seconds:.3f}\n')
+        file = self.folder / "times.csv"
+        with self.lock:
+            known = file.read_text() if file.exists() else "optimizer,scale,seed,cpu_seconds\n"
+            write_whole(file, known + f'"{rival.name}",{rival.scale},{seed},{seconds:.3f}\n')
 
 
 def _judged(tuning: Tuning, held_out: Sequence[Drive]) -> Run:

@@ -4,7 +4,7 @@ from typing import Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.tuning.optimizers.pso import ACCELERATION, INERTIA
 from sigmaswarm.tuning.space import Option, Scale
@@ -83,7 +83,5 @@ def validated_config(kind: type[C], config: dict[str, Any]) -> C:
     try:
         return kind(**config)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ").replace("Input should", "should")
-        raise InputError(f"{name} = {first['input']!r}: {message}" if name else message) from None
+        name, value, _, message = first_mistake(error)
+        raise InputError(f"{name} = {value!r}: {message}" if name else message) from None

@@ -1,24 +1,21 @@
 """`Tuning`: what a tuning found, and how it is kept."""
 
-import platform
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
-import numba
 import numpy as np
-import scipy
 import tomli_w
 from typing_extensions import TypeVar
 
-import sigmaswarm
+from sigmaswarm.files import write_whole
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
-from sigmaswarm.tuning.store import write_whole
+from sigmaswarm.versions import versions
 
 P = TypeVar("P", default=FilterParameters)
 LARGE_GAP = 0.2
@@ -198,15 +195,4 @@ class Tuning(Generic[P]):
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `FilterParameters.load` reads."""
-        write_whole(Path(path), tomli_w.dumps(self.to_dict()).encode())
-
-
-def versions() -> dict[str, str]:
-    """What the result depends on, beside the data."""
-    return {
-        "sigmaswarm": sigmaswarm.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "scipy": scipy.__version__,
-    }
+        write_whole(Path(path), tomli_w.dumps(self.to_dict()))

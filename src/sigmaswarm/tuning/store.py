@@ -9,39 +9,19 @@ A folder of results holds
 """
 
 import json
-import os
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.errors import InputError
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that no reader, and no crash, ever sees a part of it."""
-    part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON with every bit of its floats."""
-    write_whole(path, (json.dumps(content, indent=2) + "\n").encode())
+from sigmaswarm.files import make_folder, whole_file, whole_folder, write_json
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
     """Save arrays, and notes that JSON can hold, as one file."""
-    part = path.with_name(f".{path.stem}.part.npz")
-    with part.open("wb") as file:
+    with whole_file(path) as file:
         np.savez(file, **arrays, notes=json.dumps(notes))
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
@@ -96,13 +76,7 @@ class ResultFolder:
     """
 
     def __init__(self, path: Path, config: dict[str, Any], *, resume: bool) -> None:
-        self.path = path
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{path}: can't be made a folder ({error.strerror}); choose another --out"
-            ) from None
+        self.path = make_folder(path)
         config_file = path / "config.json"
         if config_file.exists():
             self._check(config_file, config, resume)
@@ -149,11 +123,9 @@ class ResultFolder:
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
         """Keep a trial's result, then drop its checkpoint."""
         folder = self.path / f"trial-{trial:03d}"
-        part = self.path / f".{folder.name}.part"
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir()
-        write_json(part / "result.json", result)
-        np.savez(part / "history.npz", **history)
         if not folder.exists():
-            part.replace(folder)
+            with whole_folder(folder) as new:
+                new.mkdir()
+                write_json(new / "result.json", result)
+                np.savez(new / "history.npz", **history)
         self.checkpoint(trial).unlink(missing_ok=True)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, overload
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
@@ -18,10 +18,11 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import CarProblem, Problem
-from sigmaswarm.tuning.result import Tuning, Validation, versions
+from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.store import ResultFolder
+from sigmaswarm.versions import versions
 
 C = TypeVar("C", bound=SearchConfig)
 P = TypeVar("P")
@@ -96,7 +97,7 @@ def tune(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    data, others = _listed(drives), _listed(validation)
+    data, others = listed(drives), listed(validation)
     problem, settings = _problem(data, others, papers_config(config) if paper else config)
     held_back = problem.on(others) if others else None
     if held_back:
@@ -161,10 +162,6 @@ def _check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
         raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
-
-
-def _listed(data: Any) -> list[Any]:
-    return [data] if isinstance(data, Drive | Log) else list(data)
 
 
 def _chosen(

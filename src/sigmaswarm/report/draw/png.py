@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from sigmaswarm.files import whole_file
 from sigmaswarm.report.views.charts import (
     Axis,
     Band,
@@ -80,16 +81,16 @@ def new_figure(
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG, with nothing in it that changes from one run to the next."""
-    with rc_context({"svg.hashsalt": "sigmaswarm"}):
-        figure.savefig(path, dpi=130, metadata={"Software": None})
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=130, metadata={"Software": None})
     return path
 
 
 def save_both(figure: Figure, stem: Path) -> list[Path]:
     """Write a PNG and an SVG, with no date in either."""
     path = stem.with_name(f"{stem.name}.svg")
-    with rc_context({"svg.hashsalt": "sigmaswarm"}):
-        figure.savefig(path, metadata={"Date": None, "Creator": None})
+    with rc_context({"svg.hashsalt": "sigmaswarm"}), whole_file(path) as file:
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 

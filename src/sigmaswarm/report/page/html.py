@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-import sigmaswarm
 from sigmaswarm.report.draw import plotly
 from sigmaswarm.report.draw.text import shown
 from sigmaswarm.report.tracks import Tracks
 from sigmaswarm.report.views.record import Cell, Column, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.versions import __version__
 
 LONG = 24
 """Characters of a cell above which it needs some width, lest it become a tall column of words."""
@@ -47,7 +47,7 @@ def page(report: Report) -> str:
         remarks=_remarks(report),
         sections="".join(_section(section, numbers) for section in report.sections),
         repeat=_repeat(report),
-        version=escape(sigmaswarm.__version__),
+        version=escape(__version__),
         style=assets.joinpath("page.css").read_text(encoding="utf-8"),
         plotly=get_plotlyjs(),
         script=assets.joinpath("page.js").read_text(encoding="utf-8"),

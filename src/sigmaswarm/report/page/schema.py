@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
 
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, first_mistake
 
 End = float | Literal["-"]
 
@@ -103,10 +103,9 @@ def load(kind: type[M], path: Path) -> M:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; repeat the command that made the folder") from None
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        key, _, _, message = first_mistake(error)
         raise InputError(
-            f"{path}: {key}: {first['msg']}; not a result of sigmaswarm, or a damaged one"
+            f"{path}: {key or 'the file'}: {message}; not a result of sigmaswarm, or a damaged one"
         ) from None
     except (OSError, ValueError) as error:  # not UTF-8, not TOML, not JSON
         raise InputError(f"{path}: not readable: {' '.join(str(error).split())}") from None

@@ -1,0 +1,218 @@
+"""Files are written whole or not at all, and nothing is removed that the process did not make."""
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sigmaswarm import files
+from sigmaswarm.errors import InputError
+from sigmaswarm.files import make_folder, whole_file, whole_folder, write_json, write_whole
+
+HIDDEN = ".x.csv.sigmaswarm-0123456789ab"
+
+
+@pytest.fixture(autouse=True)
+def unswept():
+    """Each test is a process of its own to the sweeper."""
+    files._sweep.cache_clear()
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_new_file_has_the_mode_of_any_new_file(tmp_path: Path):
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "a", "text, é")
+        with whole_folder(tmp_path / "b") as new:
+            new.mkdir()
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a").read_bytes() == "text, é".encode()
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o640
+    assert (tmp_path / "b").stat().st_mode & 0o777 == 0o750
+    assert names(tmp_path) == ["a", "b"]
+
+
+def test_json_keeps_every_bit(tmp_path: Path):
+    write_json(tmp_path / "a.json", {"a": 0.1})
+    assert (tmp_path / "a.json").read_text() == '{\n  "a": 0.1\n}\n'
+
+
+def test_not_finite_numbers_become_null():
+    assert files.finite({1: [float("nan"), (1.5, float("-inf"))], "b": "nan"}) == {
+        "1": [None, [1.5, None]],
+        "b": "nan",
+    }
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_a_block_that_fails_leaves_what_was_there(tmp_path: Path, error: type[BaseException]):
+    (tmp_path / "x.csv").write_text("good")
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "good").touch()
+    with pytest.raises(error), whole_file(tmp_path / "x.csv") as file:
+        file.write(b"half")
+        raise error
+    with pytest.raises(error), whole_folder(tmp_path / "d", replace=True) as new:
+        new.mkdir()
+        raise error
+    assert (tmp_path / "x.csv").read_text() == "good"
+    assert names(tmp_path) == ["d", "x.csv"]
+    assert names(tmp_path / "d") == ["good"]
+
+
+def test_a_planted_link_is_replaced_and_not_followed(tmp_path: Path):
+    (tmp_path / "secret").write_text("kept")
+    for name in ("x.csv", ".x.csv.part"):  # what an earlier version wrote through
+        (tmp_path / name).symlink_to(tmp_path / "secret")
+    write_whole(tmp_path / "x.csv", "new")
+    assert (tmp_path / "secret").read_text() == "kept"
+    assert not (tmp_path / "x.csv").is_symlink()
+    assert (tmp_path / "x.csv").read_text() == "new"
+
+
+def test_something_else_in_the_way_is_named(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    for path, said in (
+        (tmp_path, "is a folder; name a file"),
+        (tmp_path / "pipe", "is no regular file"),
+        (tmp_path / "file" / "x", "can't be written (Not a directory); name another place"),
+        (tmp_path / "none" / "x", "can't be written (No such file or directory)"),
+    ):
+        with pytest.raises(InputError) as caught:
+            write_whole(path, "")
+        assert str(caught.value).startswith(f"{path}: {said}")
+    with pytest.raises(
+        InputError, match=r"file: can't be made a folder \(File exists\); choose another --out"
+    ):
+        make_folder(tmp_path / "file")
+    assert names(tmp_path) == ["file", "pipe"]
+
+
+def limited(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a script in a folder, in a process that may write 1000 bytes to a file: a disk that is full."""
+    return subprocess.run(
+        [sys.executable, "-c", "from pathlib import Path\nfrom sigmaswarm.files import *\n" + script],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
+    )
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        'write_whole(Path("x.csv"), "a" * 2000)',
+        'import numpy as np\nwith whole_file(Path("x.csv")) as f: np.savez(f, a=np.zeros(999))',
+        'import numpy as np\nwith whole_file(Path("x.csv")) as f: np.savetxt(f, np.zeros(999))',
+        'import polars as pl\nwith whole_file(Path("x.csv")) as f: '
+        'pl.DataFrame({"a": range(999)}).write_csv(f)',
+        'from scipy.io import savemat\nwith whole_file(Path("x.csv")) as f: savemat(f, {"a": [0.5] * 999})',
+    ],
+    ids=["bytes", "npz", "text", "polars", "mat"],
+)
+def test_a_full_disk_leaves_the_good_file_and_is_told_with_its_name(tmp_path: Path, script: str):
+    (tmp_path / "x.csv").write_text("good")
+    done = limited(script, tmp_path)
+    assert done.stderr.splitlines()[-1] == (
+        "sigmaswarm.errors.InputError: x.csv: can't be written (File too large); make room, or name another place"
+    )
+    assert (tmp_path / "x.csv").read_text() == "good"
+    assert names(tmp_path) == ["x.csv"]
+
+
+def test_a_full_disk_leaves_the_good_folder(tmp_path: Path):
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "good").touch()
+    script = """
+with whole_folder(Path("d"), replace=True) as new:
+    new.mkdir()
+    (new / "a").write_text("a" * 2000)
+"""
+    done = limited(script, tmp_path)
+    assert "InputError: d: can't be written (File too large)" in done.stderr
+    assert names(tmp_path) == ["d"]
+    assert names(tmp_path / "d") == ["good"]
+
+
+def test_a_folder_that_somebody_made_meanwhile_stays(tmp_path: Path):
+    with pytest.raises(InputError, match="d: exists already; delete it"), whole_folder(tmp_path / "d") as new:
+        new.mkdir()
+        (tmp_path / "d").mkdir()
+        (tmp_path / "d" / "theirs").touch()
+    assert names(tmp_path) == ["d"]
+    assert names(tmp_path / "d") == ["theirs"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    ['with whole_file(Path("x.csv")) as f:', 'with whole_folder(Path("d")) as f:\n    f.mkdir()'],
+    ids=["file", "folder"],
+)
+def test_what_a_killed_run_left_is_swept(tmp_path: Path, body: str):
+    done = limited(f"import os, signal\n{body}\n    os.kill(os.getpid(), signal.SIGKILL)", tmp_path)
+    assert done.returncode == -9
+    (left,) = names(tmp_path)
+    assert left.startswith((".x.csv.sigmaswarm-", ".d.sigmaswarm-"))
+    write_whole(tmp_path / "y.csv", "")
+    assert names(tmp_path) == ["y.csv"]
+
+
+def test_what_another_run_is_at_stays(tmp_path: Path):
+    with whole_file(tmp_path / "x.csv") as file, whole_folder(tmp_path / "d") as new:
+        new.mkdir()
+        files._sweep.cache_clear()
+        write_whole(tmp_path / "x.csv", "another's")
+        file.write(b"own")
+    assert names(tmp_path) == ["d", "x.csv"]
+    assert (tmp_path / "x.csv").read_text() == "own"
+
+
+def test_what_only_looks_like_ours_stays(tmp_path: Path):
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "file").touch()
+    (tmp_path / HIDDEN).symlink_to(tmp_path / "precious")
+    for name in (".x.csv.part", ".d.0a1b2c3d", HIDDEN[1:], HIDDEN + "c"):
+        (tmp_path / name).touch()
+    before = names(tmp_path)
+    write_whole(tmp_path / "y.csv", "")
+    assert names(tmp_path) == sorted([*before, "y.csv"])
+    assert names(tmp_path / "precious") == ["file"]
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
+def test_what_somebody_else_left_stays(tmp_path: Path):
+    (tmp_path / HIDDEN).touch()
+    os.chown(tmp_path / HIDDEN, 12345, 12345)
+    write_whole(tmp_path / "y.csv", "")
+    assert names(tmp_path) == [HIDDEN, "y.csv"]
+
+
+def test_a_folder_taken_away_to_be_replaced_comes_back(tmp_path: Path):
+    """Killed in between the two renames: the old one is not lost."""
+    script = """
+import os, signal
+rename = Path.rename
+def dying(self, to):
+    rename(self, to)
+    os.kill(os.getpid(), signal.SIGKILL)
+Path.rename = dying
+with whole_folder(Path("d"), replace=True) as new:
+    new.mkdir()
+"""
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "good").touch()
+    assert limited(script, tmp_path).returncode == -9
+    assert "d" not in names(tmp_path)
+    write_whole(tmp_path / "y.csv", "")
+    assert names(tmp_path) == ["d", "y.csv"]
+    assert names(tmp_path / "d") == ["good"]
