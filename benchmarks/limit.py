@@ -20,7 +20,8 @@ from typing import ClassVar
 import llvmlite.binding as llvm
 import numpy as np
 
-from sigmaswarm import datasheet, initial_state, simulate
+from sigmaswarm import datasheet, simulate
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import batch
 from sigmaswarm.filters.compiled import lanes, measurements, planar5, run
 from sigmaswarm.scoring.targets import tracking_replay
@@ -90,23 +91,28 @@ def count() -> None:
 # --- Measured ----------------------------------------------------------------------------------------------
 
 
-def kernel_arguments(fixes: bool = True):
-    """Arguments of `run_lanes` after the number of states, for ten minutes with one parameter set in all lanes."""
+def kernel_call(fixes: bool = True):
+    """A call of `run_lanes` over ten minutes with one parameter set in all lanes, and its number of steps."""
     drive = simulate("urban", duration=600.0, seed=1)
-    replay = tracking_replay(drive, initial_state(drive))
-    line, sets = replay.timeline, [datasheet(drive)]
-    flags = batch.flags_of(line, False, False, False)
-    return (
-        np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale]),
-        flags if fixes else flags & ~run.FIX,
-        line.fixes,
-        line.lever,
-        replay.targets.rows,
-        replay.targets.end if fixes else np.zeros_like(replay.targets.end),
-        batch.pack_states(*batch.start_of(replay.initial, sets)),
-        batch.pack_constants(sets, line.nominal_interval),
-        np.empty((0, lanes.N_STATE + 1, 0)),
-    )
+    replay = tracking_replay(prepared(drive))
+    steps, flags, *others, ends = replay.arrays(False, False, False)
+    rows = batch.start_rows([replay], batch.Chunk((datasheet(drive),)))[0]
+
+    def call():
+        run.run_lanes(
+            5,
+            steps,
+            flags if fixes else flags & ~run.FIX,
+            *others,
+            ends if fixes else np.zeros_like(ends),
+            rows.copy(),
+            batch.new_place(),
+            len(steps),
+            np.empty((0, lanes.N_STATE + 1, 0)),
+            np.empty((0, 5)),
+        )
+
+    return call, len(steps)
 
 
 def fastest(function) -> float:
@@ -176,9 +182,9 @@ def main() -> None:
     operations = dict(pair.split("=") for pair in counted.splitlines()[0].split()[1:])
     flops = sum(int(operations[name]) for name in FLOPS)
     for label, fixes in (("predict alone", False), ("with fixes and scores", True)):
-        arguments = kernel_arguments(fixes)
-        run.run_lanes(5, *arguments)
-        ns = fastest(lambda a=arguments: run.run_lanes(5, *a)) / len(arguments[0]) * 1e9
+        call, n_steps = kernel_call(fixes)
+        call()
+        ns = fastest(call) / n_steps * 1e9
         rate = flops * lanes.LANES / ns
         print(
             f"{label}: {ns:.1f} ns a step of all lanes, {ns / lanes.LANES:.2f} ns a lane"

@@ -8,9 +8,10 @@ from oracles.extended import THETA, covariance_error, mean_error
 from oracles.filterpy_car import FilterPyCar
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import Replay, Targets, record_replay
+from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Recording
 from stepwise import steps_with_fixes
 
 TWIN_TURN = 1e-13  # rad, how far the twin's initial heading is moved
@@ -49,9 +50,9 @@ def compiled_run(
     timeline: Timeline, initial: InitialState, p: FilterParameters
 ) -> tuple[np.ndarray, np.ndarray]:
     """Means and covariances of the compiled filter over the whole time line."""
-    mean, covariance, sound = record_replay(Replay(timeline, initial, Targets.none(timeline)), p)
-    assert sound.all(), "the compiled filter failed"
-    return mean, covariance
+    run = Recording(Replay(timeline, initial, Targets.none(timeline)), p).whole()
+    assert run.sound.all(), "the compiled filter failed"
+    return run.mean, run.covariance
 
 
 def filterpy_run(

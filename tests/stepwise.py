@@ -91,7 +91,9 @@ class CompiledCars:
 
     def _run(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t = self.line
-        sums, final = np.empty((lanes.N_SUMS, lanes.LANES)), np.empty((lanes.N_STATE, lanes.LANES))
+        rows = self.rows[part, : lanes.N_KEPT].T.copy()
+        rows[lanes.SUMS] = 0.0
+        rows[[lanes.DET, lanes.OK]], rows[lanes.RECENT] = 1.0, -1.0
         run.run_lanes(
             self.n,
             np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
@@ -100,14 +102,13 @@ class CompiledCars:
             t.lever,
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
-            self.rows[part, : lanes.N_STATE].T.copy(),
-            self.rows[part, lanes.CONSTANTS].T.copy(),
-            sums,
-            final,
+            rows,
+            np.zeros(4),
+            1,
             np.empty((0, lanes.N_STATE + 1, 0)),
             np.empty((0, 5)),
         )
-        self.rows[part, : lanes.N_STATE], self.rows[part, lanes.SUMS] = final.T, sums.T
+        self.rows[part, : lanes.N_KEPT] = rows.T
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t, step = self.line, live_step

@@ -18,8 +18,9 @@ from scipy.stats import chi2
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters.batch import Replay, Targets, record_replay, run_replays
+from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Recording
 from sigmaswarm.geodesy import wrap_angle
 
 EARLY = 12  # IMU samples after the start, where the initial covariance still counts
@@ -140,12 +141,14 @@ def consistency(
     for j in range(runs):
         own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 2))]))
         replay = Replay(own, initial, Targets.none(own))
-        mean, covariance, sound = record_replay(replay, wrong)
-        assert sound.all()
-        nis += run_replays([replay], [wrong]).nis[0, 0]
-        error = mean[[EARLY, -1]] - truth[[EARLY, -1], j]
+        recording = Recording(replay, wrong)
+        run = recording.whole()
+        assert run.sound.all()
+        nis += recording.sums.nis[0, 0]
+        error = run.mean[[EARLY, -1]] - truth[[EARLY, -1], j]
         error[:, 4] = wrap_angle(error[:, 4])
-        nees.append([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance[[EARLY, -1]], strict=True)])
+        covariance = run.covariance[[EARLY, -1]]
+        nees.append([e @ np.linalg.solve(c, e) for e, c in zip(error, covariance, strict=True)])
     early, late = np.mean(nees, axis=0) / n
     return Consistency(early, late, nis / (2 * fixes[..., 0].size), runs * n, 2 * fixes[..., 0].size)
 

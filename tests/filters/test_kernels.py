@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracles.box import box_table
-from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.batch import Replay, Sums, run_replays
 from sigmaswarm.filters.compiled import lanes, run
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
@@ -31,7 +31,7 @@ compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compi
 @cache
 def short_replay() -> Replay:
     drive = make_drive(duration=12, jitter=0.3, seed=3)
-    return tracking_replay(drive, initial_state(drive))
+    return tracking_replay(prepared(drive))
 
 
 @cache
@@ -82,13 +82,13 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     # longer 3e-16, but still less than half a unit in the last place of the angle itself.
     # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
     headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
-    initial = np.zeros((lanes.N_STATE, lanes.LANES))
+    initial = np.zeros((lanes.N_KEPT, lanes.LANES))
     initial[[lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT]] = 1e-40
-    constants = np.ones((lanes.N_CONSTANTS, lanes.LANES))
-    final = np.empty_like(initial)
+    initial[lanes.CONSTANTS] = 1.0
     velocity = []
     for chunk in headings.reshape(-1, lanes.LANES):
-        initial[lanes.T] = chunk
+        rows = initial.copy()
+        rows[lanes.T] = chunk
         run.run_lanes(
             5,
             np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
@@ -97,14 +97,13 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
             np.zeros(2),
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
-            initial,
-            constants,
-            np.empty((lanes.N_SUMS, lanes.LANES)),
-            final,
+            rows,
+            np.zeros(4),
+            1,
             np.empty((0, lanes.N_STATE + 1, 0)),
             np.empty((0, 5)),
         )
-        velocity.append(final[[lanes.U, lanes.V]].copy())
+        velocity.append(rows[[lanes.U, lanes.V]])
     x = headings.astype(np.longdouble)
     error = np.concatenate(velocity, axis=1) - np.array([np.cos(x), np.sin(x)])
     assert np.all(np.abs(error) < 3e-16 + 0.5 * EPS * np.abs(headings))

@@ -218,11 +218,7 @@ def first_steps(timeline: Timeline, n: int) -> Timeline:
         name: getattr(timeline, name)[:n]
         for name in (
             "end",
-            "dt",
-            "ax",
-            "ay",
-            "gz",
-            "q_scale",
+            "steps",
             "absorbs",
             "hides",
             "sampled",

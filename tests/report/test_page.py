@@ -1,11 +1,10 @@
 """The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
 
-import json
 import re
 import shlex
 import shutil
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +14,16 @@ import tomli_w
 from browsing import Opened
 from sigmaswarm.cli.app import app
 from sigmaswarm.drives.alignment import initial_state
-from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.report.evidence import save_evidence
+from sigmaswarm.report.evidence import copy_tuning
 from sigmaswarm.report.figures import save_tuning_figures
 from sigmaswarm.report.page.commands import tune_command
 from sigmaswarm.report.page.folders import read_report
 from sigmaswarm.report.page.html import page as html_page
-from sigmaswarm.report.tracks import MOST_POINTS, compared, load_tracks, save_tracks, tracks_of
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation, evaluate
+from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -42,18 +40,18 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Evalu
     root = tmp_path_factory.mktemp("page")
     tuned, out = root / "tuned", root / "evaluation"
     tuning = tune(MONDAY, validation=TUESDAY, particles=4, generations=5, trials=2, out=tuned)
-    save_tuning_figures(tuning, [MONDAY], tuned)
+    save_tuning_figures(tuning, picture_of(MONDAY, compared(MONDAY, tuning.parameters), "monday"), tuned)
     drives = [NASTY_DRIVE, TUESDAY]
     found = evaluate(tuning.parameters, drives)
-    save(found, tuned, drives, out)
+    save(found, tuned, out)
     return tuned, out, found
 
 
-def save(found: Evaluation, tuned: Path, drives: Sequence[Drive], out: Path) -> None:
+def save(found: Evaluation, tuned: Path, out: Path) -> None:
     """As `sigmaswarm evaluate --out`, without the pictures."""
     out.mkdir()
-    (out / "scores.json").write_text(json.dumps(found.to_dict()))
-    save_evidence(found, tuned, drives, out)
+    found.save(out)
+    copy_tuning(tuned, out)
 
 
 @pytest.fixture
@@ -116,8 +114,7 @@ def test_tracks_without_truth_and_of_a_failing_filter(tmp_path: Path):
 def test_same_bytes_twice(tmp_path: Path, folders: tuple[Path, Path, Evaluation]):
     tuned, out, found = folders
     again = tmp_path / "again"
-    again.mkdir()
-    save_evidence(found, tuned, [NASTY_DRIVE, TUESDAY], again)
+    save(found, tuned, again)
     for name in ("tracks.npz", "evaluation.json", "tuning.toml", "convergence.csv"):
         assert (again / name).read_bytes() == (out / name).read_bytes(), name
     assert html_page(read_report(out)) == html_page(read_report(out))
@@ -206,7 +203,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     parameters = FilterParameters.load(tuned)
     found = evaluate(parameters, [MONDAY, BLIND])
     out = tmp_path / "e"
-    save(found, tuned, [MONDAY, BLIND], out)
+    save(found, tuned, out)
     report = read_report(out)
     assert "On 2 drives, 1 of them seen by the tuning" in report.lead[0]
     assert any("tuned on" in remark for remark in report.remarks)
@@ -219,7 +216,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     tmp_path: Path, folders: tuple[Path, Path, Evaluation]
 ):
     found = evaluate(FilterParameters.load(folders[0]), BLIND)
-    save(found, folders[0], [BLIND], tmp_path / "e")
+    save(found, folders[0], tmp_path / "e")
     report = read_report(tmp_path / "e")
     assert any("The drive has no truth" in sentence for sentence in report.lead)
     for section in report.sections[:3]:

@@ -1,13 +1,12 @@
 """The page's tracks and errors over time in a real browser: panels that fit what there is to show."""
 
-import json
 from pathlib import Path
 
 import pytest
 
 from browsing import Opened
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.report.evidence import save_evidence
+from sigmaswarm.report.evidence import copy_tuning
 from sigmaswarm.report.page.folders import read_report
 from sigmaswarm.report.page.html import page as html_page
 from sigmaswarm.scoring.evaluation import evaluate
@@ -26,8 +25,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = root / "evaluation"
     out.mkdir()
     found = evaluate(GOOD, [KNOWN, BLIND])
-    (out / "scores.json").write_text(json.dumps(found.to_dict()))
-    save_evidence(found, root / "by-hand.toml", [KNOWN, BLIND], out)
+    found.save(out)
+    copy_tuning(root / "by-hand.toml", out)
     return out
 
 

@@ -19,8 +19,8 @@ from sigmaswarm.report.page.folders import read_report
 from sigmaswarm.report.page.html import page as html_page
 from sigmaswarm.report.page.study_schema import read_spreads
 from sigmaswarm.report.study_tracks import MOST_POINTS, save_study_tracks, shown_drives
-from sigmaswarm.report.tracks import load_tracks
 from sigmaswarm.report.views.record import Section
+from sigmaswarm.scoring.tracks import load_tracks
 from sigmaswarm.study.config import StudyConfig
 from sigmaswarm.study.design import Design, Task
 from sigmaswarm.study.run import Study, run_study

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.consistency import GATE_95, consistency, judged, verdicts
+from sigmaswarm.scoring.consistency import GATE_95, consistency, consistency_of, verdicts
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 
@@ -24,7 +24,7 @@ def innovations(n: int, seed: int, *, scale: float = 1.0, memory: float = 0.0) -
 
 
 def test_a_consistent_filter_lies_in_its_bands_as_often_as_they_say():
-    found = [judged(innovations(200, seed)) for seed in range(300)]
+    found = [consistency_of(innovations(200, seed)) for seed in range(300)]
     inside = np.mean([c.nis_band[0] < c.mean_nis < c.nis_band[1] for c in found])
     white = np.mean([c.white_p > 0.05 for c in found])
     assert 0.91 < inside < 0.99
@@ -35,11 +35,11 @@ def test_a_consistent_filter_lies_in_its_bands_as_often_as_they_say():
 
 
 def test_one_that_is_too_sure_or_not_white_is_caught():
-    sure = judged(innovations(1000, 1, scale=1.2))
+    sure = consistency_of(innovations(1000, 1, scale=1.2))
     assert sure.mean_nis > sure.nis_band[1]
     assert sure.inside_gate < 0.93
     assert sure.white_p > 0.01  # its size is wrong, not its colour
-    slow = judged(innovations(1000, 2, memory=0.4))
+    slow = consistency_of(innovations(1000, 2, memory=0.4))
     assert slow.white_p < 1e-6
     assert slow.autocorrelation[0] == pytest.approx(0.4, abs=0.06)
 
@@ -47,7 +47,7 @@ def test_one_that_is_too_sure_or_not_white_is_caught():
 def test_a_constant_innovation_is_not_white():
     few = innovations(100, 3)
     biased = Innovations(few.time, np.full((100, 2), 1.0), np.tile(np.eye(2), (100, 1, 1)))
-    assert judged(biased).autocorrelation[0] == pytest.approx(0.99)
+    assert consistency_of(biased).autocorrelation[0] == pytest.approx(0.99)
 
 
 def test_the_gate_is_the_chi_square_s():
@@ -55,7 +55,7 @@ def test_the_gate_is_the_chi_square_s():
 
 
 def test_too_few_fixes_or_a_failed_filter_are_not_judged():
-    assert judged(innovations(20, 0)) is None
+    assert consistency_of(innovations(20, 0)) is None
     drive = make_drive(duration=30.0)
     failing = FilterParameters(0.5, 2.0, 1.0, (-1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 1.0))
     assert consistency(drive, failing) is None
@@ -76,21 +76,23 @@ def test_an_evaluation_tells_of_it():
 
 def test_the_verdicts_count_the_drives_of_each_kind():
     band = (1.8, 2.2)
-    sure, careful, right = (2.3, band, 2.5), (1.0, band, 1.1), (2.0, band, float("nan"))
-    said = verdicts([sure, careful, careful, right, None])
-    assert [line.split(":")[0] for line in said] == [
-        "on 1 of 5 drives the filter is too sure of itself",
-        "on 2 of 5 drives the filter is too careful",
-        "on 1 of 5 drives the filter is consistent",
-        "on 1 of 5 drives the filter failed or saw too few fixes to judge its consistency",
-    ]
-    assert verdicts([careful])[0].endswith("its errors are smaller than its covariances say")
-    assert verdicts([]) == []
+    optimistic, pessimistic, right = (2.3, band, 2.5), (1.0, band, 1.1), (2.0, band, float("nan"))
+    said = verdicts([optimistic, pessimistic, pessimistic, right, None])
+    assert {kind: line.split(":")[0] for kind, line in said.items()} == {
+        "optimistic": "on 1 of 5 drives the filter is too sure of itself",
+        "pessimistic": "on 2 of 5 drives the filter is too careful",
+        "consistent": "on 1 of 5 drives the filter is consistent",
+        "unknown": "on 1 of 5 drives the filter failed or saw too few fixes to judge its consistency",
+    }
+    alone = verdicts([pessimistic])["pessimistic"]
+    assert alone.endswith("its errors are smaller than its covariances say")
+    assert verdicts([]) == {}
 
 
 def test_a_truth_that_contradicts_the_fixes_is_told():
     """Errors that neighbouring fixes share hide from NIS."""
-    (careful, sure) = verdicts([(0.43, (1.8, 2.2), 15.4)])
-    assert "too careful" in careful
-    assert "too sure of its position all the same" in sure
-    assert len(verdicts([(3.0, (1.8, 2.2), 15.4)])) == 1
+    said = verdicts([(0.43, (1.8, 2.2), 15.4)])
+    assert list(said) == ["pessimistic", "optimistic_position"]
+    assert "too careful" in said["pessimistic"]
+    assert "too sure of its position all the same" in said["optimistic_position"]
+    assert list(verdicts([(3.0, (1.8, 2.2), 15.4)])) == ["optimistic"]

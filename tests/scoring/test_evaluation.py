@@ -12,7 +12,7 @@ from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.evaluation import Evaluation, evaluate
+from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows
 from support import make_drive
@@ -29,7 +29,7 @@ def evaluation() -> Evaluation:
     return evaluate(GOOD, DRIVES)
 
 
-def test_the_json_has_the_form_that_the_issue_states(evaluation: Evaluation):
+def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
     said = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
     assert list(said["drives"]) == ["drive-0", "drive-1"]
     for methods in [*said["drives"].values(), said["mean"]]:
@@ -106,13 +106,12 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
 
 
 def test_equation_5_in_round_numbers():
-    scores = {
-        "d": {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 1.0, 3.0, 9.0], strict=True)}
-    }
-    assert Evaluation(scores).improvement("defaults") == pytest.approx(25.0)
-    assert Evaluation(scores).improvement("datasheet") == pytest.approx(-50.0)
-    assert Evaluation(scores).improvement("raw_gps") == pytest.approx(50.0)
-    assert Evaluation(scores).improvement("defaults", "heading_rmse_deg") is None
+    scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 1.0, 3.0, 9.0], strict=True)}
+    evaluation = Evaluation({"d": Evaluated(scores)})
+    assert evaluation.improvement("defaults") == pytest.approx(25.0)
+    assert evaluation.improvement("datasheet") == pytest.approx(-50.0)
+    assert evaluation.improvement("raw_gps") == pytest.approx(50.0)
+    assert evaluation.improvement("defaults", "heading_rmse_deg") is None
 
 
 def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
@@ -162,7 +161,7 @@ def test_a_filter_that_fails_is_no_number_and_leaves_the_others(evaluation: Eval
 def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
     fine = {m: Score(position_rmse=1.0) for m in METHODS}
     failed = fine | {"tuned": Score(failed=True)}
-    evaluation = Evaluation({"a": fine, "b": failed})
+    evaluation = Evaluation({"a": Evaluated(fine), "b": Evaluated(failed)})
     assert evaluation.mean("tuned", "position_rmse_m") is None
     assert evaluation.mean("defaults", "position_rmse_m") == 1.0
 

@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import gps_position
@@ -83,7 +84,7 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
 @pytest.mark.parametrize("kind", SETS)
 def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     parameters = SETS[kind]
-    replay = forecast_replay(DRIVE, initial_state(DRIVE), seed=5)
+    replay = forecast_replay(prepared(DRIVE), seed=5)
     hidden = np.isin(DRIVE.gps.time, replay.timeline.end[replay.timeline.hides])
     assert 20 < hidden.sum() < len(DRIVE.gps) / 2
     nu, _, hides = by_textbook(DRIVE, parameters, hidden)
@@ -96,7 +97,7 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
 
 def test_a_hidden_fix_is_not_seen():
     gps = DRIVE.gps
-    replay = forecast_replay(DRIVE, initial_state(DRIVE), seed=1)
+    replay = forecast_replay(prepared(DRIVE), seed=1)
     hidden = np.isin(gps.time, replay.timeline.end[replay.timeline.hides])
     moved = replace(DRIVE, gps=replace(gps, x=gps.x + 1000.0 * hidden))
     far, near = (

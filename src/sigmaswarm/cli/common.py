@@ -116,7 +116,7 @@ def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Genera
 
 
 def print_evaluation(
-    evaluation: "Evaluation", outage_length: float = 5.0, without_truth: Sequence[str] = ()
+    evaluation: "Evaluation",
 ) -> None:
     """The comparison as a table: every drive, the mean, and what the tuning improved; why it has gaps."""
     from rich.table import Table
@@ -125,7 +125,11 @@ def print_evaluation(
     table = Table(title="On these drives (lower is better)", title_justify="left")
     table.add_column("drive")
     table.add_column("method")
-    for title in ("position\nRMSE, m", "heading\nerror, deg", f"{outage_length:g} s outage\ndrift, m"):
+    for title in (
+        "position\nRMSE, m",
+        "heading\nerror, deg",
+        f"{evaluation.outage_length:g} s outage\ndrift, m",
+    ):
         table.add_column(title, justify="right")
     measures = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m")
     for drive in evaluation.scores:
@@ -141,6 +145,9 @@ def print_evaluation(
             style = "bold" if method == "tuned" else None
             table.add_row("mean" if i == 0 else "", name, *cells, style=style)
     console.print(table)
+    without_truth = [
+        name for name, found in evaluation.drives.items() if not found.data.get("has_truth", True)
+    ]
     if without_truth:
         console.print(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
@@ -178,8 +185,7 @@ def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
             ]
         table.add_row(drive, *cells)
     console.print(table)
-    found = [(c.mean_nis, c.nis_band, c.mean_nees) if c else None for c in evaluation.consistency.values()]
-    for said in verdicts(found):
+    for said in verdicts([c and c.summary for c in evaluation.consistency.values()]).values():
         console.print(f"{said[0].upper()}{said[1:]}.")
 
 

@@ -32,8 +32,9 @@ def demo(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, stdout, tuning_progress
     from sigmaswarm.errors import InputError
-    from sigmaswarm.report.evidence import save_evidence
-    from sigmaswarm.report.figures import save_evaluation, save_tuning_figures
+    from sigmaswarm.report.evidence import save_evaluation
+    from sigmaswarm.report.figures import save_tuning_figures
+    from sigmaswarm.scoring.tracks import compared, picture_of
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; choose another --out")
@@ -60,10 +61,10 @@ def demo(
     if not json:
         for remark in tuning.remarks:
             console.print(f"   note: {remark}")
-    save_tuning_figures(tuning, training, out / "tuning")
+    filters = compared(training[0], tuning.parameters)
+    save_tuning_figures(tuning, picture_of(training[0], filters, training[0].name), out / "tuning")
     evaluation = sigmaswarm.evaluate(tuning.parameters, held_out)
-    save_evaluation(evaluation, tuning.parameters, held_out, out / "evaluation")
-    save_evidence(evaluation, out / "tuning", held_out, out / "evaluation")
+    save_evaluation(evaluation, out / "evaluation", out / "tuning")
     if json:
         print_json(evaluation.to_dict())
         return

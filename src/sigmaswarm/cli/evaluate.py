@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
-    from sigmaswarm import Drive
+    from sigmaswarm import Evaluation
 
 
 def evaluate(
@@ -50,43 +50,37 @@ def evaluate(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout
     from sigmaswarm.errors import InputError
-    from sigmaswarm.report.evidence import save_evidence
-    from sigmaswarm.report.figures import save_evaluation
+    from sigmaswarm.report.evidence import save_evaluation
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
-    _warn_of_training_drives(tuning, read)
     result = sigmaswarm.evaluate(parameters, read, outage_length=outage_length, outage_seed=outage_seed)
+    _warn_of_training_drives(tuning, result)
     written: list[Path] = []
     if out:
-        written = save_evaluation(result, parameters, read, out)
-        written += save_evidence(
-            result, tuning, read, out, outage_length=outage_length, outage_seed=outage_seed
-        )
+        written = save_evaluation(result, out, tuning)
     if json:
         print_json(result.to_dict())
         return
-    blind = [name for name, drive in zip(result.scores, read, strict=True) if drive.truth is None]
-    print_evaluation(result, outage_length, blind)
+    print_evaluation(result)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
     stdout().print(f"next: {page}", markup=False)
 
 
-def _warn_of_training_drives(tuning: Path, drives: "list[Drive]") -> None:
+def _warn_of_training_drives(tuning: Path, evaluation: "Evaluation") -> None:
     """Say which drives the tuning has seen: scores on them flatter it."""
     import tomllib
     import warnings
 
-    from sigmaswarm.drives.fingerprint import fingerprint
     from sigmaswarm.errors import SigmaswarmWarning
 
     file = tuning / "tuning.toml" if tuning.is_dir() else tuning
     seen = {entry.get("sha256") for entry in tomllib.loads(file.read_text()).get("data", [])}
-    for drive in drives:
-        if fingerprint(drive) in seen:
-            message = f"{drive.name} is a drive that the filter was tuned on: its scores are not held out"
+    for name, found in evaluation.drives.items():
+        if found.data["sha256"] in seen:
+            message = f"{name} is a drive that the filter was tuned on: its scores are not held out"
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

@@ -125,6 +125,7 @@ def tune(
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
     from sigmaswarm.report.figures import save_tuning_figures
+    from sigmaswarm.scoring.tracks import compared, picture_of
 
     asked = {
         "objective": objective,
@@ -158,7 +159,8 @@ def tune(
             progress=progress,
             **config,
         )
-    pictures = save_tuning_figures(tuning, read, out)
+    filters = compared(read[0], tuning.parameters)
+    pictures = save_tuning_figures(tuning, picture_of(read[0], filters, read[0].name), out)
     if json:
         print_json(tuning.to_dict())
         return

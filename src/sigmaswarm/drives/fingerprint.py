@@ -3,7 +3,20 @@
 import hashlib
 from typing import Any
 
+from pydantic import BaseModel
+
 from sigmaswarm.drives.drive import Drive
+
+
+class DriveRecord(BaseModel):
+    """A drive that a result comes from, as its file names it."""
+
+    name: str
+    duration_s: float | None = None
+    imu_samples: int | None = None
+    fixes: int | None = None
+    has_truth: bool | None = None
+    sha256: str = ""
 
 
 def described(drive: Drive) -> dict[str, Any]:
@@ -26,5 +39,6 @@ def fingerprint(drive: Drive) -> str:
     for table in (drive.imu, drive.gps, drive.truth):
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:
-                digest.update(name.encode() + column.tobytes())
+                digest.update(name.encode())
+                digest.update(column)
     return digest.hexdigest()

@@ -28,9 +28,8 @@ class Timeline:
     ----------
     start : s
     end : (k,) s: when each step ends
-    dt : (k,) s
-    ax, ay, gz : (k,) m/s2, m/s2, rad/s: the sample that drives each step
-    q_scale : (k,) dt / nominal interval of the drive
+    steps : (k, 5) the columns dt (s), ax, ay (m/s2), gz (rad/s) and q_scale, which have properties of their names:
+        how long each step is, the sample that drives it, and dt / nominal interval of the drive
     absorbs : (k,) bool: a fix is absorbed at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
@@ -49,11 +48,7 @@ class Timeline:
 
     start: float
     end: Array
-    dt: Array
-    ax: Array
-    ay: Array
-    gz: Array
-    q_scale: Array
+    steps: Array
     absorbs: NDArray[np.bool_]
     hides: NDArray[np.bool_]
     sampled: NDArray[np.bool_]
@@ -66,6 +61,31 @@ class Timeline:
     drive: Drive
     imu_time: Array
     nominal_interval: float
+
+    @property
+    def dt(self) -> Array:
+        """How long each step is, (k,) s."""
+        return self.steps[:, 0]
+
+    @property
+    def ax(self) -> Array:
+        """Forward specific force, (k,) m/s2."""
+        return self.steps[:, 1]
+
+    @property
+    def ay(self) -> Array:
+        """Specific force to the left, (k,) m/s2."""
+        return self.steps[:, 2]
+
+    @property
+    def gz(self) -> Array:
+        """Yaw rate, (k,) rad/s."""
+        return self.steps[:, 3]
+
+    @property
+    def q_scale(self) -> Array:
+        """Length of each step in nominal intervals, (k,)."""
+        return self.steps[:, 4]
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
@@ -86,14 +106,15 @@ class Timeline:
 
 def build_timeline(drive: Drive, start: float) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out."""
-    imu = drive.imu.time[drive.imu.time > start]
-    usable = (drive.gps.time > start) & (drive.gps.time <= drive.imu.time[-1])
+    imu = drive.imu
+    imu_time = imu.time[imu.time > start]
+    usable = (drive.gps.time > start) & (drive.gps.time <= imu.time[-1])
     fix_time = drive.gps.time[usable]
-    moments = np.union1d(imu, fix_time)
+    moments = np.union1d(imu_time, fix_time)
     fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
     ends = np.repeat(moments, np.maximum(1, fixes_there))
     meets = np.isin(ends, fix_time)
-    sample = np.searchsorted(drive.imu.time, ends, side="left")  # the first sample at or after the step's end
+    sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
     has_velocity = drive.gps.speed is not None and drive.gps.course is not None
@@ -103,21 +124,17 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     return Timeline(
         start=start,
         end=ends,
-        dt=dt,
-        ax=drive.imu.ax[sample],
-        ay=drive.imu.ay[sample],
-        gz=drive.imu.gz[sample],
-        q_scale=dt / nominal,
+        steps=np.column_stack([dt, *(column[sample] for column in (imu.ax, imu.ay, imu.gz)), dt / nominal]),
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
-        sampled=np.isin(ends, imu) & np.append(ends[1:] != ends[:-1], True),
+        sampled=np.isin(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
         has_velocity=has_velocity,
         lever=drive.lever_arm,
-        cornering=np.abs(drive.imu.ay[sample]) > CORNERING,
+        cornering=np.abs(imu.ay[sample]) > CORNERING,
         sample=sample,
         drive=drive,
-        imu_time=imu,
+        imu_time=imu_time,
         nominal_interval=nominal,
     )

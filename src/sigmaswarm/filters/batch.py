@@ -68,12 +68,6 @@ class Replay:
     _arrays: dict[tuple[bool, bool, bool], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
-    def steps(self) -> Array:
-        """dt (s), ax, ay (m/s2), gz (rad/s) and the scale of Q of each step, shape (k, 5)."""
-        line = self.timeline
-        return np.column_stack([line.dt, line.ax, line.ay, line.gz, line.q_scale])
-
-    @cached_property
     def n_hidden(self) -> int:
         """How many fixes are hidden from the filter."""
         return int(self.timeline.hides.sum())
@@ -84,7 +78,7 @@ class Replay:
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
-            self._arrays[taken] = self.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+            self._arrays[taken] = line.steps, flags, line.fixes, line.lever, targets.rows, targets.end
         return self._arrays[taken]
 
 
@@ -163,12 +157,18 @@ def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParame
     columns = np.empty((len(_SUM_ROWS), len(replays), batch.size))
     failed = np.empty((len(replays), batch.size), dtype=np.bool_)
     for places, chunk in batch.chunks:
-        sums, final = _run_chunk(replays, chunk)
-        sound = _sound(sums, final, chunk.sets[0].n_states)[:, : len(places)] & chunk.plausible
-        failed[:, places] = ~sound
-        shown = sums[:, _SUM_ROWS, : len(places)].swapaxes(0, 1)
-        columns[:, :, places] = np.where(sound, shown, np.nan)
+        rows = start_rows(replays, chunk)
+        for replay, lane_rows in zip(replays, rows, strict=True):
+            run_rows(replay, chunk, lane_rows, new_place(), len(replay.timeline.dt))
+        columns[:, :, places], failed[:, places] = unpack_sums(rows, chunk)
     return Sums(*columns, failed=failed)
+
+
+def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
+    """The columns of `Sums`, (8, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
+    n_sets = len(chunk.sets)
+    sound = _sound(rows, chunk.sets[0].n_states)[:, :n_sets] & chunk.plausible
+    return np.where(sound, rows[:, _SUM_ROWS, :n_sets].swapaxes(0, 1), np.nan), ~sound
 
 
 def joined(parts: Sequence[Sums], axis: int) -> Sums:
@@ -178,28 +178,12 @@ def joined(parts: Sequence[Sums], axis: int) -> Sums:
     return Sums(**{name: np.concatenate([getattr(s, name) for s in parts], axis) for name in vars(parts[0])})
 
 
-def record_replay(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """The whole trajectory of one filter: means (r, n), covariances (r, n, n), and where it is sound (r,)."""
-    record = np.empty((len(replay.timeline.imu_time), lanes.N_STATE + 1, 1))
-    _run_chunk([replay], Chunk((parameters,)), record)
-    mean, covariance = unpack_states(record[:, : lanes.N_STATE, 0].T, parameters.n_states)
-    sound = (record[:, lanes.N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & plausible(parameters)
-    return mean, covariance, sound & _definite(covariance)
-
-
-def record_innovations(replay: Replay, parameters: FilterParameters) -> Array:
-    """nu (m) and S (m2; xx, xy, yy) of one filter at each fix, before it is absorbed, shape (f, 5)."""
-    innovations = np.empty((len(replay.timeline.fixes), 5))
-    _run_chunk([replay], Chunk((parameters,)), innovations=innovations)
-    return innovations
-
-
 def plausible(p: FilterParameters) -> bool:
     """With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long."""
     return min(p.process_noise) >= 0 and min(p.measurement_noise) > 0
 
 
-def _definite(covariance: Array) -> NDArray[np.bool_]:
+def definite(covariance: Array) -> NDArray[np.bool_]:
     """Which of the covariances (..., n, n) are positive definite, but for rounding.
 
     The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
@@ -217,39 +201,41 @@ def _definite(covariance: Array) -> NDArray[np.bool_]:
     return np.asarray(sound)
 
 
-_SUM_ROWS = np.arange(lanes.SQ_POSITION, lanes.LOG_DET + 1) - lanes.SUMS.start
+_SUM_ROWS = np.arange(lanes.SQ_POSITION, lanes.LOG_DET + 1)
 """In the order of `Sums`."""
 
 
 _NOT_RECORDED, _NO_INNOVATIONS = np.empty((0, lanes.N_STATE + 1, 0)), np.empty((0, 5))
 
 
-def _run_chunk(
-    replays: Sequence[Replay],
+def start_rows(replays: Sequence[Replay], chunk: Chunk) -> Array:
+    """All that LANES filters are at the start of each of m replays, shape (m, N_KEPT, LANES)."""
+    rows = np.zeros((len(replays), lanes.N_KEPT, lanes.LANES))
+    rows[:, : lanes.N_STATE] = pack_states(*starts_of([replay.initial for replay in replays], chunk.sets))
+    for each, replay in zip(rows, replays, strict=True):
+        each[lanes.CONSTANTS] = chunk.constants(replay.timeline.nominal_interval)
+    rows[:, [lanes.DET, lanes.OK]] = 1.0
+    rows[:, lanes.RECENT] = -1.0
+    return rows
+
+
+def new_place() -> Array:
+    """Where a run begins."""
+    return np.zeros(4)
+
+
+def run_rows(
+    replay: Replay,
     chunk: Chunk,
+    rows: Array,
+    place: Array,
+    stop: int,
     record: Array = _NOT_RECORDED,
     innovations: Array = _NO_INNOVATIONS,
-) -> tuple[Array, Array]:
-    """Sums (m, N_SUMS, LANES) and final states (m, N_STATE, LANES) of m replays.
-
-    Of a single replay, writes what is recorded of the first lane.
-    """
-    taken = switches(chunk.sets[0])
-    n = chunk.sets[0].n_states
-    initial = pack_states(*starts_of([replay.initial for replay in replays], chunk.sets))
-    sums, final = np.empty((len(replays), lanes.N_SUMS, lanes.LANES)), np.empty_like(initial)
-    for i, replay in enumerate(replays):
-        run.run_lanes(
-            n,
-            *replay.arrays(*taken),
-            initial[i],
-            chunk.constants(replay.timeline.nominal_interval),
-            sums[i],
-            final[i],
-            record,
-            innovations,
-        )
-    return sums, final
+) -> None:
+    """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    arrays = replay.arrays(*switches(chunk.sets[0]))
+    run.run_lanes(chunk.sets[0].n_states, *arrays, rows, place, stop, record, innovations)
 
 
 def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
@@ -363,7 +349,8 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return rows, columns
 
 
-def _sound(sums: Array, final: Array, n: int) -> NDArray[np.bool_]:
+def _sound(rows: Array, n: int) -> NDArray[np.bool_]:
     """Which lanes never failed and end with a positive definite covariance, shape (m, LANES)."""
-    finite = np.isfinite(final).all(axis=1) & np.isfinite(sums[:, _SUM_ROWS]).all(axis=1)
-    return finite & (sums[:, lanes.OK - lanes.SUMS.start] == 1.0) & _definite(unpack_states(final, n)[1])
+    final = rows[:, : lanes.N_STATE]
+    finite = np.isfinite(final).all(axis=1) & np.isfinite(rows[:, _SUM_ROWS]).all(axis=1)
+    return finite & (rows[:, lanes.OK] == 1.0) & definite(unpack_states(final, n)[1])

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
 
 
-def run_imu_only(drive: Drive, *, initial: InitialState | None = None) -> Estimate:
+def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None = None) -> Estimate:
     """Integrate the IMU from the same start as every filter; the same steps as `models.planar5`."""
-    initial = initial or initial_state(drive)
-    line = build_timeline(drive, initial.time)
+    ready = prepared(drive, initial)
+    line, initial = ready.timeline(), ready.initial
     x, y, vx, vy, theta = initial.mean
     heading = theta + np.cumsum(line.gz * line.dt)
     before = np.concatenate([[theta], heading[:-1]])

@@ -1,17 +1,19 @@
 """One filter over one drive: `run_filter` compiled, `run_reference` in the textbook's form."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.batch import Replay, Targets, record_innovations, record_replay
+from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Innovations, Recording
 from sigmaswarm.filters.textbook_car import TextbookCar
 from sigmaswarm.geodesy import wrap_angle
 
@@ -44,13 +46,13 @@ class Estimate:
 
 
 def run_filter(
-    drive: Drive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
 ) -> Estimate:
     """Run the compiled filter over a drive.
 
     Parameters
     ----------
-    drive : Drive
+    drive : Drive or PreparedDrive
         Its truth, if any, is not looked at.
     parameters : FilterParameters
     initial : InitialState, optional
@@ -66,66 +68,35 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    initial = initial or initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
-    if not len(timeline.imu_time):
-        raise InputError(f"{drive.name}: no IMU sample after the start at {initial.time:g} s; start earlier")
-    replay = Replay(timeline, initial, Targets.none(timeline))
-    mean, covariance, sound = record_replay(replay, parameters)
-    mean[:, THETA] = wrap_angle(mean[:, THETA])
-    estimate = Estimate(timeline.imu_time, mean, covariance, initial)
-    if sound.all():
-        return estimate
-    first = int(np.argmin(sound))
-    mean[first:], covariance[first:] = np.nan, np.nan
-    failure = (
-        f"{drive.name}: the filter failed at t = {timeline.imu_time[first]:.3f} s (covariance not positive "
-        "definite, or NaN in the data); are all variances positive and all samples finite?"
-    )
-    return replace(estimate, failure=failure)
-
-
-@dataclass(frozen=True, eq=False)
-class Innovations:
-    """What each fix said that a filter did not expect, before the fix was absorbed.
-
-    Attributes
-    ----------
-    time : ndarray, shape (f,)
-        s, of the fixes after the start.
-    innovation : ndarray, shape (f, 2)
-        nu, m east and north.
-    covariance : ndarray, shape (f, 2, 2)
-        S, m2.
-    """
-
-    time: Array
-    innovation: Array
-    covariance: Array
-
-    @property
-    def nis(self) -> Array:
-        """nu^T S^-1 nu, shape (f,): chi-square with 2 degrees of freedom where the filter is consistent."""
-        return np.square(self.normalized).sum(axis=1)
-
-    @property
-    def normalized(self) -> Array:
-        """L^-1 nu with L L^T = S, shape (f, 2): white, of variance one, where the filter is consistent."""
-        root = np.linalg.cholesky(self.covariance)
-        return np.asarray(np.linalg.solve(root, self.innovation[..., None])[..., 0], np.float64)
+    replay = _replay(drive, initial)
+    if not len(replay.timeline.imu_time):
+        start = replay.initial.time
+        raise InputError(
+            f"{replay.timeline.drive.name}: no IMU sample after the start at {start:g} s; start earlier"
+        )
+    recording = Recording(replay, parameters)
+    whole = recording.whole()
+    return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
 
 
 def run_innovations(
-    drive: Drive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
 ) -> Innovations:
     """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
 
     Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
     """
-    initial = initial or initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
-    rows = record_innovations(Replay(timeline, initial, Targets.none(timeline)), parameters)
-    return Innovations(timeline.fix_time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
+    recording = Recording(_replay(drive, initial), parameters)
+    for _ in recording:
+        pass
+    return recording.innovations
+
+
+def _replay(drive: Drive | PreparedDrive, initial: InitialState | None) -> Replay:
+    """The whole drive, compared with nothing."""
+    ready = prepared(drive, initial)
+    timeline = ready.timeline()
+    return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
 def run_reference(

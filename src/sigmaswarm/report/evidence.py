@@ -1,57 +1,34 @@
-"""What an evaluation leaves in its folder beside scores and figures, so that its page needs nothing but the folder."""
+"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
-from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.fingerprint import described
-from sigmaswarm.files import write_json, write_whole
-from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.report.tracks import compared, save_tracks, tracks_of
+from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.report.figures import save_evaluation_figures
 from sigmaswarm.scoring.evaluation import Evaluation
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH
-from sigmaswarm.versions import versions
-
-FROM_THE_TUNING = ("tuning.toml", "convergence.csv")
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 
 
-def save_evidence(
-    evaluation: Evaluation,
-    tuning: Path,
-    drives: Sequence[Drive],
-    folder: Path,
-    *,
-    outage_length: float = OUTAGE_LENGTH,
-    outage_seed: int = 0,
-) -> list[Path]:
-    """Write evaluation.json, tracks.npz and a copy of the tuning into an evaluation's folder; their paths.
+def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
+    """Write all that `sigmaswarm report` and people look at; the paths of all files.
 
     Parameters
     ----------
     evaluation : Evaluation
-        Of ``drives``, in their order.
-    tuning : Path
-        A tuning.toml, or the folder that holds it.
-    drives : sequence of Drive
     folder : Path
-        Exists.
-    outage_length, outage_seed : float, int
-        As `evaluate` was asked.
+        Made where it is missing.
+    tuning : Path, optional
+        The tuning.toml that was evaluated, or the folder that holds it; copied.
     """
-    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
-    parameters = FilterParameters.load(file)
-    named = list(zip(evaluation.scores, drives, strict=True))
-    asked = {
-        "outage_length_s": outage_length,
-        "outage_seed": outage_seed,
-        "versions": versions(),
-        "data": [described(drive) | {"name": name} for name, drive in named],
-    }
-    write_json(folder / "evaluation.json", asked)
-    written = [folder / "evaluation.json"]
-    tracks = [tracks_of(drive, compared(drive, parameters), name) for name, drive in named]
-    written.append(save_tracks(tracks, folder / "tracks.npz"))
-    for name, source in zip(FROM_THE_TUNING, (file, file.parent / "convergence.csv"), strict=True):
+    make_folder(folder)
+    written = [*evaluation.save(folder), *save_evaluation_figures(evaluation, folder)]
+    return written if tuning is None else [*written, *copy_tuning(tuning, folder)]
+
+
+def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
+    """Copy a tuning.toml, or that of a folder, and the history beside it; the paths of what was copied."""
+    file = tuning / FILE if tuning.is_dir() else tuning
+    written: list[Path] = []
+    for name, source in ((FILE, file), (HISTORY_FILE, file.parent / HISTORY_FILE)):
         copy = folder / name
         if source.is_file() and not (copy.exists() and copy.samefile(source)):
             write_whole(copy, source.read_bytes())

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.files import make_folder
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -17,9 +18,10 @@ from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import Estimate, run_filter, run_innovations
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.report.draw.png import look, new_figure, save_both
-from sigmaswarm.report.figures import FINE_SCALE, place_of_sharpest_turn
 from sigmaswarm.report.style import LOOKS, STUDY_LOOKS
 from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.scoring.tracks import CLOSE_UP as FINE_SCALE
+from sigmaswarm.scoring.tracks import sharpest_turn
 from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.run import Study
 from sigmaswarm.study.scores import LABELS, UNTUNED
@@ -103,7 +105,7 @@ def convergence(study: Study) -> Figure:
 def trajectory(drive: Drive, estimates: Mapping[str, Estimate]) -> Figure:
     """Truth, GPS, manual and tuned filters where the car turns most (the paper's Fig. 3)."""
     figure, (ax,) = new_figure(6.4, 5.6)
-    x0, y0 = place_of_sharpest_turn(drive, estimates["honest"])
+    x0, y0 = sharpest_turn(prepared(drive, estimates["honest"].initial))
     ax.plot(drive.gps.x, drive.gps.y, label="GPS", **look(LOOKS["raw_gps"]))
     for name, estimate in estimates.items():
         ax.plot(estimate.mean[:, 0], estimate.mean[:, 1], **LINES[name])

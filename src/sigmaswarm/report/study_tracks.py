@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.report.tracks import save_tracks, tracks_of
+from sigmaswarm.scoring.tracks import save_tracks, tracks_of
 from sigmaswarm.study.config import ProtocolName
 from sigmaswarm.study.design import ALL, Design
 from sigmaswarm.study.run import Study

@@ -3,14 +3,13 @@
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.report.views.charts import Dash, Look
-from sigmaswarm.scoring.evaluation import METHODS, method_names
+from sigmaswarm.scoring.evaluation import METHODS
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
 BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
 VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
-SLATE, GREY, SILVER, MIST = "#51585f", "#999999", "#cccccc", "#e5e5e5"
+CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 
 MANY = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
 """For as many lines as there are; `DASHES` tells those apart that repeat a color."""
@@ -38,11 +37,6 @@ STUDY_LOOKS: dict[str, Look] = {
 }
 """Of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **METHODS}
-
-
-def labels_for(parameters: FilterParameters) -> dict[str, str]:
-    """`LABELS`, with the tuned filter's kind."""
-    return LABELS | method_names(parameters.kind, parameters.model)
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:

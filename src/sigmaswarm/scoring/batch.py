@@ -1,7 +1,7 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.batch import Replay, Sums, joined, pack, run_replays
 from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.parameters import FilterParameters
@@ -47,7 +47,7 @@ class Replayer:
 
     Parameters
     ----------
-    drives : sequence of Drive
+    drives : sequence of Drive or PreparedDrive
     outages : bool
         Run the outages too (a pass of its own over each drive).
     forecasts : bool
@@ -65,23 +65,22 @@ class Replayer:
 
     def __init__(
         self,
-        drives: Sequence[Drive],
+        drives: Sequence[Drive | PreparedDrive],
         *,
         outages: bool,
         forecasts: bool = False,
         outage_length: float = OUTAGE_LENGTH,
         outage_seed: int = 0,
     ) -> None:
-        self.drives = tuple(drives)
-        self.initial = tuple(initial_state(drive) for drive in drives)
-        starts = list(zip(self.drives, self.initial, strict=True))
-        self._passes = {"tracking": tuple(tracking_replay(*start) for start in starts)}
+        ready = [prepared(drive) for drive in drives]
+        self.drives = tuple(one.drive for one in ready)
+        self.initial = tuple(one.initial for one in ready)
+        self._passes = {"tracking": tuple(map(tracking_replay, ready))}
         if outages:
-            self._passes["outages"] = tuple(
-                outage_replay(*start, length=outage_length, seed=outage_seed) for start in starts
-            )
+            length, seed = outage_length, outage_seed
+            self._passes["outages"] = tuple(outage_replay(one, length=length, seed=seed) for one in ready)
         if forecasts:
-            self._passes["forecasts"] = tuple(forecast_replay(*start, seed=outage_seed) for start in starts)
+            self._passes["forecasts"] = tuple(forecast_replay(one, seed=outage_seed) for one in ready)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""
@@ -110,16 +109,10 @@ class Replayer:
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
-        shape = (len(parameter_sets), len(self.drives))
-        columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
-        failed = np.zeros(shape, dtype=np.bool_)
         if not parameter_sets or not self.drives:
-            return Scores(**columns, failed=failed)
-        for name, sums in self._run(parameter_sets, executor).items():
-            for score, values in _SCORES[name](self._passes[name], sums).items():
-                columns[score] = values.T
-            failed |= sums.failed.T
-        return Scores(**columns, failed=failed)
+            empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
+            return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
+        return scores_of(self._passes, self._run(parameter_sets, executor))
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
@@ -141,6 +134,18 @@ class Replayer:
             name: joined([joined(each[i : i + n], axis=1) for i in range(0, len(each), n)], axis=0)
             for name, each in done.items()
         }
+
+
+def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
+    """Scores from what each pass (``tracking``, ``outages``, ``forecasts``) added up; NaN of a pass that is missing."""
+    shape = next(iter(sums.values())).failed.T.shape
+    columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
+    failed = np.zeros(shape, dtype=np.bool_)
+    for name, added in sums.items():
+        for score, values in _SCORES[name](passes[name], added).items():
+            columns[score] = values.T
+        failed |= added.failed.T
+    return Scores(**columns, failed=failed)
 
 
 _PART = 20_000

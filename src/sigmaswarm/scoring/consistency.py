@@ -6,12 +6,13 @@ section 5.4.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
 
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Innovations, run_innovations
 
@@ -22,6 +23,9 @@ FAR_NEES = 4.0
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
+Summary = tuple[float, tuple[float, float], float | None] | None
+"""Of a filter on one drive: mean NIS, its 95% band, mean NEES or None; None where nothing can be said."""
+
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
@@ -31,7 +35,7 @@ class Consistency:
     ----------
     n_fixes : int
     mean_nis : float
-        2 where the filter is consistent; above, it is too sure of itself.
+        2 where the filter is consistent; above, it is optimistic.
     nis_band : (float, float)
         Where 95% of the means of so many independent values lie.
     inside_gate : float
@@ -58,28 +62,20 @@ class Consistency:
         """95% of the autocorrelations of white innovations lie within plus and minus this."""
         return float(1.96 / np.sqrt(2 * self.n_fixes))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain types for JSON; what can't be said is None."""
-        return {
-            "n_fixes": self.n_fixes,
-            "mean_nis": self.mean_nis,
-            "nis_band_95": list(self.nis_band),
-            "share_inside_95_gate": self.inside_gate,
-            "autocorrelation": self.autocorrelation.tolist(),
-            "autocorrelation_band_95": self.white_band,
-            "white_p": self.white_p,
-            "mean_nees": None if np.isnan(self.mean_nees) else self.mean_nees,
-        }
+    @property
+    def summary(self) -> Summary:
+        """What `verdicts` looks at."""
+        return self.mean_nis, self.nis_band, None if np.isnan(self.mean_nees) else self.mean_nees
 
 
 def consistency(
-    drive: Drive, parameters: FilterParameters, mean_nees: float = float("nan")
+    drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = float("nan")
 ) -> Consistency | None:
     """Look at a filter's innovations over a drive; None where it failed, or saw too few fixes to tell."""
-    return judged(run_innovations(drive, parameters), mean_nees)
+    return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
-def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consistency | None:
+def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) -> Consistency | None:
     """What innovations say; None where a covariance is none, or they are too few."""
     n = len(innovations.time)
     s = innovations.covariance
@@ -102,38 +98,37 @@ def judged(innovations: Innovations, mean_nees: float = float("nan")) -> Consist
     )
 
 
-Judged = Sequence[tuple[float, tuple[float, float], float | None] | None]
-"""Of each drive: mean NIS, its 95% band, mean NEES or None; None where it can't be judged."""
+Kind = Literal["optimistic", "pessimistic", "consistent", "optimistic_position", "unknown"]
+"""Optimistic: errors are larger than the filter's covariances say; pessimistic: they are smaller."""
+
+VERDICTS: dict[Kind, str] = {
+    "optimistic": "is too sure of itself: its errors are larger than its covariances say",
+    "pessimistic": "is too careful: its errors are smaller than its covariances say",
+    "consistent": "is consistent: its forecasts miss the fixes by as much as its covariances say",
+    "optimistic_position": (
+        "is too sure of its position all the same (NEES): only the truth tells errors that fixes share"
+    ),
+    "unknown": "failed or saw too few fixes to judge its consistency",
+}
 
 
-def verdicts(found: Judged) -> list[str]:
-    """What the consistency on several drives says of a filter, a sentence each, for people."""
-    return list(verdicts_by_kind(found).values())
-
-
-def verdicts_by_kind(found: Judged) -> dict[str, str]:
-    """The same by kind: ``sure``, ``careful``, ``consistent``, ``hidden``, ``failed``, where they hold for a drive."""
-    judged = [entry for entry in found if entry]
-    sure = sum(nis > high for nis, (_, high), _ in judged)
-    careful = sum(nis < low for nis, (low, _), _ in judged)
-    consistent = len(judged) - sure - careful
-    hidden = sum(nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in judged)
-    said = {
-        "sure": (sure, "is too sure of itself: its errors are larger than its covariances say"),
-        "careful": (careful, "is too careful: its errors are smaller than its covariances say"),
-        "consistent": (
-            consistent,
-            "is consistent: its forecasts miss the fixes by as much as its covariances say",
+def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
+    """What the consistency on several drives says of a filter, a sentence for each kind that holds for a drive."""
+    known = [entry for entry in found if entry]
+    optimistic = sum(nis > high for nis, (_, high), _ in known)
+    pessimistic = sum(nis < low for nis, (low, _), _ in known)
+    counts: dict[Kind, int] = {
+        "optimistic": optimistic,
+        "pessimistic": pessimistic,
+        "consistent": len(known) - optimistic - pessimistic,
+        "optimistic_position": sum(
+            nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in known
         ),
-        "hidden": (
-            hidden,
-            "is too sure of its position all the same (NEES): only the truth tells errors that fixes share",
-        ),
-        "failed": (len(found) - len(judged), "failed or saw too few fixes to judge its consistency"),
+        "unknown": len(found) - len(known),
     }
     return {
-        kind: f"on {count} of {len(found)} drives the filter {what}"
-        for kind, (count, what) in said.items()
+        kind: f"on {count} of {len(found)} drives the filter {VERDICTS[kind]}"
+        for kind, count in counts.items()
         if count
     }
 

@@ -2,22 +2,34 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.fingerprint import DriveRecord, described
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
+from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.filters.batch import joined, run_replays
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, datasheet
-from sigmaswarm.filters.run import Estimate
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.scoring.consistency import Consistency, consistency
+from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.records import (
+    ASKED_FILE,
+    SCORES_FILE,
+    ConsistencyRecord,
+    EvaluationRecord,
+    ScoresRecord,
+)
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.versions import versions
 
 METHODS = {
     "tuned": "tuned filter",
@@ -43,12 +55,53 @@ def method_names(kind: str = "ukf", model: str = "planar5") -> dict[str, str]:
     return METHODS | {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
 
 
-MEASURES: dict[str, Callable[[Score], float]] = {
-    "position_rmse_m": lambda s: s.position_rmse,
-    "heading_rmse_deg": lambda s: float(np.degrees(s.heading_rmse)),
-    "outage_drift_m": lambda s: s.outage_drift,
+@dataclass(frozen=True)
+class Measure:
+    """Something that is compared: what people call it, its unit, and how it is taken from a score."""
+
+    title: str
+    unit: str
+    of: Callable[[Score], float]
+
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}"
+
+
+MEASURES: dict[str, Measure] = {
+    "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
+    "heading_rmse_deg": Measure("heading error", "deg", lambda s: float(np.degrees(s.heading_rmse))),
+    "outage_drift_m": Measure("outage drift", "m", lambda s: s.outage_drift),
 }
 """What is compared, in the units in which people read it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """What running every method once over a drive leaves.
+
+    Attributes
+    ----------
+    scores : mapping of method to Score
+    consistency : Consistency or None
+        Of the tuned filter; None where it failed or saw too few fixes.
+    innovations : Innovations or None
+        Of the tuned filter.
+    tracks : Tracks or None
+        As tracks.npz keeps them.
+    picture : Picture or None
+        The same, fine enough for paper.
+    data : mapping
+        What identifies the drive.
+    """
+
+    scores: Mapping[str, Score]
+    consistency: Consistency | None = None
+    innovations: Innovations | None = None
+    tracks: Tracks | None = None
+    picture: Picture | None = None
+    data: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,28 +110,38 @@ class Evaluation:
 
     Attributes
     ----------
-    scores : mapping of drive name to mapping of method to Score
-    consistency : mapping of drive name to Consistency or None
-        Of the tuned filter; None where it failed or saw too few fixes.
+    drives : mapping of drive name to Evaluated
     names : mapping of method to str
         What people call the methods.
+    outage_length, outage_seed : float, int
+        s without fixes, and what placed the outages.
     """
 
-    scores: Mapping[str, Mapping[str, Score]]
-    consistency: Mapping[str, Consistency | None] = field(default_factory=dict[str, Consistency | None])
+    drives: Mapping[str, Evaluated]
     names: Mapping[str, str] = field(default_factory=method_names)
+    outage_length: float = OUTAGE_LENGTH
+    outage_seed: int = 0
+
+    @property
+    def scores(self) -> Mapping[str, Mapping[str, Score]]:
+        """Mapping of drive name to mapping of method to Score."""
+        return {name: found.scores for name, found in self.drives.items()}
+
+    @property
+    def consistency(self) -> Mapping[str, Consistency | None]:
+        """Of the tuned filter, by drive; None where it failed or saw too few fixes."""
+        return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
         """The mean of a measure over the drives that have it; None where none has, or the method failed."""
-        values = [self.value(drive, method, measure) for drive in self.scores]
-        if any(self.scores[drive][method].failed for drive in self.scores):
+        if any(found.scores[method].failed for found in self.drives.values()):
             return None
-        known = [v for v in values if v is not None]
+        known = [v for drive in self.drives if (v := self.value(drive, method, measure)) is not None]
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
         """One figure, None where it can't be said."""
-        value = MEASURES[measure](self.scores[drive][method])
+        value = MEASURES[measure].of(self.drives[drive].scores[method])
         return float(value) if np.isfinite(value) else None
 
     def improvement(self, over: str = "defaults", measure: str = "position_rmse_m") -> float | None:
@@ -86,28 +149,56 @@ class Evaluation:
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
 
-    def to_dict(self) -> dict[str, Any]:
-        """For machines: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
-        return {
-            "drives": {
+    @property
+    def record(self) -> ScoresRecord:
+        """As scores.json holds it."""
+        told = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
+        return ScoresRecord(
+            drives={
                 drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in METHODS}
-                for drive in self.scores
+                for drive in self.drives
             },
-            "mean": {m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
-            "consistency": {name: c.to_dict() if c else None for name, c in self.consistency.items()},
-            "improvement_percent": {
+            mean={m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
+            consistency=told,
+            improvement_percent={
                 over: {k: self.improvement(over, k) for k in MEASURES} for over in ("defaults", "datasheet")
             },
-        }
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For machines: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
+        return self.record.model_dump(mode="json")
 
     def to_frame(self) -> pl.DataFrame:
         """One row per drive and method."""
         rows = [
             {"drive": drive, "method": m, **{k: self.value(drive, m, k) for k in MEASURES}}
-            for drive in self.scores
+            for drive in self.drives
             for m in METHODS
         ]
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
+
+    def save(self, folder: Path) -> list[Path]:
+        """Write scores.json, scores.csv, evaluation.json and tracks.npz; their paths."""
+        paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
+        write_json(paths[0], self.to_dict())
+        write_whole(paths[1], self.to_frame().write_csv())
+        write_json(paths[2], self.asked.model_dump())
+        save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
+        return paths
+
+    @property
+    def asked(self) -> EvaluationRecord:
+        """As evaluation.json holds it."""
+        return EvaluationRecord(
+            outage_length_s=self.outage_length,
+            outage_seed=self.outage_seed,
+            versions=versions(),
+            data=[
+                DriveRecord.model_validate({**found.data, "name": name})
+                for name, found in self.drives.items()
+            ],
+        )
 
 
 def evaluate(
@@ -139,31 +230,49 @@ def evaluate(
     drives = listed(drives)
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
-    scores: dict[str, dict[str, Score]] = {}
-    consistent: dict[str, Consistency | None] = {}
+    found: dict[str, Evaluated] = {}
     for drive in drives:
-        replayer = Replayer([drive], outages=True, outage_length=outage_length, outage_seed=outage_seed)
-        batch = replayer.scores([parameters, DEFAULTS, datasheet(drive)])
-        initial = replayer.initial[0]
-        name = _unique(drive.name, scores)
-        consistent[name] = (
-            None if batch.failed[0, 0] else consistency(drive, parameters, batch[0, 0].mean_nees)
-        )
-        scores[name] = {
-            "tuned": batch[0, 0],
-            "defaults": batch[1, 0],
-            "datasheet": batch[2, 0],
-            "raw_gps": score_raw_gps(drive, initial),
-            "imu_only": score_imu_only(drive, initial, outage_length, outage_seed),
-        }
-    return Evaluation(scores, consistent, method_names(parameters.kind, parameters.model))
+        name = _unique(drive.name, found)
+        found[name] = _evaluated(prepared(drive), parameters, name, outage_length, outage_seed)
+    names = method_names(parameters.kind, parameters.model)
+    return Evaluation(found, names, outage_length, outage_seed)
 
 
-def score_imu_only(drive: Drive, initial: InitialState, length: float, seed: int) -> Score:
+def _evaluated(
+    ready: PreparedDrive, tuned: FilterParameters, name: str, length: float, seed: int
+) -> Evaluated:
+    """Every method once over the whole drive, and the filters once more with the outages."""
+    drive = ready.drive
+    filters = compared(drive, tuned)
+    tracker = Tracker(ready, picture=True)
+    tracking = tracking_replay(ready)
+    recorded = {method: tracker.record(method, tracking, p) for method, p in filters.items()}
+    imu_only = run_imu_only(ready)
+    tracker.keep_estimate("imu_only", imu_only)
+    dead_reckoning = score_imu_only(drive, imu_only, length, seed)
+    del imu_only
+    outages = outage_replay(ready, length=length, seed=seed)
+    passes = {"tracking": [tracking], "outages": [outages]}
+    sums = joined([recording.sums for recording in recorded.values()], axis=1)
+    both = {"tracking": sums, "outages": run_replays([outages], list(filters.values()))}
+    each = dict(zip(filters, [scores_of(passes, both)[i, 0] for i in range(len(filters))], strict=True))
+    others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
+    innovations = recorded["tuned"].innovations
+    failed, nees = each["tuned"].failed, each["tuned"].mean_nees
+    return Evaluated(
+        scores={method: (each | others)[method] for method in METHODS},
+        consistency=None if failed else consistency_of(innovations, nees),
+        innovations=innovations,
+        tracks=tracker.tracks(name),
+        picture=tracker.picture(name),
+        data=described(drive),
+    )
+
+
+def score_imu_only(drive: Drive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
-    estimate = run_imu_only(drive, initial=initial)
     score = score_estimate(drive, estimate)
-    ends = outage_windows(drive, initial, length=length, seed=seed)[:, 1]
+    ends = outage_windows(drive, estimate.initial, length=length, seed=seed)[:, 1]
     return Score(score.position_rmse, score.heading_rmse, _drift(drive, estimate, ends))
 
 

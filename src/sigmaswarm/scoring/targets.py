@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, hide_fixes, random_windows, snap_ends
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_windows, snap_ends
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
 
@@ -18,30 +19,29 @@ OUTAGE_APART = 5.0
 """s between outages, at least."""
 
 
-def tracking_replay(drive: Drive, initial: InitialState) -> Replay:
+def tracking_replay(ready: PreparedDrive) -> Replay:
     """All fixes, compared with truth wherever truth is known."""
-    timeline = build_timeline(drive, initial.time)
-    return Replay(timeline, initial, _truth_targets(drive, timeline))
+    timeline = ready.timeline()
+    return Replay(timeline, ready.initial, _truth_targets(ready.drive, timeline))
 
 
-def outage_replay(
-    drive: Drive, initial: InitialState, *, length: float = OUTAGE_LENGTH, seed: int = 0
-) -> Replay:
+def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: int = 0) -> Replay:
     """Fixes hidden in seeded windows; compared with truth (without truth: with the fixes) at their ends."""
-    windows = outage_windows(drive, initial, length=length, seed=seed)
-    timeline = build_timeline(hide_fixes(drive, windows), initial.time)
+    drive = ready.drive
+    windows = outage_windows(drive, ready.initial, length=length, seed=seed)
+    timeline = ready.timeline(hidden_fixes(drive.gps.time, windows), removed=True)
     ends = windows[:, 1]
     reference = drive.gps if drive.truth is None else drive.truth
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
     rows = np.column_stack([np.ones_like(ends), x, y, np.zeros((len(ends), 2))])
-    return Replay(timeline, initial, Targets(rows, _end(timeline, ends)))
+    return Replay(timeline, ready.initial, Targets(rows, _end(timeline, ends)))
 
 
-def forecast_replay(drive: Drive, initial: InitialState, *, seed: int = 0) -> Replay:
+def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
     """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each hidden fix is compared with its forecast."""
-    windows = forecast_windows(drive, initial, seed=seed)
-    timeline = build_timeline(drive, initial.time).hiding(hidden_fixes(drive.gps.time, windows))
-    return Replay(timeline, initial, Targets.none(timeline))
+    windows = forecast_windows(ready.drive, ready.initial, seed=seed)
+    timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
+    return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
 def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array:

@@ -41,6 +41,7 @@ from sigmaswarm.study.design import ALL, Design, Task
 from sigmaswarm.study.paper import PAPER_RESULTS
 from sigmaswarm.study.scores import LABELS, MEASURES, Cell, ScoreTable
 from sigmaswarm.study.statistics import compare, holm, summarize
+from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
 
 STABLE = 0.01
@@ -68,7 +69,7 @@ def write_results(
     design: Design,
     trials: Mapping[Task, Trial],
     parameters: Mapping[Task, FilterParameters],
-    touched: Mapping[Task, list[str]],
+    touched: Mapping[Task, list[TouchedBound]],
     scores: ScoreTable,
 ) -> Results:
     """Write results.json and scores.csv."""
@@ -157,7 +158,9 @@ def _against(scores: ScoreTable, protocol: str, measure: str, others: list[Cell]
     return rows
 
 
-def _tuning(task: Task, trial: Trial, parameters: FilterParameters, touched: list[str]) -> dict[str, Any]:
+def _tuning(
+    task: Task, trial: Trial, parameters: FilterParameters, touched: list[TouchedBound]
+) -> dict[str, Any]:
     return {
         "protocol": task.protocol,
         "method": task.method,
@@ -165,7 +168,7 @@ def _tuning(task: Task, trial: Trial, parameters: FilterParameters, touched: lis
         "trial": task.trial,
         "cost": trial.cost,
         "parameters": parameters.to_dict(),
-        "touched_bounds": touched,
+        "touched_bounds": list(map(str, touched)),
         "evaluations": trial.evaluations,
         "failures": trial.failures,
         "folder": f"trials/{task.folder}/trial-{task.trial:03d}",

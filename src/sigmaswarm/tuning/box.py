@@ -1,11 +1,46 @@
 """The box that a swarm searches, whatever its parameters mean."""
 
+import re
 from dataclasses import dataclass
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+
+BoxEnd = Literal["lower", "upper"]
+
+
+@dataclass(frozen=True)
+class TouchedBound:
+    """A parameter that ended on a bound of the box: the optimum may lie outside it.
+
+    Its text is the sentence that files hold: ``q_x at its lower bound (1e-05)``.
+    """
+
+    parameter: str
+    end: BoxEnd
+    value: float
+
+    @property
+    def place(self) -> str:
+        """Where the parameter is."""
+        return f"at its {self.end} bound ({self.value:g})"
+
+    def __str__(self) -> str:
+        return f"{self.parameter} {self.place}"
+
+    @classmethod
+    def read(cls, text: Any) -> "TouchedBound":
+        """What ``str`` made."""
+        if isinstance(text, cls):
+            return text
+        found = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
+        if not found:
+            raise ValueError(f"{text!r} does not name a parameter and the bound that it touches")
+        name, end, value = found.groups()
+        return cls(name, cast(BoxEnd, end), float(value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +83,16 @@ class Box:
         inside = (points >= self.low) & (points <= self.high)
         return np.where(inside, np.clip(values, self.lowest, self.highest), values)
 
-    def touched(self, point: Array) -> list[str]:
-        """Which parameters lie on a bound of the box, as ``name at its lower bound (value)``."""
+    def touched(self, point: Array) -> list[TouchedBound]:
+        """Parameters that lie on a bound of the box."""
         margin = 1e-9 * (self.high - self.low)
-        sides = (("lower", self.low, self.lowest), ("upper", self.high, self.highest))
+        ends: tuple[tuple[BoxEnd, Array, Array], ...] = (
+            ("lower", self.low, self.lowest),
+            ("upper", self.high, self.highest),
+        )
         return [
-            f"{self.names[i]} at its {side} bound ({value[i]:g})"
-            for side, bound, value in sides
+            TouchedBound(self.names[i], end, float(value[i]))
+            for end, bound, value in ends
             for i in np.flatnonzero(np.abs(point - bound) <= margin)
         ]
 

@@ -189,7 +189,7 @@ def _judged(tuning: Tuning, held_out: Sequence[Drive]) -> Run:
         held_out_cost=cost,
         held_out_rmse=rmse,
         held_out_heading=heading,
-        touched=tuple(touched.split(" at its ")[0] for touched in tuning.touched_bounds),
+        touched=tuple(touched.parameter for touched in tuning.touched_bounds),
         evaluations=sum(trial.evaluations for trial in tuning.trials),
         failures=sum(trial.failures for trial in tuning.trials),
         history_evaluations=tuple(evaluations),

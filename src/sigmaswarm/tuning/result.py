@@ -10,6 +10,7 @@ from typing_extensions import TypeVar
 
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
+from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
@@ -18,6 +19,8 @@ from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
 
 P = TypeVar("P", default=FilterParameters)
+NOT_VALIDATED = "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
+"""The remark that an evaluation answers."""
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
 
@@ -58,7 +61,7 @@ class Tuning(Generic[P]):
         Of the best trial.
     cost : float
         Its objective on the training drives.
-    touched_bounds : list of str
+    touched_bounds : list of TouchedBound
         Which parameters ended on a bound of the box: the optimum may lie outside it.
     trials : tuple of Trial
     best_trial : int
@@ -75,7 +78,7 @@ class Tuning(Generic[P]):
 
     parameters: P
     cost: float
-    touched_bounds: list[str]
+    touched_bounds: list[TouchedBound]
     trials: tuple[Trial, ...]
     best_trial: int
     config: SearchConfig
@@ -105,7 +108,7 @@ class Tuning(Generic[P]):
         remarks = [
             f"{touched}: the optimum may lie outside the box"
             for touched in self.touched_bounds
-            if touched.split()[0] not in self.unidentified
+            if touched.parameter not in self.unidentified
         ]
         if names := ", ".join(name for name in self.unidentified if name != NOISE_SCALE):
             remarks.append(
@@ -128,9 +131,7 @@ class Tuning(Generic[P]):
                 "search longer, with more trials, or polish"
             )
         if self.validation is None:
-            remarks.append(
-                "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
-            )
+            remarks.append(NOT_VALIDATED)
         elif not np.isfinite(self.validation.cost):
             remarks.append("the tuned filter failed on at least one validation drive")
         elif self.validation.gap > LARGE_GAP:
@@ -158,7 +159,7 @@ class Tuning(Generic[P]):
                 "objective": self.config.objective,
                 "objective_meaning": self._meaning(),
                 **({} if self.validation is None else self.validation.to_dict()),
-                "touched_bounds": self.touched_bounds,
+                "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,
                 "best_trial": self.best_trial,

@@ -45,6 +45,8 @@ N_CONSTANTS = 23
 SQ_POSITION, SQ_HEADING, NEES, SQ_FIX, SQ_FORECAST, NIS, LOG_DET, DET, OK, REJECTED, RECENT = range(67, 78)
 SUMS = slice(67, 78)
 N_SUMS = 11
+N_KEPT = 78
+"""Rows that make a filter: from them it goes on. What follows is scratch."""
 
 # Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; H P H^T, then S = H P H^T + R of a
 # fix, nu and the gain's G.

@@ -31,9 +31,11 @@ HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
 # Columns of a target: a moment of truth inside an IMU interval.
 WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
 
+# Where a run goes on that is made in pieces: the next step, fix and target, and Q's scale since the last fix.
+NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE = range(4)
+
 _TWO_PI = 2 * math.pi
 _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a double
-_FIRST_CONSTANT, _FIRST_SUM = CONSTANTS.start, SUMS.start
 
 
 @kernel
@@ -64,16 +66,16 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading):
 
 
 def _run(
-    w, steps, flags, fixes, lever, targets, target_end, record, innovations,
+    w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations,
     *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
-    """All steps of a run; w holds initial state and constants, and in the end state and sums."""
-    n_fixes = 0
-    n_targets = 0
+    """The steps from a place to a stop; w holds what the filters are and remember, before and after."""
+    n_fixes = int(place[NEXT_FIX])
+    n_targets = int(place[NEXT_TARGET])
     n_recorded = 0
-    since = 0.0
+    since = place[SINCE]
     interval_starts = True
-    for step in range(steps.shape[0]):
+    for step in range(int(place[NEXT_STEP]), stop):
         if interval_starts:
             for l in range(LANES):
                 w[BEFORE_X, l] = w[X, l]
@@ -86,8 +88,6 @@ def _run(
         if happens & FIX:
             z = fixes[n_fixes]
             absorb_fix(w, z[0], z[1], lever[0], lever[1], since)
-            if happens & VELOCITY:
-                absorb_velocity(w, z[2], z[3])
             since = 0.0
         if happens & HIDDEN:
             z = fixes[n_fixes]
@@ -96,6 +96,8 @@ def _run(
             if innovations.shape[0] > 0:
                 for r in range(5):
                     innovations[n_fixes, r] = w[(N1, N2, V11, V12, V22)[r], 0]
+            if happens & VELOCITY:
+                absorb_velocity(w, z[2], z[3])
             n_fixes += 1
             if n_fixes % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
@@ -114,7 +116,9 @@ def _run(
                     record[n_recorded, r, l] = w[r, l]
                 record[n_recorded, N_STATE, l] = w[OK, l]
             n_recorded += 1
-    _take_logarithm(w)
+    if stop == steps.shape[0]:
+        _take_logarithm(w)
+    place[NEXT_STEP], place[NEXT_FIX], place[NEXT_TARGET], place[SINCE] = stop, n_fixes, n_targets, since
 
 
 _run5 = kernel(unrolled(_run, predict=predict_planar5, **absorbers(5)))
@@ -122,26 +126,19 @@ _run8 = kernel(unrolled(_run, predict=predict_planar8, **absorbers(8)))
 
 
 @kernel
-def _store(w, sums, final):
-    for l in range(LANES):
-        for r in range(N_STATE):
-            final[r, l] = w[r, l]
-        for r in range(N_SUMS):
-            sums[r, l] = w[_FIRST_SUM + r, l]
-
-
-@kernel
-def _load(w, initial, constants):
+def _load(w, rows):
     for l in range(LANES):
         for r in range(N_ROWS):
             w[r, l] = 0.0
-        for r in range(N_STATE):
-            w[r, l] = initial[r, l]
-        for r in range(N_CONSTANTS):
-            w[_FIRST_CONSTANT + r, l] = constants[r, l]
-        w[DET, l] = 1.0
-        w[OK, l] = 1.0
-        w[RECENT, l] = -1.0
+        for r in range(N_KEPT):
+            w[r, l] = rows[r, l]
+
+
+@kernel
+def _store(w, rows):
+    for l in range(LANES):
+        for r in range(N_KEPT):
+            rows[r, l] = w[r, l]
 
 
 def cached_by_sources(make, **options):
@@ -158,30 +155,26 @@ def cached_by_sources(make, **options):
 
 @cached_by_sources
 def _run_planar5(sources):
-    def run_planar5(
-        steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record, innovations
-    ):
+    def run_planar5(steps, flags, fixes, lever, targets, target_end, rows, place, stop, record, innovations):
         if sources == "":  # never; so the name is closed over
             return
         w = new_rows()
-        _load(w, initial, constants)
-        _run5(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
-        _store(w, sums, final)
+        _load(w, rows)
+        _run5(w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations)
+        _store(w, rows)
 
     return run_planar5
 
 
 @cached_by_sources
 def _run_planar8(sources):
-    def run_planar8(
-        steps, flags, fixes, lever, targets, target_end, initial, constants, sums, final, record, innovations
-    ):
+    def run_planar8(steps, flags, fixes, lever, targets, target_end, rows, place, stop, record, innovations):
         if sources == "":  # never; so the name is closed over
             return
         w = new_rows()
-        _load(w, initial, constants)
-        _run8(w, steps, flags, fixes, lever, targets, target_end, record, innovations)
-        _store(w, sums, final)
+        _load(w, rows)
+        _run8(w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations)
+        _store(w, rows)
 
     return run_planar8
 
@@ -198,14 +191,15 @@ def run_lanes(
     lever: Array,
     targets: Array,
     target_end: NDArray[np.int64],
-    initial: Array,
-    constants: Array,
-    sums: Array,
-    final: Array,
+    rows: Array,
+    place: Array,
+    stop: int,
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run LANES filters over one time line; writes the last four arguments.
+    """Run LANES filters over some steps of one time line, from where the last call has left them.
+
+    Runs in pieces give the bits of the whole run, if each piece but the last stops after a step that has IMU.
 
     Parameters
     ----------
@@ -216,13 +210,13 @@ def run_lanes(
     lever : (2,) m forward and left from the IMU to the antenna
     targets : (m, 5) see WEIGHT ... SCORES_HEADING
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
-    initial : (N_STATE, LANES)
-    constants : (N_CONSTANTS, LANES)
-    sums : (N_SUMS, LANES), written
-    final : (N_STATE, LANES), written: the last states
-    record : (r, N_STATE + 1, m), written: state and OK flag of the first m lanes at each IMU sample; r = 0: none
-    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix, before it is absorbed;
-        of no rows: none
+    rows : (N_KEPT, LANES), changed: state, constants and sums of each lane, and what it remembers
+    place : (4,), changed: see NEXT_STEP ... SINCE; zeros at the start
+    stop : the step before which to stop; at k, sums are complete
+    record : (r, N_STATE + 1, m), written from its start: state and OK flag of the first m lanes at each IMU sample of
+        these steps; r = 0: none
+    innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it
+        is absorbed; of no rows: none
     """
-    arrays = steps, flags, fixes, lever, targets, target_end, initial, constants
-    KERNELS[n](*arrays, sums, final, record, innovations)
+    arrays = steps, flags, fixes, lever, targets, target_end, rows, place, stop
+    KERNELS[n](*arrays, record, innovations)

@@ -79,13 +79,13 @@ def layout(chart: Chart) -> dict[str, Any]:
         size = {"legend": LEGEND_ABOVE}
     if any(isinstance(mark, Bars) and mark.texts for mark in chart.marks):
         size["margin"] = size.get("margin", {}) | {"r": 56}
-    axes = {"xaxis": _axis(chart.x), "yaxis": _axis(chart.y, top_down=True)}
+    axes = {"xaxis": _axis(chart.x, sparse=bool(chart.y.categories)), "yaxis": _axis(chart.y, top_down=True)}
     if chart.equal:
         axes["yaxis"]["scaleanchor"] = "x"
     return axes | size | ({"shapes": shapes} if shapes else {}) | ({"annotations": notes} if notes else {})
 
 
-def _axis(axis: Axis, *, top_down: bool = False) -> dict[str, Any]:
+def _axis(axis: Axis, *, sparse: bool = False, top_down: bool = False) -> dict[str, Any]:
     if axis.categories:
         names = list(reversed(axis.categories)) if top_down else list(axis.categories)
         order = {"type": "category", "categoryorder": "array", "categoryarray": names}
@@ -98,8 +98,8 @@ def _axis(axis: Axis, *, top_down: bool = False) -> dict[str, Any]:
         told["range"] = ends
         if axis.scale == "log" and not axis.ticks:
             told |= _ticks(*ends)
-    elif axis.scale == "log":
-        told["exponentformat"] = "power"
+    elif axis.scale == "log" and not axis.plain:
+        told |= {"dtick": 1} if sparse else {"exponentformat": "power"}
     if axis.ticks:
         told |= {"tickvals": list(axis.ticks), "ticktext": [f"{tick:g}" for tick in axis.ticks]}
     return told

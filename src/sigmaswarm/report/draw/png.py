@@ -105,7 +105,7 @@ def draw(ax: Axes, chart: Chart) -> None:
     """Draw a chart's marks, title and axes."""
     for mark in chart.marks:
         _mark(mark, ax)
-    ax.set_title(chart.title, loc="left", fontsize=10)
+    ax.set_title(chart.title, loc="left")
     if chart.equal:
         ax.set(aspect="equal", adjustable="datalim")
     _axis(ax, chart.x, "x", widen=chart.equal)
@@ -123,6 +123,10 @@ def _axis(ax: Axes, axis: Axis, direction: Direction, *, widen: bool) -> None:
         n = len(axis.categories)
         getattr(ax, f"set_{direction}ticks")(range(n), axis.categories, fontsize=8)
         low, high = (n - 0.4, -0.6) if direction == "y" else (-0.6, n - 0.4)
+    elif axis.plain:
+        numbers = ax.xaxis if direction == "x" else ax.yaxis
+        numbers.set_major_formatter("{x:g}")
+        numbers.set_minor_formatter("{x:g}")
     elif axis.ticks:
         getattr(ax, f"set_{direction}ticks")(axis.ticks, [f"{tick:g}" for tick in axis.ticks], minor=False)
     if low is not None or high is not None:

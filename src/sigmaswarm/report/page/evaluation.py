@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.records import load_record
 from sigmaswarm.report.page.commands import evaluate_command
-from sigmaswarm.report.page.schema import EvaluationFile, ScoresFile, TuningFile, load
 from sigmaswarm.report.page.tuning import (
     convergence_section,
     data_section,
@@ -15,18 +15,16 @@ from sigmaswarm.report.page.tuning import (
     shown_config,
     what_was_tuned,
 )
-from sigmaswarm.report.style import LABELS, LOOKS, SLATE
-from sigmaswarm.report.tracks import load_tracks
-from sigmaswarm.report.views.charts import Axis, Bars, Chart, Look
+from sigmaswarm.report.style import LABELS, LOOKS
+from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
-from sigmaswarm.scoring.consistency import verdicts_by_kind
-from sigmaswarm.scoring.evaluation import METHODS, method_names
+from sigmaswarm.scoring.consistency import verdicts
+from sigmaswarm.scoring.evaluation import MEASURES, METHODS, method_names
+from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
+from sigmaswarm.tuning.record import FILE, TuningRecord
+from sigmaswarm.tuning.result import NOT_VALIDATED
 
-MEASURES = {
-    "position_rmse_m": Column("position RMSE", "m"),
-    "heading_rmse_deg": Column("heading error", "deg"),
-    "outage_drift_m": Column("outage drift", "m"),
-}
 MANUAL = ("defaults", "datasheet")
 LINES = ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
@@ -40,12 +38,12 @@ SHOWN = ("truth", "tuned", "datasheet", "raw_gps")
 
 def evaluation_report(folder: Path) -> Report:
     """Read the folder of a `sigmaswarm evaluate --out`."""
-    scores = load(ScoresFile, folder / "scores.json")
-    asked = load(EvaluationFile, folder / "evaluation.json")
-    file = load(TuningFile, folder / "tuning.toml")
+    scores = load_record(ScoresRecord, folder / SCORES_FILE)
+    asked = load_record(EvaluationRecord, folder / ASKED_FILE)
+    file = load_record(TuningRecord, folder / FILE)
     names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
     lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES)
-    tracks = TrackView(tuple(load_tracks(folder / "tracks.npz")), lines, "tuned")
+    tracks = TrackView(tuple(load_tracks(folder / TRACKS_FILE)), lines, "tuned")
     if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
         t.name for t in tracks.drives
     ]:
@@ -64,7 +62,10 @@ def evaluation_report(folder: Path) -> Report:
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, held_out, known=bool(seen)), *without, what_was_tuned(file)),
         figures=_figures(scores),
-        remarks=(*_remarks(scores, held_out), *_without_validation(remarks(file))),
+        remarks=(
+            *_remarks(scores, held_out),
+            *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
+        ),
         sections=(
             _comparison(scores, names, asked.outage_length_s),
             Section("Tracks over time" if blind else "Tracks and errors over time", tracks=tracks),
@@ -82,21 +83,15 @@ def evaluation_report(folder: Path) -> Report:
     )
 
 
-def _remarks(scores: ScoresFile, held_out: list[bool]) -> list[str]:
+def _remarks(scores: ScoresRecord, held_out: list[bool]) -> list[str]:
     said = (
         [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
     )
-    judged = [(c.mean_nis, c.nis_band_95, c.mean_nees) if c else None for c in scores.consistency.values()]
-    told = verdicts_by_kind(judged)
-    return said + [told[kind] for kind in ("sure", "careful", "failed") if kind in told]
+    told = verdicts([c and c.summary for c in scores.consistency.values()])
+    return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
 
 
-def _without_validation(said: tuple[str, ...]) -> tuple[str, ...]:
-    """An evaluation is what the remark asks for that nothing is known of other drives."""
-    return tuple(remark for remark in said if not remark.startswith("no drives were held back"))
-
-
-def _result(scores: ScoresFile, held_out: list[bool], *, known: bool) -> str:
+def _result(scores: ScoresRecord, held_out: list[bool], *, known: bool) -> str:
     """The result in a sentence: position where truth is known, else the drift over outages."""
     n = len(held_out)
     drives = f"{n} drive{'s' if n != 1 else ''}"
@@ -108,10 +103,10 @@ def _result(scores: ScoresFile, held_out: list[bool], *, known: bool) -> str:
         ("position_rmse_m", "is {} m (RMS) from the truth"),
         ("outage_drift_m", "drifts {} m (RMS) over an outage"),
     ):
-        tuned = _mean(scores, "tuned", measure)
+        tuned = scores.mean_of("tuned", measure)
         if tuned is not None:
             rivals = [m for m in (_best_manual(scores, measure), "raw_gps") if m]
-            against = [_against(tuned, other, m) for m in rivals if (other := _mean(scores, m, measure))]
+            against = [_against(tuned, other, m) for m in rivals if (other := scores.mean_of(m, measure))]
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}"
             return f"{said}: {', and '.join(against)}." if against else f"{said}."
     return f"On {drives} nothing can be said of the tuned filter: it failed, or there is no truth."
@@ -122,52 +117,51 @@ def _against(tuned: float, other: float, method: str) -> str:
     return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {LABELS[method]} ({other:.3g} m)"
 
 
-def _mean(scores: ScoresFile, method: str, measure: str) -> float | None:
-    return scores.mean.get(method, {}).get(measure)
-
-
-def _best_manual(scores: ScoresFile, measure: str) -> str | None:
+def _best_manual(scores: ScoresRecord, measure: str) -> str | None:
     """The manual filter that a tuning has to beat; None where none can be scored."""
-    values = {m: v for m in MANUAL if (v := _mean(scores, m, measure)) is not None}
+    values = {m: v for m in MANUAL if (v := scores.mean_of(m, measure)) is not None}
     return min(values, key=values.__getitem__) if values else None
 
 
-def _figures(scores: ScoresFile) -> tuple[Figure, ...]:
+def _figures(scores: ScoresRecord) -> tuple[Figure, ...]:
     figures: list[Figure] = []
-    for measure, column in MEASURES.items():
-        tuned, rival = _mean(scores, "tuned", measure), _best_manual(scores, measure)
+    for name, measure in MEASURES.items():
+        tuned, rival = scores.mean_of("tuned", name), _best_manual(scores, name)
         if tuned is None:
             continue
-        note = f"{LABELS[rival]}: {_mean(scores, rival, measure):.3g} {column.unit}" if rival else ""
-        figures.append(Figure(column.title, f"{tuned:.3g} {column.unit}", note))
-    judged = [c for c in scores.consistency.values() if c]
-    if judged:
-        nis = sum(c.mean_nis for c in judged) / len(judged)
+        note = f"{LABELS[rival]}: {scores.mean_of(rival, name):.3g} {measure.unit}" if rival else ""
+        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
+    known = [c for c in scores.consistency.values() if c]
+    if known:
+        nis = sum(c.mean_nis for c in known) / len(known)
         figures.append(Figure("mean NIS", f"{nis:.3g}", "2 where the filter knows its errors"))
     return tuple(figures)
 
 
-def _comparison(scores: ScoresFile, names: Mapping[str, str], outage_length: float) -> Section:
+def _comparison(scores: ScoresRecord, names: Mapping[str, str], outage_length: float) -> Section:
     """Of what can be told: without truth there is neither a column of errors nor a row of raw GPS."""
-    told = [m for m in MEASURES if any(_mean(scores, method, m) is not None for method in METHODS)] or [
+    told = [m for m in MEASURES if any(scores.mean_of(method, m) is not None for method in METHODS)] or [
         *MEASURES
     ]
-    methods = [m for m in METHODS if m != "raw_gps" or any(_mean(scores, m, t) is not None for t in told)]
-    columns = (Column("drive"), Column("method"), *(MEASURES[m] for m in told))
+    methods = [m for m in METHODS if m != "raw_gps" or any(scores.mean_of(m, t) is not None for t in told)]
+    columns = (
+        Column("drive"),
+        Column("method"),
+        *(Column(MEASURES[m].title, MEASURES[m].unit) for m in told),
+    )
     each = [
         (drive, names[m], *(found[m].get(t) for t in told))
         for drive, found in scores.drives.items()
         for m in methods
         if m in found
     ]
-    mean = [("mean", names[m], *(_mean(scores, m, t) for t in told)) for m in methods if m in scores.mean]
+    mean = [("mean", names[m], *(scores.mean_of(m, t) for t in told)) for m in methods if m in scores.mean]
     tables = [_scores("Each drive", columns, each, names)]
     if len(scores.drives) > 1:
         tables.insert(0, _scores("Mean over drives", columns, mean, names))
     rmse = " RMSE: root of the mean square error." if "position_rmse_m" in told else ""
     text = (f"Lower is better. An outage lasts {outage_length:g} s.{rmse}",)
-    charts = tuple(_bars(scores, names, m, c) for m, c in MEASURES.items())
-    return Section("Comparison", text, tuple(tables), tuple(c for c in charts if c))
+    return Section("Comparison", text, tuple(tables), method_bars(scores, names))
 
 
 def _scores(
@@ -177,31 +171,15 @@ def _scores(
     return Table(caption, columns, tuple(rows), strong)
 
 
-def _bars(scores: ScoresFile, names: Mapping[str, str], measure: str, column: Column) -> Chart | None:
-    """Means over the drives; the scale is logarithmic. None where no method has the measure."""
-    values = {m: v for m in METHODS if (v := _mean(scores, m, measure))}
-    if not values:
-        return None
-    bars = Bars(
-        "x",
-        range(len(values)),
-        tuple(values.values()),
-        Look(SLATE, 0.0),
-        colors=tuple(LOOKS[m].color for m in values),
-        texts=tuple(f"{v:.3g}" for v in values.values()),
-    )
-    named = Axis(categories=tuple(names[m] for m in values))
-    return Chart(f"{column.title}, mean over drives", (bars,), Axis(column.heading, "log"), named)
-
-
-def _consistency(scores: ScoresFile) -> Section:
-    judged = scores.consistency
-    nees = any(c and c.mean_nees is not None for c in judged.values())  # only where truth is known
+def _consistency(scores: ScoresRecord) -> Section:
+    nees = any(
+        c and c.mean_nees is not None for c in scores.consistency.values()
+    )  # only where truth is known
     titles = ("drive", "fixes", "mean NIS", "consistent from", "to")
     columns = [*map(Column, titles), Column("inside 95% gate", "%"), *([Column("mean NEES")] if nees else [])]
     columns += [Column("correlation to the next fix"), Column("p of whiteness")]
     rows: list[tuple[Cell, ...]] = []
-    for drive, c in judged.items():
+    for drive, c in scores.consistency.items():
         if c is None:
             rows.append((drive, *([None] * (len(columns) - 1))))
             continue

@@ -12,9 +12,9 @@ import numpy as np
 
 from sigmaswarm.report.draw import plotly
 from sigmaswarm.report.draw.text import shown
-from sigmaswarm.report.tracks import Tracks
 from sigmaswarm.report.views.record import Cell, Column, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.scoring.tracks import Tracks
 from sigmaswarm.versions import __version__
 
 LONG = 24

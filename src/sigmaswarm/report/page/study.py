@@ -3,7 +3,7 @@
 from math import inf
 from pathlib import Path
 
-from sigmaswarm.report.page.schema import load
+from sigmaswarm.records import load_record as load
 from sigmaswarm.report.page.study_charts import convergence_charts, means_chart, spread_chart
 from sigmaswarm.report.page.study_schema import (
     Comparison,
@@ -29,8 +29,8 @@ from sigmaswarm.report.page.study_tables import (
     trials_table,
 )
 from sigmaswarm.report.style import STUDY_LOOKS
-from sigmaswarm.report.tracks import load_tracks
 from sigmaswarm.report.views.record import Figure, Line, Report, Section, TrackView
+from sigmaswarm.scoring.tracks import load_tracks
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0

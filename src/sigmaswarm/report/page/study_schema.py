@@ -7,7 +7,7 @@ import polars as pl
 from pydantic import BaseModel
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.report.page.schema import load
+from sigmaswarm.records import load_record as load
 
 EVERYWHERE = "all"
 """The maneuver, the environment and the group of rows over all conditions."""

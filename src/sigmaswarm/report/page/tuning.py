@@ -4,18 +4,16 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
-import polars as pl
-
+from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
+from sigmaswarm.records import load_record
 from sigmaswarm.report.page.commands import tune_command
-from sigmaswarm.report.page.schema import Data, End, TuningFile, load
-from sigmaswarm.report.style import BLUE, ORANGE
-from sigmaswarm.report.views.charts import Axis, Chart, Curve, Look
 from sigmaswarm.report.views.record import Cell, Column, Figure, Report, Section, Table
+from sigmaswarm.report.views.tuning import convergence_chart
 from sigmaswarm.tuning.config import SWARM
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 
 MEANINGS = {"rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it"}
@@ -24,12 +22,10 @@ MEANINGS = {"rear_axle": "how far the IMU is ahead of the rear axle; negative: b
 
 def tuning_report(folder: Path) -> Report:
     """Read the folder of a `sigmaswarm tune`."""
-    file = load(TuningFile, folder / "tuning.toml")
+    file = load_record(TuningRecord, folder / FILE)
     result = file.result
     if result is None:
-        raise InputError(
-            f"{folder / 'tuning.toml'}: has no [result] table; give the folder of a `sigmaswarm tune`"
-        )
+        raise InputError(f"{folder / FILE}: has no [result] table; give the folder of a `sigmaswarm tune`")
     figures = [Figure("cost", f"{result.cost:.4g}", f"{result.objective}, training drives")]
     if result.validation_cost is not None and result.validation_gap is not None:
         figures.append(
@@ -54,7 +50,7 @@ def tuning_report(folder: Path) -> Report:
     )
 
 
-def filter_name(file: TuningFile) -> str:
+def filter_name(file: TuningRecord) -> str:
     """Model and kind, for a title."""
     model = file.config.get("model", file.filter.get("model", "a filter"))
     if isinstance(model, dict):
@@ -62,7 +58,7 @@ def filter_name(file: TuningFile) -> str:
     return f"{model} ({file.config.get('kind', file.filter.get('kind', 'ukf'))})"
 
 
-def what_was_tuned(file: TuningFile) -> str:
+def what_was_tuned(file: TuningRecord) -> str:
     """The filter, the drives and the objective, in a sentence."""
     if file.result is None:
         return f"The filter is {filter_name(file)}; its file does not say how it was tuned."
@@ -74,7 +70,7 @@ def what_was_tuned(file: TuningFile) -> str:
     return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
 
 
-def _held_out(file: TuningFile) -> str:
+def _held_out(file: TuningRecord) -> str:
     result = file.result
     if result is None or result.validation_cost is None or result.validation_gap is None:
         return "Of other drives nothing is known yet; `sigmaswarm evaluate` tells what the filter is worth there."
@@ -89,16 +85,16 @@ def _gap(gap: float) -> str:
     return f"{abs(gap):.1%} {'worse' if gap > 0 else 'better'} than on the training drives"
 
 
-def remarks(file: TuningFile) -> tuple[str, ...]:
+def remarks(file: TuningRecord) -> tuple[str, ...]:
     """What a reader should know before trusting the tuning."""
     r = file.result
     return () if r is None else tuple(r.remarks)
 
 
-def parameters_section(file: TuningFile) -> Section:
+def parameters_section(file: TuningRecord) -> Section:
     """Every parameter with its unit, how far it can move, and what is to be said of it."""
     ranges = file.within_1_percent_of_the_cost
-    touched = {t.split()[0]: t.split(" ", 1)[-1] for t in (file.result.touched_bounds if file.result else ())}
+    touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
     for name, value, unit, density in _parameters(file):
         searched = _searched_as(name, ranges)
@@ -134,7 +130,7 @@ def _searched_as(name: str, known: Collection[str]) -> str:
     return name if name in known else both
 
 
-def _parameters(file: TuningFile) -> Iterator[tuple[str, Cell, str, str]]:
+def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
     """Name in the search, value, unit and density of every number of the filter."""
     states = file.units.get("states", [])
     for field, value in file.filter.items():
@@ -154,50 +150,29 @@ def _parameters(file: TuningFile) -> Iterator[tuple[str, Cell, str, str]]:
             )
 
 
-def convergence_section(file: TuningFile, folder: Path) -> tuple[Section, ...]:
+def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]:
     """Best and median cost over generations, every trial; nothing where the folder has no history."""
-    path = folder / "convergence.csv"
+    path = folder / HISTORY_FILE
     if not path.exists() or file.result is None:
         return ()
-    numbers: dict[str, pl.DataType] = {
-        "trial": pl.Int64(),
-        "generation": pl.Int64(),
-        "best_cost": pl.Float64(),
-        "median_cost": pl.Float64(),
-    }
-    try:
-        history = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
-    except (pl.exceptions.PolarsError, OSError):
-        raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
-    curves: list[Curve] = []
-    for (trial,), rows in history.group_by("trial", maintain_order=True):
-        best = trial == file.result.best_trial
-        for column, label, look in (
-            ("best_cost", "best so far", Look(BLUE, 1.0, opacity=0.35)),
-            ("median_cost", "median of the generation", Look(ORANGE, 1.0, "dash", opacity=0.35)),
-        ):
-            look = replace(look, width=2.0, opacity=1.0) if best else look
-            name = f"{label}, trial {trial}" if best else ""
-            values = rows[column].fill_null(float("nan")).to_numpy()
-            curves.append(Curve(rows["generation"].to_numpy(), values, look, name))
-    y = Axis(f"cost: {file.result.objective}", _scale(curves))
+    chart = convergence_chart(History.load(path), file.result.best_trial, file.result.objective)
     costs = file.result.trial_costs
     text = (f"The best of {len(costs)} trials is drawn strong.",) if len(costs) > 1 else ()
     rows = tuple((float(i), cost) for i, cost in enumerate(costs))
     table = Table(
         "Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({file.result.best_trial})
     )
-    chart = Chart("Cost over generations", tuple(curves), Axis("generation"), y)
-    return (Section("Convergence", text, (table,) if len(costs) > 1 else (), (chart,)),)
+    return (
+        Section(
+            "Convergence",
+            text,
+            (table,) if len(costs) > 1 else (),
+            (replace(chart, title="Cost over generations"),),
+        ),
+    )
 
 
-def _scale(curves: list[Curve]) -> Literal["linear", "log"]:
-    """Logarithmic where it can be: a likelihood's cost may be negative."""
-    known = np.concatenate([np.asarray(curve.y, np.float64) for curve in curves])
-    return "log" if np.all(known[np.isfinite(known)] > 0) else "linear"
-
-
-def data_section(title: str, data: list[Data], seen: frozenset[str] | None = None) -> Section:
+def data_section(title: str, data: list[DriveRecord], seen: frozenset[str] | None = None) -> Section:
     """The drives; with ``seen``, fingerprints of the training drives, whether each was held out."""
     columns = [
         Column("drive"),

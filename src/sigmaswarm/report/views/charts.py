@@ -190,6 +190,8 @@ class Axis:
         Names of the places 0, 1, ...
     ticks : tuple of float
         Where it has numbers; empty: chosen when it is drawn.
+    plain : bool
+        Write numbers in full rather than as powers of ten.
     """
 
     title: str = ""
@@ -197,6 +199,7 @@ class Axis:
     range: tuple[float | None, float | None] = (None, None)
     categories: tuple[str, ...] = ()
     ticks: tuple[float, ...] = ()
+    plain: bool = False
 
 
 @dataclass(frozen=True, eq=False)

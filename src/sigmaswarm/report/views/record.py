@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sigmaswarm.report.draw.plotly import Ready
-from sigmaswarm.report.tracks import Tracks
 from sigmaswarm.report.views.charts import Chart, Look
+from sigmaswarm.scoring.tracks import Tracks
 
 Range = tuple[float | None, float | None]
 """From and to, such as an interval; a table sorts it by where it begins."""

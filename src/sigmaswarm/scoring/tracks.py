@@ -1,0 +1,231 @@
+"""Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
+
+`tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array a column, called
+``i/series/column``. Same result, same bytes: nothing in it tells when it was written.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.errors import InputError
+from sigmaswarm.files import whole_file
+from sigmaswarm.filters.batch import Replay
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.run import Estimate
+from sigmaswarm.scoring.columns import TrueMotion, columns_of
+from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.thinning import CloseUp, Thinned
+
+Columns = Mapping[str, NDArray[np.floating[Any]]]
+TRACKS_FILE = "tracks.npz"
+NIS = ".nis"
+"""Ends the name of the series that holds a filter's NIS."""
+MOST_POINTS = 1500
+"""Of a series in a file; more than a screen has columns."""
+MOST_DRAWN = 20_000
+"""Of a series in a printed picture."""
+CLOSE_UP = 50.0
+"""m: side of the close-up of a track."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """What every method said on one drive.
+
+    Attributes
+    ----------
+    name : str
+        Of the drive.
+    series : mapping of str to mapping of str to ndarray, shape (n,)
+        ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
+        filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``
+        has the time and NIS of the fixes that the filter ``F`` took in. Errors are NaN where truth is not known.
+    """
+
+    name: str
+    series: Mapping[str, Columns]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a printed picture of a drive shows.
+
+    Attributes
+    ----------
+    whole : Tracks
+        Fine enough for paper, in float64.
+    close : mapping of str to mapping of str to ndarray
+        x and y of each series around the sharpest turn, every point; NaN where it leaves the place.
+    start, turn : ndarray, shape (2,)
+        m east and north: where the filters start, and where the car turns most.
+    frame : ndarray, shape (2, 2)
+        Least and greatest x and y of the fixes, m.
+    """
+
+    whole: Tracks
+    close: Mapping[str, Columns]
+    start: Array
+    turn: Array
+    frame: Array
+
+
+def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
+    """The manual filters and the tuned one; the tuned one last, to be drawn on top."""
+    return {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": tuned}
+
+
+class Tracker:
+    """Keeps thinned tracks of methods while they run over a drive; estimates are never held whole.
+
+    Parameters
+    ----------
+    ready : PreparedDrive
+    most_points : int
+        Of a series.
+    picture : bool
+        Keep what a printed picture shows, too.
+    """
+
+    def __init__(
+        self, ready: PreparedDrive, most_points: int = MOST_POINTS, *, picture: bool = False
+    ) -> None:
+        self._ready, self._most, self._picture = ready, most_points, picture
+        self._turn = sharpest_turn(ready) if picture else np.zeros(2)
+        self._thin: dict[str, Columns] = {}
+        self._fine: dict[str, Columns] = {}
+        self._close: dict[str, Columns] = {}
+        truth = ready.drive.truth
+        self._truth = None if truth is None else TrueMotion(truth)
+        if truth is not None:
+            self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
+
+    def record(self, series: str, replay: Replay, parameters: FilterParameters) -> Recording:
+        """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
+        recording = Recording(replay, parameters)
+        pieces = (columns_of(p.time, p.mean, p.covariance, self._truth) for p in recording)
+        self._keep(series, pieces, len(replay.timeline.imu_time))
+        if recording.failure is None:
+            found = recording.innovations
+            self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
+        return recording
+
+    def keep_estimate(self, series: str, estimate: Estimate) -> None:
+        """Keep the track of an estimate that is there already."""
+        columns = columns_of(estimate.time, estimate.mean, estimate.covariance, self._truth)
+        self._keep(series, [columns], len(estimate.time))
+
+    def _keep(self, series: str, pieces: Iterable[Columns], n: int) -> None:
+        thin, fine = Thinned(n, self._most), Thinned(n, MOST_DRAWN)
+        close = CloseUp(self._turn, CLOSE_UP)
+        for columns in pieces:
+            thin.add(columns)
+            if self._picture:
+                fine.add(columns)
+                close.add(columns)
+        self._thin[series] = {k: v if k == "time" else v.astype(np.float32) for k, v in thin.columns.items()}
+        if self._picture:
+            self._fine[series], self._close[series] = fine.columns, close.columns
+
+    def tracks(self, name: str) -> Tracks:
+        """What was kept, and the fixes."""
+        self._keep_fixes()
+        return Tracks(name, self._thin)
+
+    def picture(self, name: str) -> Picture:
+        """What was kept for a printed picture."""
+        self._keep_fixes()
+        gps = self._ready.drive.gps
+        frame = np.array([[gps.x.min(), gps.y.min()], [gps.x.max(), gps.y.max()]])
+        start = self._ready.initial.mean[:2]
+        return Picture(Tracks(name, self._fine), self._close, start, self._turn, frame)
+
+    def _keep_fixes(self) -> None:
+        if "raw_gps" in self._thin:
+            return
+        gps = self._ready.drive.gps
+        columns = {"time": gps.time, "x": gps.x, "y": gps.y}
+        if self._truth is not None:
+            columns["position_error"] = self._truth.distance(gps.time, gps.x, gps.y)
+        self._keep("raw_gps", [columns], len(gps))
+
+
+def tracks_of(
+    drive: Drive | PreparedDrive,
+    filters: Mapping[str, FilterParameters],
+    name: str,
+    most_points: int = MOST_POINTS,
+) -> Tracks:
+    """Run filters, by the names of their series, over a drive, and keep what a page shows of it."""
+    return _tracked(prepared(drive), filters, Tracker(prepared(drive), most_points)).tracks(name)
+
+
+def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
+    """Run filters over a drive, and keep what a printed picture shows of it."""
+    ready = prepared(drive)
+    return _tracked(ready, filters, Tracker(ready, picture=True)).picture(name)
+
+
+def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], tracker: Tracker) -> Tracker:
+    replay = tracking_replay(ready)
+    for series, parameters in filters.items():
+        tracker.record(series, replay, parameters)
+    tracker.keep_estimate("imu_only", run_imu_only(ready))
+    return tracker
+
+
+def sharpest_turn(ready: PreparedDrive) -> Array:
+    """Where the car turns most within 4 s while a filter runs, m east and north, of the fixes."""
+    imu, gps = ready.drive.imu, ready.drive.gps
+    turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
+    t = imu.time[imu.time > ready.initial.time]
+    inside = t[(t > t[0] + 2) & (t < t[-1] - 2)]
+    at = t[len(t) // 2]
+    if len(inside):
+        change = np.abs(np.interp(inside + 2, imu.time, turned) - np.interp(inside - 2, imu.time, turned))
+        at = inside[int(np.argmax(change))]
+    return np.array([np.interp(at, gps.time, gps.x), np.interp(at, gps.time, gps.y)])
+
+
+def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
+    """Write tracks.npz."""
+    arrays = {
+        f"{i}/{series}/{column}": values
+        for i, one in enumerate(tracks)
+        for series, columns in one.series.items()
+        for column, values in columns.items()
+    }
+    with whole_file(path) as file:
+        np.savez_compressed(file, allow_pickle=False, names=np.array([t.name for t in tracks]), **arrays)
+    return path
+
+
+def load_tracks(path: Path) -> list[Tracks]:
+    """Read what `save_tracks` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read.
+    """
+    try:
+        # opened here, since np.load leaves a damaged file open
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            names = [str(name) for name in file["names"]]
+            series: list[dict[str, dict[str, Array]]] = [{} for _ in names]
+            for key in file.files:
+                if key != "names":
+                    number, of, column = key.split("/")
+                    series[int(number)].setdefault(of, {})[column] = np.asarray(file[key], np.float64)
+    except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
+        raise InputError(f"{path}: not readable; repeat the command that made the folder") from None
+    return [Tracks(name, s) for name, s in zip(names, series, strict=True)]

@@ -1,0 +1,117 @@
+"""What a tuning leaves in its folder: tuning.toml, as it is read back, and the costs over generations."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import polars as pl
+from pydantic import BaseModel, BeforeValidator, Field
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.errors import InputError
+from sigmaswarm.files import write_whole
+from sigmaswarm.tuning.box import TouchedBound
+from sigmaswarm.tuning.result import Tuning
+
+End = float | Literal["-"]
+"""Of the range in which the cost rises by less than 1%; ``-`` where it reaches the box's end."""
+FILE = "tuning.toml"
+HISTORY_FILE = "convergence.csv"
+
+
+class ResultRecord(BaseModel):
+    """``[result]`` of tuning.toml."""
+
+    cost: float
+    objective: str
+    objective_meaning: str = ""
+    validation_cost: float | None = None
+    validation_gap: float | None = None
+    validation_drives: list[str] = Field(default_factory=list)
+    touched_bounds: list[Annotated[TouchedBound, BeforeValidator(TouchedBound.read)]] = Field(
+        default_factory=list
+    )
+    unidentified: list[str] = Field(default_factory=list)
+    remarks: list[str] = Field(default_factory=list)
+    best_trial: int = 0
+    trial_costs: list[float] = Field(default_factory=list)
+    evaluations: int = 0
+    failures: int = 0
+
+
+class TuningRecord(BaseModel):
+    """tuning.toml; a file of filter parameters has only the first two tables."""
+
+    filter: dict[str, float | str | list[float]]
+    units: dict[str, str | list[str]] = Field(default_factory=dict)
+    densities: dict[str, str] = Field(default_factory=dict)
+    result: ResultRecord | None = None
+    within_1_percent_of_the_cost: dict[str, tuple[End, End]] = Field(default_factory=dict)
+    config: dict[str, Any] = Field(default_factory=dict)
+    versions: dict[str, str] = Field(default_factory=dict)
+    data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
+
+
+@dataclass(frozen=True, eq=False)
+class TrialHistory:
+    """Costs of one trial after each generation, shape (g,): the lowest so far, and the median of the generation."""
+
+    trial: int
+    generation: Array
+    best: Array
+    median: Array
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Costs over the generations of all trials."""
+
+    trials: tuple[TrialHistory, ...]
+
+    @classmethod
+    def of(cls, tuning: Tuning[Any]) -> "History":
+        """Of what `tune` found."""
+        return cls(
+            tuple(
+                TrialHistory(i, np.arange(1.0, len(trial.best) + 1), trial.best, trial.median)
+                for i, trial in enumerate(tuning.trials)
+            )
+        )
+
+    def save(self, path: Path) -> Path:
+        """Write convergence.csv, with every bit of the costs."""
+        lines = ["trial,generation,best_cost,median_cost"]
+        lines += [
+            f"{one.trial},{g},{best!r},{median!r}"
+            for one in self.trials
+            for g, (best, median) in enumerate(zip(one.best.tolist(), one.median.tolist(), strict=True), 1)
+        ]
+        write_whole(path, "\n".join(lines) + "\n")
+        return path
+
+    @classmethod
+    def load(cls, path: Path) -> "History":
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read.
+        """
+        whole, real = pl.Int64(), pl.Float64()
+        numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
+        try:
+            table = pl.read_csv(path, schema_overrides=numbers).select(list(numbers))
+        except (pl.exceptions.PolarsError, OSError):
+            raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
+        return cls(tuple(_trial(rows) for _, rows in table.group_by("trial", maintain_order=True)))
+
+
+def _trial(rows: pl.DataFrame) -> TrialHistory:
+    generation, best, median = (
+        rows[name].cast(pl.Float64()).fill_null(np.nan).to_numpy()
+        for name in ("generation", "best_cost", "median_cost")
+    )
+    return TrialHistory(int(rows["trial"][0]), generation, best, median)

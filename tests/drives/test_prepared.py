@@ -1,0 +1,62 @@
+"""A prepared drive: aligned once, each time line built once, IMU columns shared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sigmaswarm.drives.prepared as module
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.timeline import build_timeline
+from support import make_drive
+
+DRIVE = make_drive(duration=20.0, seed=1)
+HIDDEN = np.arange(len(DRIVE.gps)) % 3 == 1
+
+
+def test_start_and_time_line_are_those_of_the_drive():
+    ready = prepared(DRIVE)
+    start = initial_state(DRIVE)
+    np.testing.assert_array_equal(ready.initial.mean, start.mean)
+    line, own = ready.timeline(), build_timeline(DRIVE, start.time)
+    for name in ("end", "steps", "absorbs", "sampled", "fixes", "sample"):
+        np.testing.assert_array_equal(getattr(line, name), getattr(own, name))
+
+
+def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
+    calls: list[str] = []
+    for name in ("initial_state", "build_timeline"):
+        own = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *a, own=own, name=name: calls.append(name) or own(*a))
+    ready = prepared(DRIVE)
+    assert not calls, "a drive is aligned when its start is asked for"
+    for _ in range(2):
+        assert ready.timeline() is ready.timeline(np.zeros(len(HIDDEN), dtype=bool))
+        assert ready.timeline(HIDDEN) is ready.timeline(HIDDEN.copy())
+        assert ready.timeline(HIDDEN, removed=True) is ready.timeline(HIDDEN, removed=True)
+    assert calls == ["initial_state", "build_timeline", "build_timeline"]
+
+
+def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
+    ready = prepared(DRIVE)
+    whole, hidden, removed = ready.timeline(), ready.timeline(HIDDEN), ready.timeline(HIDDEN, removed=True)
+    for name in ("steps", "end", "sampled", "sample", "imu_time", "fixes"):
+        assert getattr(hidden, name) is getattr(whole, name), name
+    usable = (DRIVE.gps.time > whole.start) & (DRIVE.gps.time <= DRIVE.imu.time[-1])
+    assert int(hidden.hides.sum()) == int(HIDDEN[usable].sum()) > 0
+    np.testing.assert_array_equal(hidden.hides | hidden.absorbs, whole.absorbs)
+    assert len(hidden.drive.gps) == len(removed.drive.gps) == int((~HIDDEN).sum())
+    gone = build_timeline(replace(DRIVE, gps=DRIVE.gps.select(~HIDDEN)), whole.start)
+    np.testing.assert_array_equal(removed.steps, gone.steps)
+    assert len(removed.dt) < len(whole.dt)
+
+
+def test_a_prepared_drive_stays_itself_unless_another_start_is_asked_for():
+    ready = prepared(DRIVE)
+    assert prepared(ready) is ready
+    assert prepared(ready, ready.initial) is ready
+    later = replace(ready.initial, time=ready.initial.time + 2.0)
+    assert prepared(ready, later) is not ready
+    assert prepared(ready, later).timeline().start == later.time
+    assert isinstance(prepared(ready, later), PreparedDrive)

@@ -1,0 +1,164 @@
+"""A filter's run in pieces: the whole run's bits, and sums that say the same as what is recorded."""
+
+import tracemalloc
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.batch import Replay, Targets, run_replays
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.run import run_filter, run_innovations
+from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
+from support import make_drive
+
+EVERY_FILTER = [
+    pytest.param(model, kind, option, id=f"{model}-{kind}-{option}")
+    for model in ("planar5", "planar8")
+    for kind in KINDS
+    for option in OPTIONS
+]
+
+
+@cache
+def replay_of(make, of=tracking_replay) -> Replay:
+    return of(prepared(make()))
+
+
+def as_bits(recording: Recording) -> dict[str, bytes]:
+    whole = recording.whole()
+    parts = (
+        vars(whole) | vars(recording.sums) | {f"fix {k}": v for k, v in vars(recording.innovations).items()}
+    )
+    return {name: np.ascontiguousarray(column).tobytes() for name, column in parts.items()}
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
+def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, option: str):
+    p = parameters(model, kind=kind, **OPTIONS[option])
+    for replay in (replay_of(equipped), replay_of(two_receivers), replay_of(equipped, forecast_replay)):
+        n = len(replay.timeline.imu_time)
+        whole = as_bits(Recording(replay, p, samples=n))
+        for samples in (1, 7, 1000, n - 1):
+            in_pieces = as_bits(Recording(replay, p, samples=samples))
+            assert [name for name in whole if whole[name] != in_pieces[name]] == [], samples
+        sums = run_replays([replay], [p])
+        assert all(np.asarray(column).tobytes() == whole[name] for name, column in vars(sums).items())
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_run_filter_and_run_innovations_are_its_pieces(option: str):
+    p, drive = parameters("planar8", **OPTIONS[option]), equipped()
+    recording = Recording(replay_of(equipped), p, samples=300)
+    whole, estimate, said = recording.whole(), run_filter(drive, p), run_innovations(drive, p)
+    assert recording.failure is None
+    for name in ("time", "mean", "covariance"):
+        assert getattr(whole, name).tobytes() == getattr(estimate, name).tobytes()
+    for name, column in vars(recording.innovations).items():
+        assert column.tobytes() == getattr(said, name).tobytes()
+
+
+@pytest.mark.parametrize("samples", [1, 7, 100_000])
+def test_a_failure_in_one_piece_is_one_in_all_that_follow(samples: int):
+    drive = make_drive(duration=24, seed=2)
+    ax = drive.imu.ax.copy()
+    ax[2000] = np.nan
+    ill = replace(drive, imu=replace(drive.imu, ax=ax))
+    start = initial_state(drive)
+    line = build_timeline(ill, start.time)
+    recording = Recording(Replay(line, start, Targets.none(line)), parameters("planar5"), samples=samples)
+    whole = recording.whole()
+    sound = line.imu_time < drive.imu.time[2000]
+    assert whole.sound.tolist() == sound.tolist()
+    assert np.isfinite(whole.mean).all(axis=1).tolist() == sound.tolist()
+    assert np.isfinite(whole.covariance).all(axis=(1, 2)).tolist() == sound.tolist()
+    assert f"failed at t = {drive.imu.time[2000]:.3f} s" in str(recording.failure)
+    assert recording.sums.failed.all()
+
+
+def test_sums_of_an_unfinished_recording_are_refused():
+    recording = Recording(replay_of(equipped), parameters("planar5"), samples=100)
+    next(iter(recording))
+    with pytest.raises(RuntimeError, match="all pieces"):
+        _ = recording.sums
+    with pytest.raises(RuntimeError, match="all pieces"):
+        _ = recording.innovations
+
+
+def peak_of_pieces(drive: Drive) -> int:
+    """Bytes that a recording asks for beyond its replay."""
+    start = initial_state(drive)
+    line = build_timeline(drive, start.time)
+    replay, p = Replay(line, start, Targets.none(line)), parameters("planar8")
+    replay.arrays(False, False, False)
+    for _ in Recording(replay, p, samples=500):  # compiled, and all that is kept is there
+        pass
+    tracemalloc.start()
+    for _ in Recording(replay, p, samples=500):
+        pass
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_does_not_grow_with_the_drive():
+    short, long = (peak_of_pieces(make_drive(duration=duration, gps_rate=1.0)) for duration in (60, 600))
+    # Innovations, 40 bytes a fix, and the ends of pieces, 8 bytes a sample: 72 and 430 kB; estimates would be 35 MB.
+    assert long < short + 2e6
+
+
+# --- What is recorded beside what is summed --------------------------------------------------------------------
+
+
+def residuals(nu: np.ndarray, s: np.ndarray, p: FilterParameters) -> np.ndarray:
+    """R S^-1 nu of each fix that was absorbed, nu of one that was turned away; constant R, unstretched S."""
+    left = np.array(
+        [np.diag(p.measurement_noise) @ np.linalg.solve(v, n) for n, v in zip(nu, s, strict=True)]
+    )
+    nis = np.array([n @ np.linalg.solve(v, n) for n, v in zip(nu, s, strict=True)])
+    rejected = 0
+    for i in range(len(nu)):
+        taken = p.gate is None or nis[i] <= p.gate or rejected >= 5
+        rejected = 0 if taken else rejected + 1
+        left[i] = left[i] if taken else nu[i]
+    return left
+
+
+@pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
+@pytest.mark.parametrize("of", [tracking_replay, forecast_replay], ids=["tracking", "forecast"])
+def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str, of):
+    p, replay = parameters(model, kind=kind, **OPTIONS[option]), replay_of(equipped, of)
+    recording = Recording(replay, p, samples=100)
+    whole, line, targets = recording.whole(), replay.timeline, replay.targets
+    said = recording.innovations
+    nu, s = said.innovation, said.covariance
+    hidden = line.hides[line.hides | line.absorbs]
+    added = {
+        "nis": said.nis.sum(),
+        "log_determinant": np.log(np.linalg.det(s)).sum(),
+        "squared_forecast": (nu[hidden] ** 2).sum(),
+    }
+    if kind in ("ukf", "ekf"):
+        added["squared_fix"] = (residuals(nu[~hidden], s[~hidden], p) ** 2).sum()
+    if of is tracking_replay:
+        weight, x, y, theta, counts = targets.rows.T
+        later = np.searchsorted(targets.end[line.sampled], np.arange(len(weight)), side="right")
+        times = np.concatenate([[line.start], whole.time])
+        means = np.vstack([replay.initial.mean[:5], whole.mean[:, :5]])
+        at = times[later] + weight * np.diff(times)[later]
+        east, north = (np.interp(at, times, means[:, i]) for i in (0, 1))
+        turn = np.interp(at, times, np.unwrap(means[:, 4])) - theta
+        error = np.stack([east - x, north - y], axis=1)
+        p2 = whole.covariance[later, :2, :2]
+        added["squared_position"] = (error**2).sum()
+        added["squared_heading"] = (counts * np.angle(np.exp(1j * turn)) ** 2).sum()
+        added["nees"] = np.einsum("ti,tij,tj->", error, np.linalg.inv(p2), error)
+    for name, total in added.items():
+        assert total == pytest.approx(getattr(recording.sums, name)[0, 0], rel=1e-9, abs=1e-12), name

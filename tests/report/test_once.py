@@ -1,0 +1,66 @@
+"""`evaluate --out` computes each thing once: starts, time lines, runs of filters."""
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+import sigmaswarm
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters.compiled import run
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.targets import outage_replay
+from support import make_drive
+
+GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
+DRIVE = make_drive(duration=150.0, seed=1, name="monday")  # longer than a piece of a recording
+
+
+def count_calls(monkeypatch: pytest.MonkeyPatch, function) -> list[None]:
+    """Calls of a function, by whatever module of ours has it under its name."""
+    calls: list[None] = []
+
+    def counted(*args, **kw):
+        calls.append(None)
+        return function(*args, **kw)
+
+    for name, module in list(sys.modules.items()):
+        if name.startswith("sigmaswarm.") and vars(module).get(function.__name__) is function:
+            monkeypatch.setattr(module, function.__name__, counted)
+    return calls
+
+
+@pytest.mark.filterwarnings("ignore::sigmaswarm.errors.SigmaswarmWarning")
+def test_an_evaluation_with_pictures_computes_each_thing_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    from sigmaswarm.cli import evaluate as command
+
+    sigmaswarm.write_drive(DRIVE, tmp_path / "monday")
+    GOOD.save(tmp_path / "tuning.toml")
+    whole = prepared(DRIVE)
+    outages = outage_replay(whole).timeline
+    aligned, lines, reckoned = (
+        count_calls(monkeypatch, f) for f in (initial_state, build_timeline, run_imu_only)
+    )
+    steps: Counter[int] = Counter()  # of the kernel, by the time line's number of steps
+    lanes = run.run_lanes
+
+    def counted(n, of, *rest):
+        *_, place, stop, _record, _innovations = rest
+        steps[len(of)] += stop - int(place[0])
+        return lanes(n, of, *rest)
+
+    monkeypatch.setattr(run, "run_lanes", counted)
+    command.evaluate(tmp_path / "tuning.toml", [tmp_path / "monday"], out=tmp_path / "out")
+    assert (tmp_path / "out" / "monday-error.png").exists()
+    assert (tmp_path / "out" / "monday-consistency.png").exists()
+    assert (len(aligned), len(lines), len(reckoned)) == (1, 2, 1)
+    k, without = len(whole.timeline().dt), len(outages.dt)
+    assert k != without
+    # tuned filter and two manual ones, one after the other; with the outages side by side in one call
+    assert steps == {k: 3 * k, without: without}
