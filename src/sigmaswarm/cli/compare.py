@@ -85,7 +85,7 @@ def compare(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import progress_bar, read_drives, stdout
-    from sigmaswarm.report.comparison_figure import save_comparison
+    from sigmaswarm.report.compare import comparison_table, save_comparison
 
     read, held_out = read_drives(drives), read_drives(test or [])
     chosen = {"optimizers": optimizers, "scales": scales}
@@ -111,6 +111,6 @@ def compare(
         )
     written = save_comparison(comparison, out)
     console = stdout()
-    console.print(comparison.markdown())
+    console.print(comparison_table(comparison).to_markdown())
     for path in written:
         console.print(f"wrote {path}")
