@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
-from sigmaswarm.report.comparison_figure import save_comparison
-from sigmaswarm.tuning.summary import MEASURES
+from sigmaswarm.experiments.compare.record import COMPARED
+from sigmaswarm.report.compare import comparison_table, save_comparison
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 BASE = ("pso", "de", "cma-es", "ga", "ga-pso", "sobol")
@@ -86,7 +86,7 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
             resume=True,
         )
         save_comparison(found, folder)
-        print(f"{folder}\n{found.markdown()}", flush=True)
+        print(f"{folder}\n{comparison_table(found).to_markdown()}", flush=True)
         yield model, found
 
 
@@ -95,7 +95,7 @@ def table(found: dict[str, Comparison], objective: str) -> str:
     measures = ["cost", "held_out_rmse", "held_out_heading"]
     if objective != "truth-rmse":
         measures[1:] = ["held_out_cost", "held_out_rmse"]
-    titles = ["optimizer", "scale", *(f"{model}: {MEASURES[m]}" for model in found for m in measures)]
+    titles = ["optimizer", "scale", *(f"{model}: {COMPARED[m]}" for model in found for m in measures)]
     lines = [titles, ["---"] * len(titles)]
     for rows in zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True):
         cells = [cell(row, m) for row in rows for m in measures]

@@ -9,7 +9,7 @@ import argparse
 
 import numpy as np
 
-from sigmaswarm.study.statistics import summarize
+from sigmaswarm.experiments.study.results import summarize
 
 NAMES = ("mean +- 1.96 SD / sqrt(n)", "corrected resampled t", "bootstrap over drives and trials")
 DRIVE_SPREAD, BOTH_SPREAD = 0.35, 0.05

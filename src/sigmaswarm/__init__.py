@@ -43,6 +43,10 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
+    from sigmaswarm.experiments.compare.record import Comparison
+    from sigmaswarm.experiments.compare.run import compare
+    from sigmaswarm.experiments.study.config import StudyConfig
+    from sigmaswarm.experiments.study.run import Study, run_study
     from sigmaswarm.filters.custom.log import Log
     from sigmaswarm.filters.custom.model import Model, Tunable
     from sigmaswarm.filters.custom.run import ModelEstimate, run_model
@@ -51,20 +55,16 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.presets import datasheet, preset
     from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_reference
-    from sigmaswarm.report.study_figures import study_figures
+    from sigmaswarm.report.compare import comparison_table
+    from sigmaswarm.report.study import save_study, study_figures, study_tables
     from sigmaswarm.scoring.consistency import Consistency, consistency
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score
     from sigmaswarm.simulation.conditions import simulate_many
     from sigmaswarm.simulation.scenarios import simulate
-    from sigmaswarm.study.config import StudyConfig
-    from sigmaswarm.study.run import Study, run_study
-    from sigmaswarm.study.tables import study_tables
     from sigmaswarm.tuning.batch import BatchResult, run_batch
-    from sigmaswarm.tuning.comparison import compare
     from sigmaswarm.tuning.config import TuneConfig
     from sigmaswarm.tuning.result import Tuning
-    from sigmaswarm.tuning.summary import Comparison
     from sigmaswarm.tuning.tune import tune
 
 _HOMES = {
@@ -84,6 +84,10 @@ _HOMES = {
         "SigmaswarmError",
         "SigmaswarmWarning",
     ),
+    "experiments.compare.record": ("Comparison",),
+    "experiments.compare.run": ("compare",),
+    "experiments.study.config": ("StudyConfig",),
+    "experiments.study.run": ("Study", "run_study"),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
     "filters.custom.run": ("ModelEstimate", "run_model"),
@@ -92,19 +96,15 @@ _HOMES = {
     "filters.live": ("LiveFilter",),
     "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_reference"),
-    "report.study_figures": ("study_figures",),
+    "report.compare": ("comparison_table",),
+    "report.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),
     "simulation.conditions": ("simulate_many",),
     "simulation.scenarios": ("simulate",),
-    "study.config": ("StudyConfig",),
-    "study.run": ("Study", "run_study"),
-    "study.tables": ("study_tables",),
     "tuning.batch": ("BatchResult", "run_batch"),
-    "tuning.comparison": ("compare",),
     "tuning.config": ("TuneConfig",),
-    "tuning.summary": ("Comparison",),
     "tuning.result": ("Tuning",),
     "tuning.tune": ("tune",),
 }
@@ -146,6 +146,7 @@ __all__ = [
     "UnscentedKalmanFilter",
     "clip",
     "compare",
+    "comparison_table",
     "consistency",
     "datasheet",
     "diagnose",
@@ -160,6 +161,7 @@ __all__ = [
     "run_model",
     "run_reference",
     "run_study",
+    "save_study",
     "simulate",
     "simulate_many",
     "split_drives",

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm.report.comparison_figure import comparison_figure, save_comparison
-from sigmaswarm.tuning.comparison import compare
+from sigmaswarm.experiments.compare.run import compare
+from sigmaswarm.report.compare import comparison_figure, save_comparison
 from support import make_drive
 
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(3)]

@@ -13,17 +13,17 @@ import pytest
 from browsing import Opened
 from sigmaswarm.cli.app import app
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.config import StudyConfig
+from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.run import Study, run_study, shown_trial
+from sigmaswarm.experiments.study.spread import read_spreads
+from sigmaswarm.experiments.study.tracks import MOST_POINTS, shown_drives
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.report.page.folders import read_report
 from sigmaswarm.report.page.html import page as html_page
-from sigmaswarm.report.page.study_schema import read_spreads
-from sigmaswarm.report.study_tracks import MOST_POINTS, save_study_tracks, shown_drives
 from sigmaswarm.report.views.record import Section
 from sigmaswarm.scoring.tracks import load_tracks
-from sigmaswarm.study.config import StudyConfig
-from sigmaswarm.study.design import Design, Task
-from sigmaswarm.study.run import Study, run_study
 from support import make_drive
 
 CONFIG = StudyConfig(
@@ -35,9 +35,7 @@ PLOTS = 4 + 4 + 2 + 2
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    done = run_study(CONFIG, tmp_path_factory.mktemp("page") / "study")
-    save_study_tracks(done, done.folder)
-    return done
+    return run_study(CONFIG, tmp_path_factory.mktemp("page") / "study")
 
 
 @pytest.fixture
@@ -96,18 +94,18 @@ def test_it_says_what_the_study_found(study: Study):
     report = read_report(study.folder)
     row = study.results.summary("honest", "pso-ukf", "position_rmse_m")
     assert row is not None
-    assert f"PSO-UKF is {row['mean']:.3g} m" in report.lead[0]
+    assert f"PSO-UKF is {row.mean:.3g} m" in report.lead[0]
     _, two, three = section(study.folder, "The paper's tables").tables
-    intervals = (tuple(row[k]) for k in ("trial_interval", "corrected_t_interval", "bootstrap_interval"))
-    assert ("PSO-UKF (honest)", 0.5, (0.46, 0.54), row["mean"], row["sd"], *intervals) in two.rows
-    assert "over trials, as in the paper" in two.columns[5].title
+    intervals = (row.trial_interval, row.corrected_t_interval, row.bootstrap_interval)
+    assert ("PSO-UKF (honest)", 0.5, (0.46, 0.54), row.mean, row.sd, *intervals) in two.rows
+    assert two.columns[5].title == "mean +- 1.96 SD / sqrt(n)"
     heading, drift = (
         study.results.summary("untuned", "ukf-datasheet", m) for m in ("heading_rmse_deg", "outage_drift_m")
     )
     assert heading is not None
     assert drift is not None
     theirs = {row[0]: row for row in three.rows}["UKF, manual: data sheet"]
-    assert (theirs[1], theirs[2], theirs[4], theirs[5]) == (2.1, heading["mean"], 7.5, drift["mean"])
+    assert (theirs[1], theirs[2], theirs[4], theirs[5]) == (2.1, heading.mean, 7.5, drift.mean)
     assert report.versions["numpy"] == np.__version__
     command, *_ = app.parse_args(shlex.split(report.command)[1:], exit_on_error=False, print_error=False)
     assert command.__name__ == "study"
@@ -120,7 +118,7 @@ def test_table_i_has_the_paper_s_measure_and_ours(study: Study):
     assert rows["IMU only"][1] == 21606.59
     found = study.results.summary("paper", "pso-ukf", "gps_rmse_m")
     assert found is not None
-    assert rows["PSO-UKF (paper)"][2] == found["mean"]
+    assert rows["PSO-UKF (paper)"][2] == found.mean
 
 
 def test_run_times_stand_beside_the_paper_s(study: Study, copy: Path):
@@ -133,10 +131,10 @@ def test_run_times_stand_beside_the_paper_s(study: Study, copy: Path):
 
 def test_convergence_says_where_it_settles(study: Study):
     found = section(study.folder, "Convergence")
-    rows = study.results.content["convergence"]
-    assert [row[1] for row in found.tables[0].rows] == [row["stable"] for row in rows]
-    diamond = found.charts[0].traces[-1]
-    assert (diamond["x"], diamond["y"]) == ([rows[0]["stable"]], [rows[0]["median"][rows[0]["stable"] - 1]])
+    rows = study.results.convergence
+    assert [row[1] for row in found.tables[0].rows] == [row.stable for row in rows]
+    diamond = found.charts[0].marks[-1]
+    assert (diamond.x, diamond.y) == ([rows[0].stable], [rows[0].median[rows[0].stable - 1]])
 
 
 def test_boxes_are_of_one_value_a_drive(study: Study):
@@ -158,9 +156,10 @@ def test_boxes_are_of_one_value_a_drive(study: Study):
     assert found == pytest.approx(np.quantile(means, [0.05, 0.25, 0.5, 0.75, 0.95]))
     assert spread.failed == 0
     drift = section(study.folder, "Spread over drives, and consistency").charts[2]
-    honest = next(t for t in drift.traces if t["name"] == "honest")
-    at = honest["y"].index("PSO-EKF (honest)")
-    assert [honest[k][at] for k in ("lowerfence", "q1", "median", "q3", "upperfence")] == found
+    place = drift.y.categories.index("PSO-EKF (honest)")
+    (boxes,) = (mark for mark in drift.marks if place in mark.at)
+    at = boxes.at.index(place)
+    assert [getattr(boxes, k)[at] for k in ("low", "first", "median", "third", "high")] == found
 
 
 def test_drives_that_a_filter_failed_on_are_counted(tmp_path: Path):
@@ -189,14 +188,15 @@ def test_a_filter_that_does_not_know_its_errors_is_named(study: Study, copy: Pat
 def test_filters_of_each_condition_have_a_row_each(tmp_path: Path):
     config = CONFIG.model_copy(update={"per_condition": True, "generations": 2})
     done = run_study(config, tmp_path)
-    save_study_tracks(done, tmp_path)
     found = section(tmp_path, "Convergence")
     assert [c.title for c in found.tables[0].columns][1] == "drives"
-    assert [t["name"] for t in found.charts[0].traces if t.get("name")] == ["cruise-clear", "turns-clear"]
+    assert [mark.name for mark in found.charts[0].marks if mark.name] == ["cruise-clear", "turns-clear"]
     turning = load_tracks(tmp_path / "tracks.npz")[0]
     assert turning.name.startswith("turns")
     drive = next(d for d in done.design.drives if d.name == turning.name)
-    estimate = run_filter(drive, done.parameters[Task("honest", "pso-ukf", "turns-clear", done.shown_trial)])
+    estimate = run_filter(
+        drive, done.parameters[Task("honest", "pso-ukf", "turns-clear", shown_trial(done.trials))]
+    )
     assert turning.series["honest-pso-ukf"]["x"][-1] == pytest.approx(estimate.mean[-1, 0], rel=1e-6)
 
 

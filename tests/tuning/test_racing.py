@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
-from sigmaswarm.tuning.problem import CarProblem
+from sigmaswarm.tuning.problem import CarProblem, car_problem
 from sigmaswarm.tuning.racing import race, rungs
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
@@ -106,24 +106,24 @@ def test_if_all_that_finish_fail_nobody_wins_by_having_seen_less():
     assert result.failures == 1
 
 
-def test_steps_are_counted_as_a_naive_count_does():
+def test_steps_are_counted_as_a_naive_count_does(monkeypatch: pytest.MonkeyPatch):
     """Every step of every filter that is run, over passes, from the time lines themselves."""
     config = TuneConfig(objective="truth-pose", racing=True, **SMALL)
-    problem = CarProblem(DRIVES, config)
-    single = CarProblem(DRIVES, TuneConfig(objective="truth-rmse")).steps
+    problem = car_problem(DRIVES, config)
+    single = car_problem(DRIVES, TuneConfig(objective="truth-rmse")).steps
     for drive, steps in zip(
         DRIVES, single, strict=True
     ):  # a step ends at each sample and each fix after the start
         moments = np.union1d(drive.imu.time, drive.gps.time[drive.gps.time < drive.imu.time[-1]])
         assert steps == np.sum(moments > initial_state(drive).time)
     asked = []
-    each = problem.each
+    each = CarProblem.each
 
-    def counted(points, drives, executor):
+    def counted(self, points, drives, executor):
         asked.append(len(points) * sum(int(problem.steps[d]) for d in drives))
-        return each(points, drives, executor)
+        return each(self, points, drives, executor)
 
-    problem.each = counted
+    monkeypatch.setattr(CarProblem, "each", counted)
     rng = np.random.default_rng(0)
     points = rng.uniform(problem.space.low, problem.space.high, (9, 10))
     with ThreadPoolExecutor(1) as pool:

@@ -61,7 +61,7 @@ def compare(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
-    from sigmaswarm.report.comparison_figure import save_comparison
+    from sigmaswarm.report.compare import comparison_table, save_comparison
 
     read, held_out = read_drives(drives), read_drives(validation or [])
     chosen = {"optimizers": optimizers, "scales": scales}
@@ -82,6 +82,6 @@ def compare(
         print_json({"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]})
         return
     console = stdout()
-    console.print(comparison.markdown())
+    console.print(comparison_table(comparison).to_markdown())
     for path in written:
         console.print(f"wrote {path}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
-    from sigmaswarm.study.run import Study
+    from sigmaswarm.experiments.study.run import Study
 
 _Flag = Annotated[bool, Parameter(negative=())]
 _Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
@@ -72,11 +72,9 @@ def study(
         Print results.json.
     """
     from sigmaswarm.cli.common import print_json, progress_bar, stdout
-    from sigmaswarm.report.study_figures import save_study_figures
-    from sigmaswarm.report.study_tracks import save_study_tracks
-    from sigmaswarm.study.config import read_config
-    from sigmaswarm.study.run import run_study
-    from sigmaswarm.study.tables import table_texts
+    from sigmaswarm.experiments.study.config import read_config
+    from sigmaswarm.experiments.study.run import run_study
+    from sigmaswarm.report.study import save_study, study_tables
 
     named: dict[str, Any] = {
         "drives": None if drives is None else tuple(map(str, drives)),
@@ -98,14 +96,14 @@ def study(
             workers=workers,
             progress=lambda told: show(told.done, told.total),
         )
-    save_study_figures(done, out / "figures")
-    save_study_tracks(done, out)
+    save_study(done, out)
     if json:
-        print_json(done.results.content)
+        print_json(done.results.content())
         return
     console = stdout()
-    for text in table_texts(done.results):
-        console.print(text + "\n")
+    for name, table in study_tables(done.results).items():
+        if name.startswith("table-"):
+            console.print(table.to_markdown() + "\n")
     _say_where(done, out)
 
 

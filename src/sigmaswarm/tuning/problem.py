@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -11,6 +13,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
@@ -49,8 +52,10 @@ class Landscape(Protocol):
 class Problem(Landscape, Protocol[P]):
     """What `tune` needs to know of a filter, its data and its objective."""
 
-    data: list[dict[str, Any]]
-    """Name, length and fingerprint of each drive."""
+    @property
+    def data(self) -> list[dict[str, Any]]:
+        """Name, length and fingerprint of each drive."""
+        ...
 
     def parameters(self, point: Array) -> P:
         """The filter at a point, shape (d,), in search coordinates."""
@@ -65,34 +70,35 @@ class Problem(Landscape, Protocol[P]):
         ...
 
 
+@dataclass(frozen=True, eq=False)
 class CarProblem:
-    """A filter for cars, on drives; in the ``space`` of other drives, where given, whose IMU Q refers to.
+    """A filter for cars, on drives: `car_problem` makes it.
 
-    Raises
-    ------
-    InputError
-        If the objective or an option asks for something that a drive does not have.
-    AlignmentError
-        If a drive never moves far enough to start a filter.
+    Attributes
+    ----------
+    config : TuneConfig
+    space : SearchSpace
+        May be that of other drives, whose IMU Q refers to.
+    data : list of dict
+        Name, length and fingerprint of each drive.
+    replayer : Replayer
+        The drives, made ready for the objective.
     """
 
-    objective: Objective
+    config: TuneConfig
     space: SearchSpace
     data: list[dict[str, Any]]
-    steps: NDArray[np.int64]
+    replayer: Replayer
 
-    def __init__(self, drives: Sequence[Drive], config: TuneConfig, space: SearchSpace | None = None) -> None:
-        self.objective = objective_named(config.objective)
-        check_drives(drives, self.objective)
-        _check_columns(drives, config)
-        interval = float(np.median([drive.nominal_interval for drive in drives]))
-        self.space = space or search_space(
-            config.model, config.scale, interval, kind=config.kind, use=config.use
-        )
-        self.data = [described(drive) for drive in drives]
-        self.replayer = replayer_for(self.objective, drives, config.outage_seed)
-        self.steps = self.replayer.steps
-        self._config = config
+    @cached_property
+    def objective(self) -> Objective:
+        """What is minimized on each drive."""
+        return objective_named(self.config.objective)
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps that one parameter set costs on each drive, shape (m,)."""
+        return self.replayer.steps
 
     def parameters(self, point: Array) -> FilterParameters:
         """The filter at a point, shape (d,), in search coordinates."""
@@ -100,7 +106,7 @@ class CarProblem:
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.data)), executor))
+        return self.mean(self.each(points, range(len(self.replayer.drives)), executor))
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
@@ -109,7 +115,7 @@ class CarProblem:
 
     def mean(self, each: Array) -> Array:
         """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
-        return mean_cost(each, self._config.worst)
+        return mean_cost(each, self.config.worst)
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
@@ -117,7 +123,35 @@ class CarProblem:
 
     def on(self, data: Sequence[Drive]) -> "CarProblem":
         """The same filters and objective on other drives."""
-        return CarProblem(data, self._config, self.space)
+        return car_problem(data, self.config, self.space)
+
+
+def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace | None = None) -> CarProblem:
+    """A filter for cars on drives; in the ``space`` of other drives, where given, whose IMU Q refers to.
+
+    Raises
+    ------
+    InputError
+        If the objective or an option asks for something that a drive does not have.
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    """
+    objective = objective_named(config.objective)
+    check_drives(drives, objective)
+    _check_columns(drives, config)
+    replayer = replayer_for(objective, drives, config.outage_seed)
+    data = [described(drive) for drive in drives]
+    return CarProblem(config, space or car_space(config, usual_interval(drives)), data, replayer)
+
+
+def car_space(config: TuneConfig, interval: float) -> SearchSpace:
+    """The box of the filter that is asked for; ``interval``: s between two IMU samples, which Q refers to."""
+    return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
+
+
+def usual_interval(drives: Sequence[Drive]) -> float:
+    """The drives' usual time between two IMU samples, s."""
+    return float(np.median([drive.nominal_interval for drive in drives]))
 
 
 def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:

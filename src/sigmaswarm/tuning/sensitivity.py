@@ -51,7 +51,7 @@ class Sensitivity:
 
 
 def sensitivities(
-    problem: Problem[Any], point: Array, cost: float, executor: Executor
+    problem: Problem[Any], point: Array, cost: float, executor: Executor | None
 ) -> tuple[Sensitivity, ...]:
     """Move each parameter of a tuned filter away from its value, both ways, until the cost has risen by 1%.
 
@@ -62,7 +62,7 @@ def sensitivities(
         The optimum, in search coordinates.
     cost : float
         There.
-    executor : concurrent.futures.Executor
+    executor : concurrent.futures.Executor or None
     """
     ways = list(_ways(problem.space, point))
     shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])

@@ -18,7 +18,7 @@ from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, 
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
-from sigmaswarm.tuning.problem import CarProblem, Problem
+from sigmaswarm.tuning.problem import Problem, car_problem
 from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.sensitivity import sensitivities
@@ -102,15 +102,32 @@ def tune(
     held_back = problem.on(others) if others else None
     if held_back:
         _check_apart(problem, held_back)
-    folder = None
-    if out is not None:  # made only once nothing is left that the user could have got wrong
-        asked = {**settings.model_dump(mode="json"), "data": problem.data, "versions": versions()}
-        folder = ResultFolder(Path(out), asked, resume=resume)
+    # made only once nothing is left that the user could have got wrong
+    folder = None if out is None else tuning_folder(Path(out), problem, settings, resume=resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor())
-        search = Search(settings, problem, pool, folder, progress)
-        trials = tuple(search.trial(i) for i in range(settings.trials))
-        tuning = _chosen(trials, problem, held_back, settings, pool)
+        return tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
+
+
+def tuning_folder(path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool) -> ResultFolder:
+    """The folder of a tuning, which remembers what was asked for on which data."""
+    asked = {**config.model_dump(mode="json"), "data": problem.data, "versions": versions()}
+    return ResultFolder(path, asked, resume=resume)
+
+
+def tune_problem(
+    problem: Problem[P],
+    config: SearchConfig,
+    executor: Executor | None = None,
+    *,
+    held_back: Problem[P] | None = None,
+    folder: ResultFolder | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Tuning[P]:
+    """Run, resume or look up the trials of a tuning, and write its tuning.toml; without an executor in this thread."""
+    search = Search(config, problem, executor, folder, progress)
+    trials = tuple(search.trial(i) for i in range(config.trials))
+    tuning = _chosen(trials, problem, held_back, config, executor)
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
@@ -131,7 +148,7 @@ def _problem(
         )
         return ModelProblem(data, model, settings), settings
     settings = _settled(validated_config(TuneConfig, config), [*data, *others])
-    problem = CarProblem(data, settings)
+    problem = car_problem(data, settings)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
     return problem, settings
@@ -169,7 +186,7 @@ def _chosen(
     problem: Problem[P],
     held_back: Problem[P] | None,
     config: SearchConfig,
-    executor: Executor,
+    executor: Executor | None,
 ) -> Tuning[P]:
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost = trials[best].point, trials[best].cost

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -35,46 +36,75 @@ def _digits(digits: int) -> Callable[[float], str]:
     return number
 
 
-def _texts(table: Table) -> list[list[str]]:
-    return [
-        [shown(cell, column) for cell, column in zip(row, table.columns, strict=True)] for row in table.rows
-    ]
+@dataclass(frozen=True, repr=False)
+class Printed:
+    """A table to be printed; a notebook shows it as it is."""
+
+    table: Table
+
+    def to_markdown(self) -> str:
+        """For README-like pages."""
+        table, header = self.table, _header(self.table)
+        lines = [f"**{table.caption}**", ""] if table.caption else []
+        lines += [_bar(header), _bar(["---", *["---:"] * (len(header) - 1)]), *map(_bar, _rows(table))]
+        return "\n".join([*lines, *(["", table.note] if table.note else [])]) + "\n"
+
+    __repr__ = _repr_markdown_ = to_markdown
+
+    def to_latex(self) -> str:
+        """A booktabs table."""
+        table, header = self.table, _header(self.table)
+        body = " \\\\\n".join(" & ".join(map(_escaped, row)) for row in _rows(table))
+        return (
+            f"% {table.note}\n\\begin{{table}}\n\\caption{{{_escaped(table.caption)}}}\n"
+            f"\\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}\n\\toprule\n"
+            f"{' & '.join(map(_escaped, header))} \\\\\n\\midrule\n{body} \\\\\n"
+            "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
+        )
+
+    def to_csv(self) -> str:
+        """For spreadsheets."""
+        return pl.DataFrame(_rows(self.table), schema=_header(self.table), orient="row").write_csv()
 
 
-def markdown(table: Table) -> str:
-    """For README-like pages."""
-    header = [column.heading for column in table.columns]
-    lines = [f"**{table.caption}**", ""] if table.caption else []
-    lines += [_bar(header), _bar(["---", *["---:"] * (len(header) - 1)]), *map(_bar, _texts(table))]
-    return "\n".join([*lines, *(["", table.note] if table.note else [])]) + "\n"
+def _header(table: Table) -> list[str]:
+    header: list[str] = []
+    for column in table.columns:
+        if column.joined:
+            header[-1] += f" [{column.title}]"
+        else:
+            header.append(column.heading)
+    return header
+
+
+def _rows(table: Table) -> list[list[str]]:
+    rows: list[list[str]] = []
+    for cells in table.rows:
+        rows.append([])
+        for cell, column in zip(cells, table.columns, strict=True):
+            if not column.joined:
+                rows[-1].append(_printed(cell, column))
+            elif cell is not None:
+                rows[-1][-1] += f" {_printed(cell, column)}"
+    return rows
+
+
+def _printed(cell: Cell, column: Column) -> str:
+    """As `shown`, but for how numbers are printed, and with a range in brackets."""
+    column = replace(column, number=column.printed or column.number)
+    if isinstance(cell, tuple):
+        return f"[{', '.join(shown(end, column) for end in cell)}]"
+    return shown(cell, column)
 
 
 def _bar(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def latex(table: Table) -> str:
-    """A booktabs table."""
-    body = " \\\\\n".join(" & ".join(map(_escaped, row)) for row in _texts(table))
-    return (
-        f"% {table.note}\n\\begin{{table}}\n\\caption{{{_escaped(table.caption)}}}\n"
-        f"\\begin{{tabular}}{{l{'r' * (len(table.columns) - 1)}}}\n\\toprule\n"
-        f"{' & '.join(_escaped(column.heading) for column in table.columns)} \\\\\n\\midrule\n{body} \\\\\n"
-        "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
-    )
-
-
 def _escaped(text: str) -> str:
     for plain in ("&", "%", "_", "#"):
         text = text.replace(plain, f"\\{plain}")
     return text.replace("+-", "$\\pm$")
-
-
-def csv(table: Table) -> str:
-    """For spreadsheets."""
-    return pl.DataFrame(
-        _texts(table), schema=[column.heading for column in table.columns], orient="row"
-    ).write_csv()
 
 
 def terminal(table: Table) -> "RichTable":
@@ -85,7 +115,8 @@ def terminal(table: Table) -> "RichTable":
     numeric = [any(not isinstance(row[i], str) for row in table.rows) for i in range(len(table.columns))]
     for column, right in zip(table.columns, numeric, strict=True):
         drawn.add_column(column.heading, justify="right" if right else "left")
-    for i, row in enumerate(_texts(table)):
+    for i, cells in enumerate(table.rows):
+        row = list(map(shown, cells, table.columns))
         starts = i == 0 or row[0] != table.rows[i - 1][0]
         if starts and i and len(row) > 1 and isinstance(table.rows[i][1], str):
             drawn.add_section()

@@ -4,14 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.folder import StudyRecord
 from sigmaswarm.report.page.evaluation import evaluation_report
-from sigmaswarm.report.page.study import study_report
 from sigmaswarm.report.page.tuning import tuning_report
 from sigmaswarm.report.views.record import Report
+from sigmaswarm.report.views.study import study_report
 
 ADAPTERS: dict[str, Callable[[Path], Report]] = {
     "scores.json": evaluation_report,
-    "results.json": study_report,
+    "results.json": lambda folder: study_report(StudyRecord.read(folder)),
     "tuning.toml": tuning_report,
 }
 """The file that a kind of folder is known by; the first that is there counts."""

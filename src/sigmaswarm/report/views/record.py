@@ -34,11 +34,17 @@ class Column:
         If it has one.
     number : callable, optional
         How a number, or each end of a range, is written; by default to four digits, a range's ends to three.
+    printed : callable, optional
+        The same for Markdown, LaTeX and CSV, where it differs.
+    joined : bool
+        In those it stands in the cell of the column before it: ``1.28 [1.26, 1.30]``.
     """
 
     title: str
     unit: str = ""
     number: Callable[[float], str] | None = None
+    printed: Callable[[float], str] | None = None
+    joined: bool = False
 
     @property
     def heading(self) -> str:

@@ -4,16 +4,15 @@ The folder of a study holds
 
     study.toml           what was asked for; a resumed study must ask for the same
     trials/              a folder for each protocol and tuned method (`tuning/store.py` says what is in it)
-    results.json         see `results.py`
+    results.json         see `record.py`
     scores.csv           one row per protocol, trial, method, held-out drive and measure
-    tables/              Markdown, LaTeX, CSV; runtime.* is of timings.json
+    tracks.npz           tracks of a few drives that the best trial held back
     best/                a parameter file of the best trial of each tuning
-    timings.json         how long it took and how fast the filters are: it and tables/runtime.*
-                         alone differ between two runs
+    timings.json         how long it took and how fast the filters are: it alone, with the table of it,
+                         differs between two runs
 """
 
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,22 +20,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.grid import Tell, run_grid
+from sigmaswarm.experiments.study.config import MAIN, TUNED_METHODS, StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Design, Task, kind, make_design
+from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.experiments.study.record import Results, Variant
+from sigmaswarm.experiments.study.results import results_of
+from sigmaswarm.experiments.study.scores import score_all
+from sigmaswarm.experiments.study.spread import spreads_of
+from sigmaswarm.experiments.study.timings import Stopwatch, write_timings
+from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.study.config import ProtocolName, StudyConfig, read_config
-from sigmaswarm.study.design import ALL, Design, Task, make_design
-from sigmaswarm.study.results import Results, write_results
-from sigmaswarm.study.scores import score_all
-from sigmaswarm.study.tables import write_tables
-from sigmaswarm.study.timings import Clock, write_timings
-from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.search import Progress, Search, Trial
-from sigmaswarm.tuning.space import SearchSpace, search_space
+from sigmaswarm.scoring.tracks import Picture, save_tracks
+from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
+from sigmaswarm.tuning.search import Search, Trial
+from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
@@ -68,7 +70,10 @@ class Study:
     parameters : mapping of Task to FilterParameters
     best : mapping of str to FilterParameters
         Of the best trial of each of the folders in trials/, also saved as best/<name>.toml.
-    results : Results
+    record : StudyRecord
+        As it is read back from the folder.
+    picture : Picture
+        Of a drive that the trial held back whose honest PSO-UKF has the lowest training cost.
     """
 
     folder: Path
@@ -76,77 +81,27 @@ class Study:
     trials: dict[Task, Trial]
     parameters: dict[Task, FilterParameters]
     best: dict[str, FilterParameters]
-    results: Results
+    record: StudyRecord
+    picture: Picture
 
     @property
-    def shown_trial(self) -> int:
-        """The trial whose filters are drawn, on drives that it held back: the honest PSO-UKF's lowest training cost."""
-        cost: dict[int, float] = {}
-        for task, trial in self.trials.items():
-            if (task.protocol, task.method) == ("honest", "pso-ukf"):
-                cost[task.trial] = cost.get(task.trial, 0.0) + trial.cost
-        return min(cost, key=cost.__getitem__)
-
-    def drawn(self, protocol: ProtocolName, method: str, drive: int) -> FilterParameters:
-        """The shown trial's parameters for a drive, given by its index."""
-        return self.parameters[Task(protocol, method, self.design.group_of(drive), self.shown_trial)]
+    def results(self) -> Results:
+        """What results.json holds."""
+        return self.record.results
 
     def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
         """Name and parameters of the best tuning that stands for a drive, given by its index."""
-        group = self.design.group_of(drive)
-        name = f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
+        name = kind(protocol, method, self.design.group_of(drive))
         return name, self.best[name]
 
 
-@dataclass(frozen=True, eq=False)
-class _Training:
-    """What one tuning minimizes, on drives that all tunings share."""
-
-    space: SearchSpace
-    objective: Objective
-    replayer: Replayer
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, shape (m,)."""
-        return self.replayer.steps
-
-    def costs(self, points: Array, executor: Executor | None) -> Array:
-        """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.replayer.drives)), executor))
-
-    def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
-        """The costs on some of the drives, shape (n, len(drives))."""
-        scores = self.replayer.subset(drives).scores(self.space.decode(points), executor)
-        return self.objective.each(scores)
-
-    def mean(self, each: Array) -> Array:
-        """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
-        return mean_cost(each)
-
-
-class _Counter:
-    """Adds up what the tunings tell from their threads, and stops them where the study was interrupted."""
-
-    def __init__(self, total: int, tell: Callable[[StudyProgress], None] | None) -> None:
-        self._lock, self._done, self._total, self._tell = threading.Lock(), 0, total, tell
-        self.stopped = threading.Event()
-
-    def of(self, task: Task, generations: int) -> Callable[[int], None]:
-        """The function that one tuning tells its generation, from 1 on; those before the first it tells are done."""
-        told = 0
-
-        def tell(generation: int) -> None:
-            nonlocal told
-            if self.stopped.is_set():
-                raise InterruptedError("the study was interrupted")
-            with self._lock:
-                self._done += generation - told
-                told = generation
-                if self._tell:
-                    self._tell(StudyProgress(self._done, self._total, task))
-
-        return tell
+def shown_trial(trials: Mapping[Task, Trial]) -> int:
+    """The trial whose filters are drawn, on drives that it held back: the honest PSO-UKF's lowest training cost."""
+    cost: dict[int, float] = {}
+    for task, trial in trials.items():
+        if (task.protocol, task.method) == ("honest", MAIN):
+            cost[task.trial] = cost.get(task.trial, 0.0) + trial.cost
+    return min(cost, key=cost.__getitem__)
 
 
 def run_study(
@@ -181,23 +136,27 @@ def run_study(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    out, clock = Path(out), Clock()
+    out, watch = Path(out), Stopwatch()
     _open_folder(out, config, resume)
     with ExitStack() as stack:
         pool = executor or stack.enter_context(ThreadPoolExecutor(workers))
         design = make_design(config, pool)
-        trials = _tune_all(design, out, pool, progress)
-        clock.lap("tuning")
-        spaces = {task: _space(design, task) for task in trials}
-        points = {task: spaces[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
+        spaces = _spaces(design)
+        trials = _tune_all(design, spaces, out, pool, progress)
+        watch.lap("tuning")
+        boxes = {task: spaces[task.protocol, task.method] for task in trials}
+        points = {task: boxes[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
+        touched = {task: boxes[task].touched(trial.point) for task, trial in trials.items()}
         scores = score_all(design, points, pool)
-        touched = {task: spaces[task].touched(trial.point) for task, trial in trials.items()}
-        results = write_results(out, design, trials, points, touched, scores)
-    clock.lap("scoring")
-    write_timings(out, design, clock)
-    write_tables(out, results)
-    best = _write_best(out, trials, points)
-    return Study(out, design, trials, points, best, results)
+    results = results_of(design, trials, points, touched, scores)
+    tracks, picture = follow(design, points, shown_trial(trials))
+    scores.write(out)
+    results.write(out)
+    save_tracks(tracks, out / "tracks.npz")
+    watch.lap("scoring")
+    live = write_timings(out, design, watch)
+    record = StudyRecord(results, spreads_of(scores.to_frame()), live, tracks, versions())
+    return Study(out, design, trials, points, _write_best(out, trials, points), record, picture)
 
 
 def _write_best(
@@ -233,32 +192,34 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
     write_whole(file, config.to_toml())
 
 
-def _space(design: Design, task: Task) -> SearchSpace:
-    config = design.config.tune_config(task.method, task.protocol)
-    return search_space(config.model, config.scale, design.interval, kind=config.kind)
+def _spaces(design: Design) -> dict[Variant, SearchSpace]:
+    """The box of every tuned variant, for the drives' usual interval between two IMU samples."""
+    interval = usual_interval(design.drives)
+    return {
+        (protocol, method): car_space(design.config.tune_config(method, protocol), interval)
+        for method, (_, _, protocols) in TUNED_METHODS.items()
+        for protocol in protocols
+    }
 
 
 def _tune_all(
-    design: Design, out: Path, pool: Executor, progress: Callable[[StudyProgress], None] | None
+    design: Design,
+    spaces: Mapping[Variant, SearchSpace],
+    out: Path,
+    pool: Executor,
+    progress: Callable[[StudyProgress], None] | None,
 ) -> dict[Task, Trial]:
-    """Every tuning of the study: run, resumed or looked up; side by side, each on one worker."""
-    tasks, generations = list(design.tasks), design.config.generations
-    replayer = Replayer(design.drives, outages=False)
+    """Every tuning of the study, on the drives of its group that its trial trains on."""
+    replayer = Replayer(design.prepared, outages=False)
     folders = _result_folders(design, out)
-    counter = _Counter(len(tasks) * generations, progress)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
 
-    def one(task: Task) -> Trial:
+    def one(task: Task, tell: Tell) -> Trial:
         config = design.config.tune_config(task.method, task.protocol)
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
-        training = _Training(_space(design, task), objective_named(config.objective), replayer.subset(train))
-        tell = counter.of(task, generations)
-
-        def told(progress: Progress) -> None:
-            tell(progress.generation)
-
-        trial = Search(config, training, None, folders[task.folder], told).trial(task.trial)
-        tell(generations)
+        problem = CarProblem(config, spaces[task.protocol, task.method], [], replayer.subset(train))
+        search = Search(config, problem, None, folders[task.folder], lambda told: tell(told.generation))
+        trial = search.trial(task.trial)
         if not np.isfinite(trial.cost):
             raise InputError(
                 f"{task.folder}: no parameter set gave a finite cost in trial {task.trial}; "
@@ -266,14 +227,11 @@ def _tune_all(
             )
         return trial
 
-    futures = [pool.submit(one, task) for task in tasks]
-    try:
-        return {task: future.result() for task, future in zip(tasks, futures, strict=True)}
-    except BaseException:
-        counter.stopped.set()
-        for future in futures:
-            future.cancel()
-        raise
+    def told(done: int, total: int, task: Task) -> None:
+        if progress:
+            progress(StudyProgress(done, total, task))
+
+    return run_grid(list(design.tasks), one, pool, rounds=design.config.generations, progress=told)
 
 
 def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:

@@ -1,4 +1,4 @@
-"""Who takes part in a comparison: an optimizer and, where wanted, settings of its own, as ``pso:polish=300``."""
+"""The contenders of a comparison: optimizers and, where wanted, settings of their own, as ``pso:polish=300``."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ OWN = (
     *("particles", "generations", "trials", "polish", "racing"),
     *("inertia", "cognitive", "social", "zero_velocity_at_bounds"),
 )
-"""What contenders may differ in, beside their optimizer and scale."""
+"""Options that contenders may differ in, beside their optimizer and scale."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,4 @@ def _contender(name: str, scale: str, shared: dict[str, Any]) -> Contender:
             )
         own[key] = value
     config = validated_config(TuneConfig, {**shared, "optimizer": optimizer, "scale": scale, **own})
-    config.optimizer_options()  # refuses what is not the optimizer's own
-    if not config.polish < config.particles * config.generations:
-        raise InputError(f"{name}: polish = {config.polish} must be less than particles x generations")
     return Contender(name, scale, config)

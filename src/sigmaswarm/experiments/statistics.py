@@ -1,10 +1,8 @@
-"""What a study's scores say, and how surely.
+"""Statistics of repeated tunings: intervals of means and medians, paired tests, and many tests at once.
 
-Scores are arrays of shape (trials, drives), NaN where a trial did not hold a drive back.
+Scores of a study are arrays of shape (trials, drives), NaN where a trial did not hold a drive back.
 
-C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; S. Holm, A simple
-sequentially rejective multiple test procedure, Scand. J. Statistics 6, 1979; D. S. Kerby, The simple difference
-formula, Comprehensive Psychology 3, 2014 (the rank-biserial correlation of matched pairs); J. N. K. Rao and C. F. J.
+C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and C. F. J.
 Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988 (a bootstrap that draws
 n of n makes the variance of a mean too small by (n - 1) / n, which tells where strata are small: so it draws n - 1).
 """
@@ -12,7 +10,6 @@ n of n makes the variance of a mean too small by (n - 1) / n, which tells where 
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,54 +18,10 @@ from scipy import stats
 from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
+"""From and to."""
 RESAMPLES = 2000
 """Of each bootstrap."""
 LEVEL = 0.95
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A measure of one method.
-
-    Attributes
-    ----------
-    mean, sd : over trials, of the mean over each trial's held-out drives
-    trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
-    corrected_t_interval : corrected resampled t: for drives that were never seen
-    bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
-    n_trials, n_drives : how many of each the figures rest on
-    """
-
-    mean: float
-    sd: float
-    trial_interval: Interval
-    corrected_t_interval: Interval
-    bootstrap_interval: Interval
-    n_trials: int
-    n_drives: int
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Two methods on the same drives, one value a drive: the mean over the trials that held it back.
-
-    Attributes
-    ----------
-    mean_difference : of the method less the other, negative where the method is better
-    interval : of it, by bootstrap over drives
-    p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : share of the rank sum that says better less that which says worse, -1 to 1: the effect's size
-    improvement, improvement_interval : percent, the paper's equation 5
-    n_drives : int
-    """
-
-    mean_difference: float
-    interval: Interval
-    p: float
-    rank_biserial: float
-    improvement: float
-    improvement_interval: Interval
-    n_drives: int
 
 
 def trial_means(values: Array) -> Array:
@@ -87,24 +40,8 @@ def _mean_known(values: Array, axis: int) -> Array:
         return np.asarray(np.nanmean(values, axis=axis))
 
 
-def summarize(
-    values: Array, strata: Sequence[str], test_per_train: float, rng: np.random.Generator
-) -> Summary:
-    """Mean, spread and intervals of a measure; ``test_per_train`` is the ratio of the split's sizes."""
-    each, drives = trial_means(values), drive_means(values)
-    each, known = each[~np.isnan(each)], ~np.isnan(drives)
-    return Summary(
-        mean=float(np.mean(each)) if len(each) else math.nan,
-        sd=_sd(each),
-        trial_interval=trial_interval(each),
-        corrected_t_interval=corrected_interval(each, test_per_train),
-        bootstrap_interval=crossed_bootstrap(values, strata, rng),
-        n_trials=len(each),
-        n_drives=int(known.sum()),
-    )
-
-
-def _sd(values: Array) -> float:
+def spread(values: Array) -> float:
+    """Standard deviation; NaN of fewer than two values, or of any that is not finite."""
     return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
 
 
@@ -112,7 +49,7 @@ def trial_interval(values: Array) -> Interval:
     """mean +- 1.96 SD / sqrt(n), as the paper has it: it covers the mean for a new drive only half of the time."""
     if not len(values):
         return math.nan, math.nan
-    half = 1.96 * _sd(values) / math.sqrt(len(values))
+    half = 1.96 * spread(values) / math.sqrt(len(values))
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
@@ -121,7 +58,7 @@ def corrected_interval(values: Array, test_per_train: float, level: float = LEVE
     n = len(values)
     if n < 2:
         return math.nan, math.nan
-    error = _sd(values) * math.sqrt(1 / n + test_per_train)
+    error = spread(values) * math.sqrt(1 / n + test_per_train)
     half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
@@ -212,37 +149,49 @@ def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
     return float(low), float(high)
 
 
-def compare(method: Array, other: Array, strata: Sequence[str], rng: np.random.Generator) -> Comparison:
-    """A method against another on the drives that both have a value for; each of shape (trials, drives)."""
-    a, b = drive_means(method), drive_means(other)
-    known = np.isfinite(a) & np.isfinite(b)
-    a, b, kept = a[known], b[known], [s for s, k in zip(strata, known, strict=True) if k]
-    difference = a - b
-    return Comparison(
-        mean_difference=float(np.mean(difference)) if len(a) else math.nan,
-        interval=bootstrap(np.asarray, [difference], kept, rng),
-        p=signed_rank(difference),
-        rank_biserial=rank_biserial(difference),
-        improvement=float(improvement(a.mean(), b.mean())) if len(a) else math.nan,
-        improvement_interval=bootstrap(improvement, [a, b], kept, rng),
-        n_drives=len(a),
-    )
-
-
 def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
     """The paper's equation 5: (manual - tuned) / manual x 100, of means over drives; NaN where manual is 0."""
     m = np.where(manual > 0, manual, np.nan)
     return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
 
-def signed_rank(difference: Array) -> float:
-    """p of Wilcoxon's signed-rank test, two-sided; 1 where nothing differs."""
-    found: Any = stats.wilcoxon(difference) if np.any(difference) else None
-    return 1.0 if found is None else float(found.pvalue)
+def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
+    """An interval for the median, whatever the distribution: two of the sorted values.
+
+    The narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
+    Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2); lowest and highest where no pair does,
+    as with fewer than six values at 95%.
+    """
+    ordered = np.sort(values)
+    n = len(ordered)
+    k = 0  # how many values are cut at each end
+    while 2 * stats.binom.cdf(k, n, 0.5) <= 1 - confidence:
+        k += 1
+    return float(ordered[k]), float(ordered[n - 1 - k])
+
+
+def signed_rank(ours: Array, theirs: Array) -> float:
+    """Probability of such differences or larger ones if neither is better: two-sided signed-rank test over pairs.
+
+    F. Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945. Infinite costs count as the
+    largest of all; pairs without a difference are left out, and 1 is returned if no pair is left.
+    """
+    finite = np.concatenate([ours, theirs])
+    finite = finite[np.isfinite(finite)]
+    ceiling = 2 * np.abs(finite).max(initial=1.0)
+    difference = np.where(np.isfinite(ours), ours, ceiling) - np.where(np.isfinite(theirs), theirs, ceiling)
+    difference = difference[difference != 0]
+    if not len(difference):
+        return 1.0
+    test: Any = stats.wilcoxon(difference)
+    return float(test.pvalue)
 
 
 def rank_biserial(difference: Array) -> float:
-    """How much of the rank sum lies below zero less how much above: 1 where every drive is better, -1 where worse."""
+    """Share of the rank sum below zero less that above: 1 where every pair is lower, -1 where every one is higher.
+
+    D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
+    """
     nonzero = difference[difference != 0]
     if not len(nonzero):
         return 0.0
@@ -250,10 +199,13 @@ def rank_biserial(difference: Array) -> float:
     return float(-np.sum(ranks * np.sign(nonzero)) / np.sum(ranks))
 
 
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Holm's adjusted p-values, in the given order."""
-    p = np.asarray(p_values, dtype=np.float64)
+def holm(probabilities: Sequence[float]) -> list[float]:
+    """Probabilities of many tests, corrected so that one false alarm among all of them is as rare as in one test.
+
+    S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979.
+    """
+    p = np.asarray(probabilities, dtype=np.float64)
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)
     adjusted[order] = np.minimum(np.maximum.accumulate((len(p) - np.arange(len(p))) * p[order]), 1.0)
-    return [float(value) for value in adjusted]
+    return adjusted.tolist()

@@ -1,4 +1,4 @@
-"""How long a study took, and what one update of each filter costs: kept apart from what must be the same each time."""
+"""The time that a study took, and that one update of each filter costs: kept apart from what is the same each time."""
 
 import json
 import time
@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.experiments.study.design import Design
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.study.design import Design
 
 LIVE: dict[str, tuple[FilterKind, int]] = {
     "EKF": ("ekf", 5),
@@ -24,7 +24,7 @@ LIVE: dict[str, tuple[FilterKind, int]] = {
 """The filters whose updates are timed: kind and number of states."""
 
 
-class Clock:
+class Stopwatch:
     """Wall and processor time, lap by lap."""
 
     def __init__(self) -> None:
@@ -38,21 +38,25 @@ class Clock:
         self._wall, self._processor = wall, processor
 
 
-def write_timings(out: Path, design: Design, clock: Clock) -> None:
-    """Add this run's laps to timings.json: a study that was interrupted has several, and a killed run leaves none."""
+def write_timings(out: Path, design: Design, watch: Stopwatch) -> dict[str, dict[str, float]]:
+    """Add this run's laps to timings.json: a study that was interrupted has several, and a killed run leaves none.
+
+    Returns the times of the live filters, ms.
+    """
     file = out / "timings.json"
     try:
         runs = list(json.loads(file.read_text())["runs"])
     except (OSError, ValueError, KeyError, TypeError):
         runs: list[Any] = []
-    live = {name: _live_times(design.drives[0], kind, n) for name, (kind, n) in LIVE.items()}
-    write_json(file, {"runs": [*runs, clock.laps], "live_filter": live})
+    live = {name: _live_times(design.prepared[0], kind, n) for name, (kind, n) in LIVE.items()}
+    write_json(file, {"runs": [*runs, watch.laps], "live_filter": live})
+    return live
 
 
-def _live_times(drive: Drive, kind: FilterKind, n_states: int) -> dict[str, float]:
+def _live_times(ready: PreparedDrive, kind: FilterKind, n_states: int) -> dict[str, float]:
     """ms per IMU sample, and per sample that absorbs a fix: medians over a drive, one call at a time."""
     parameters = _parameters(kind, n_states)
-    initial = initial_state(drive)
+    drive, initial = ready.drive, ready.initial
     plain, absorbing = [], []
     for _ in range(2):  # the first round warms up
         live = LiveFilter(parameters, initial, nominal_interval=drive.nominal_interval)

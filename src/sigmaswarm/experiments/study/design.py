@@ -1,4 +1,4 @@
-"""What a study runs on: its drives in conditions, a split for each trial, and the list of its tunings."""
+"""The design of a study: its drives in conditions, a split for each trial, and the list of its tunings."""
 
 import hashlib
 import zlib
@@ -12,14 +12,12 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.drives.reader import drive_folders, read_drive
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.config import ALL, TUNED_METHODS, ProtocolName, StudyConfig
 from sigmaswarm.simulation.conditions import simulate_many
-from sigmaswarm.study.config import TUNED, ProtocolName, StudyConfig
-
-ALL = "all"
-"""Stands for the pool of all conditions, and for a maneuver or environment that a drive does not name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +42,13 @@ class Design:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """What each gets filters of its own: the conditions, or all drives together."""
+        """The groups that get filters of their own: the conditions, or all drives together."""
         return tuple(dict.fromkeys(self.strata)) if self.config.per_condition else (ALL,)
 
     @cached_property
-    def interval(self) -> float:
-        """s: the drives' usual time between two IMU samples."""
-        return float(np.median([drive.nominal_interval for drive in self.drives]))
+    def prepared(self) -> tuple[PreparedDrive, ...]:
+        """The drives made ready for filters, each once."""
+        return tuple(map(prepared, self.drives))
 
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""
@@ -76,7 +74,7 @@ class Design:
     def tasks(self) -> Iterator["Task"]:
         """All tunings of the study, in the order of their trials."""
         for trial in range(self.config.trials):
-            for method, (_, _, protocols) in TUNED.items():
+            for method, (_, _, protocols) in TUNED_METHODS.items():
                 for protocol in protocols:
                     for group in self.groups:
                         yield Task(protocol, method, group, trial)
@@ -99,7 +97,12 @@ class Task:
     @property
     def folder(self) -> str:
         """Where the tunings of all trials of this kind are kept."""
-        return f"{self.protocol}-{self.method}" + ("" if self.group == ALL else f"-{self.group}")
+        return kind(self.protocol, self.method, self.group)
+
+
+def kind(protocol: str, method: str, group: str) -> str:
+    """A name for the tunings of a method under a protocol for a group, and for their files."""
+    return f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
 
 
 def make_design(config: StudyConfig, executor: Executor | None = None) -> Design:

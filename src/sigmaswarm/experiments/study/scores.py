@@ -3,12 +3,17 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.experiments.study.config import TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.record import Variant
+from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, datasheet
@@ -16,11 +21,6 @@ from sigmaswarm.scoring.batch import Replayer, Scores
 from sigmaswarm.scoring.evaluation import score_imu_only
 from sigmaswarm.scoring.score import Score, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH
-from sigmaswarm.study.config import TUNED
-from sigmaswarm.study.design import Design, Task
-
-UNTUNED = "untuned"
-"""The protocol of methods that nothing is tuned for."""
 
 LABELS = {
     "imu-only": "IMU only",
@@ -39,7 +39,7 @@ LABELS = {
 }
 """All methods, and what people call them."""
 
-MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
+STUDY_MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
     "position_rmse_m": ("position RMSE against truth, m", lambda s: s.position_rmse),
     "gps_rmse_m": ("RMSE against the absorbed GPS (equation 4), m", lambda s: s.fix_rmse),
     "heading_rmse_deg": ("heading error, deg", lambda s: np.degrees(s.heading_rmse)),
@@ -47,9 +47,6 @@ MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
     "nis": ("mean NIS, 2 where the filter is consistent", lambda s: s.mean_nis),
 }
 """What is measured on each drive, and how it is taken from the compiled scores."""
-
-Cell = tuple[str, str]
-"""Protocol and method."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +61,7 @@ class ScoreTable:
     """
 
     design: Design
-    values: Mapping[Cell, Mapping[str, Array]]
+    values: Mapping[Variant, Mapping[str, Array]]
 
     def to_frame(self) -> pl.DataFrame:
         """The long table: protocol, trial, method, drive, maneuver, environment, measure, value."""
@@ -88,6 +85,10 @@ class ScoreTable:
         order = ("protocol", "trial", "method", "drive", "maneuver", "environment", "measure", "value")
         return pl.concat(parts).select(order)
 
+    def write(self, folder: Path) -> None:
+        """Write scores.csv."""
+        write_whole(folder / "scores.csv", self.to_frame().write_csv())
+
 
 def manual(method: str, drive: Drive) -> FilterParameters:
     """The parameters of an untuned filter for a drive."""
@@ -102,14 +103,14 @@ def score_all(
     design: Design, parameters: Mapping[Task, FilterParameters], executor: Executor | None = None
 ) -> ScoreTable:
     """Score every method on the drives that each trial held back."""
-    replayer = Replayer(design.drives, outages=True, outage_seed=design.config.seed)
+    replayer = Replayer(design.prepared, outages=True, outage_seed=design.config.seed)
     trials = design.config.trials
     tested = np.zeros((trials, len(design.drives)), dtype=np.bool_)
     for trial in range(trials):
         tested[trial, design.split(trial)[1]] = True
-    values: dict[Cell, dict[str, Array]] = {}
+    values: dict[Variant, dict[str, Array]] = {}
     for method in LABELS:
-        if method not in TUNED:
+        if method not in TUNED_METHODS:
             once = _untuned(method, design, replayer, executor)
             values[UNTUNED, method] = {m: np.where(tested, row, np.nan) for m, row in once.items()}
     for protocol, method in dict.fromkeys((task.protocol, task.method) for task in parameters):
@@ -123,7 +124,7 @@ def _tuned(
     parameters: Mapping[Task, FilterParameters], design: Design, replayer: Replayer, executor: Executor | None
 ) -> dict[str, Array]:
     """Scores of one tuned method, shape (trials, drives): on each drive the filter of its own group."""
-    found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in MEASURES}
+    found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in STUDY_MEASURES}
     for group in design.groups:
         own = {task.trial: p for task, p in parameters.items() if task.group == group}
         members = design.members(group)
@@ -137,12 +138,11 @@ def _untuned(method: str, design: Design, replayer: Replayer, executor: Executor
     """Scores of an untuned method on all drives, shape (drives,)."""
     if method in ("imu-only", "raw-gps"):
         score = _imu_only if method == "imu-only" else _raw_gps
-        pairs = zip(design.drives, replayer.initial, strict=True)
-        return _of_scores([score(drive, initial, design.config.seed) for drive, initial in pairs])
+        return _of_scores([score(ready, design.config.seed) for ready in design.prepared])
     by_set: dict[FilterParameters, list[int]] = {}
     for i, drive in enumerate(design.drives):
         by_set.setdefault(manual(method, drive), []).append(i)
-    found = {m: np.full(len(design.drives), np.nan) for m in MEASURES}
+    found = {m: np.full(len(design.drives), np.nan) for m in STUDY_MEASURES}
     for parameters, members in by_set.items():
         for measure, values in _measured(replayer.subset(members).scores([parameters], executor)).items():
             found[measure][members] = values[0]
@@ -150,7 +150,7 @@ def _untuned(method: str, design: Design, replayer: Replayer, executor: Executor
 
 
 def _measured(scores: Scores) -> dict[str, Array]:
-    return {m: np.where(scores.failed, np.inf, take(scores)) for m, (_, take) in MEASURES.items()}
+    return {m: np.where(scores.failed, np.inf, take(scores)) for m, (_, take) in STUDY_MEASURES.items()}
 
 
 def _of_scores(scores: list[Score]) -> dict[str, Array]:
@@ -162,13 +162,13 @@ def _of_scores(scores: list[Score]) -> dict[str, Array]:
     }
 
 
-def _raw_gps(drive: Drive, initial: InitialState, _: int) -> Score:
-    return replace(score_raw_gps(drive, initial), fix_rmse=0.0)  # it is what equation 4 compares with
+def _raw_gps(ready: PreparedDrive, _: int) -> Score:
+    return replace(score_raw_gps(ready.drive, ready.initial), fix_rmse=0.0)  # what equation 4 compares with
 
 
-def _imu_only(drive: Drive, initial: InitialState, seed: int) -> Score:
-    estimate = run_imu_only(drive, initial=initial)
-    gps = drive.gps.select((drive.gps.time > initial.time) & (drive.gps.time <= estimate.time[-1]))
+def _imu_only(ready: PreparedDrive, seed: int) -> Score:
+    drive, estimate = ready.drive, run_imu_only(ready)
+    gps = drive.gps.select((drive.gps.time > ready.initial.time) & (drive.gps.time <= estimate.time[-1]))
     x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
     residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
     return replace(score_imu_only(drive, estimate, OUTAGE_LENGTH, seed), fix_rmse=residual)

@@ -7,12 +7,12 @@ A folder of a comparison holds
     times.csv         CPU seconds of each run: the only file that differs from one time to the next
 """
 
-import json
 import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Unpack
@@ -20,16 +20,16 @@ from typing import Any, Unpack
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive, listed
-from sigmaswarm.errors import InputError
-from sigmaswarm.files import write_json, write_whole
-from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.contenders import Contender, budget, contenders
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.experiments.compare.contenders import Contender, budget, contenders
+from sigmaswarm.experiments.compare.record import Comparison, Outcome
+from sigmaswarm.experiments.grid import Tell, run_grid
+from sigmaswarm.files import write_whole
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
-from sigmaswarm.tuning.problem import CarProblem
+from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
-from sigmaswarm.tuning.summary import Comparison, Run
-from sigmaswarm.tuning.tune import objective_for, tune
+from sigmaswarm.tuning.tune import objective_for, tune_problem, tuning_folder
 from sigmaswarm.versions import versions
 
 
@@ -85,27 +85,24 @@ def compare(
             raise InputError(f"{name}: is what is compared; use {name}s instead")
     objective = objective_for([*drives, *held_out], config.get("objective", "auto"))
     rivals = contenders(optimizers, scales, {**config, "objective": objective})
-    asked = _asked(rivals, seeds, drives, held_out)
-    with TemporaryDirectory() as scratch:
+    problem = car_problem(drives, rivals[0].config)
+    beside = problem.on(held_out) if held_out else None
+    if problem.objective.warning:
+        warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
+    asked = _asked(rivals, seeds, problem, beside)
+    cells = [_Run(rival, seed) for seed in range(seeds) for rival in rivals]
+    with TemporaryDirectory() as scratch, ThreadPoolExecutor(workers) as pool:
         folder = ResultFolder(Path(scratch if out is None else out), asked, resume=resume or out is None)
-        job = _Job(drives, held_out, folder.path, threading.Lock())
-        pairs = [(rival, seed) for seed in range(seeds) for rival in rivals]
-        with ThreadPoolExecutor(workers) as pool:
-            futures = [pool.submit(job.run, rival, seed) for rival, seed in pairs]
-            try:
-                for done, future in enumerate(futures, 1):
-                    future.result()
-                    if progress:
-                        progress(done, len(futures))
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
-        runs = {
-            (rival.label, seed): future.result() for (rival, seed), future in zip(pairs, futures, strict=True)
-        }
+        job = _Job(_searched(problem, rivals), beside, folder.path, threading.Lock())
+
+        def told(done: int, total: int, _: object) -> None:
+            if progress:
+                progress(done, total)
+
+        outcomes = run_grid(cells, job.run, pool, progress=told)
     return Comparison(
         contenders=tuple(rivals),
-        runs={r.label: tuple(runs[r.label, seed] for seed in range(seeds)) for r in rivals},
+        runs={r.label: tuple(outcomes[_Run(r, seed)] for seed in range(seeds)) for r in rivals},
         budget=budget(rivals[0].config),
         steps_per_set=asked["steps_per_set"],
         drives=tuple(drive.name for drive in drives),
@@ -114,78 +111,75 @@ def compare(
 
 
 def _asked(
-    rivals: Sequence[Contender], seeds: int, drives: Sequence[Drive], held_out: Sequence[Drive]
+    rivals: Sequence[Contender], seeds: int, problem: CarProblem, beside: CarProblem | None
 ) -> dict[str, Any]:
-    """What is compared on what; all that the user could have got wrong is found here, before any work is done."""
-    problem = CarProblem(drives, rivals[0].config)
-    beside = problem.on(held_out).data if held_out else []
+    """What is compared on what: config.json."""
     return {
         "compared": {rival.label: rival.config.model_dump(mode="json", exclude={"seed"}) for rival in rivals},
         "seeds": seeds,
         "data": problem.data,
-        "test": beside,
+        "test": beside.data if beside else [],
         "steps_per_set": int(problem.steps.sum()),
         "versions": versions(),
     }
 
 
-class _Here(Executor):
-    """Runs everything at once in the thread that asks: the threads are busy with whole tunings."""
+def _searched(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
+    """What each contender minimizes: on drives that all of them share, in the box of its own scale."""
+    interval = usual_interval(problem.replayer.drives)
+    spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
+    return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args, **kwargs))
-        return future
+
+@dataclass(frozen=True)
+class _Run:
+    """A contender with one of the seeds."""
+
+    rival: Contender
+    seed: int
 
 
 @dataclass(frozen=True)
 class _Job:
     """The runs of a comparison."""
 
-    drives: Sequence[Drive]
-    held_out: Sequence[Drive]
+    problems: Mapping[Contender, CarProblem]
+    held_out: CarProblem | None
     folder: Path
     lock: threading.Lock
 
-    def run(self, rival: Contender, seed: int) -> Run:
+    def run(self, asked: _Run, tell: Tell) -> Outcome:
         """One tuning and its held-out scores, or what is known of it from before."""
-        folder = self.folder / "runs" / f"{rival.folder}-{seed:03d}"
-        if (folder / "run.json").exists():
-            return _read(folder / "run.json")
-        fresh, start = not folder.exists(), time.thread_time()
-        config: dict[str, Any] = rival.config.model_dump() | {"seed": seed}
-        tuning = tune(self.drives, out=folder, resume=True, executor=_Here(), **config)  # pyright: ignore
-        found = _judged(tuning, self.held_out)
-        if fresh:  # of a run that was interrupted only the last part is known
-            self._note(rival, seed, time.thread_time() - start)
-        write_json(folder / "run.json", found.to_dict())
-        return _read(folder / "run.json")
+        folder = self.folder / "runs" / f"{asked.rival.folder}-{asked.seed:03d}"
+        file = folder / "run.json"
+        if not file.exists():
+            fresh, start = not folder.exists(), time.thread_time()
+            problem = self.problems[asked.rival]
+            config = problem.config.model_copy(update={"seed": asked.seed})
+            kept = tuning_folder(folder, problem, config, resume=True)
+            tuning = tune_problem(problem, config, folder=kept, progress=lambda _: tell(0))
+            outcome = _outcome(tuning, self.held_out)
+            if fresh:  # of a run that was interrupted only the last part is known
+                self._note(asked, time.thread_time() - start)
+            outcome.write(file)
+        return Outcome.read(file)
 
-    def _note(self, rival: Contender, seed: int, seconds: float) -> None:
+    def _note(self, run: _Run, seconds: float) -> None:
         file = self.folder / "times.csv"
         with self.lock:
             known = file.read_text() if file.exists() else "optimizer,scale,seed,cpu_seconds\n"
-            write_whole(file, known + f'"{rival.name}",{rival.scale},{seed},{seconds:.3f}\n')
+            write_whole(file, known + f'"{run.rival.name}",{run.rival.scale},{run.seed},{seconds:.3f}\n')
 
 
-def _judged(tuning: Tuning, held_out: Sequence[Drive]) -> Run:
+def _outcome(tuning: Tuning, held_out: CarProblem | None) -> Outcome:
     """A tuning's costs, and its scores on drives that it never saw."""
     cost = rmse = heading = None
     if held_out:
-        c = tuning.config
-        batch = run_batch(
-            held_out,
-            [tuning.parameters],
-            objective=c.objective,
-            worst=c.worst,
-            outage_seed=getattr(c, "outage_seed", 0),
-            executor=_Here(),
-        )
-        cost = float(batch.costs[0])
-        rmse = _mean([score.position_rmse for score in batch.scores[0]])
-        heading = _mean([float(np.degrees(score.heading_rmse)) for score in batch.scores[0]])
+        scores = held_out.replayer.scores([tuning.parameters])
+        cost = float(held_out.objective.costs(scores, tuning.config.worst)[0])
+        rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
     evaluations, steps, best = _history(tuning)
-    return Run(
+    return Outcome(
         cost=tuning.cost,
         held_out_cost=cost,
         held_out_rmse=rmse,
@@ -213,13 +207,5 @@ def _history(tuning: Tuning) -> tuple[list[int], list[int], list[float]]:
     return evaluations, steps, np.minimum.accumulate(np.concatenate(best)).tolist()
 
 
-def _mean(values: list[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if len(known) == len(values) else None
-
-
-def _read(file: Path) -> Run:
-    try:
-        return Run.from_dict(json.loads(file.read_text()))
-    except (OSError, ValueError, TypeError, KeyError):
-        raise InputError(f"{file}: not a readable result; delete it to redo this run") from None
+def _mean(values: Array) -> float | None:
+    return float(np.mean(values)) if np.isfinite(values).all() else None

@@ -1,6 +1,5 @@
 """`compare`: each run is a tuning, resumed to the same bytes, and the statistics are those of the textbooks."""
 
-import itertools
 import shutil
 import signal
 import subprocess
@@ -11,18 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.stats import binom
 
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.report.comparison_figure import save_comparison
+from sigmaswarm.experiments.compare.record import FEWEST_SEEDS, Comparison
+from sigmaswarm.experiments.compare.run import compare
+from sigmaswarm.experiments.statistics import holm, signed_rank
+from sigmaswarm.report.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.comparison import compare
-from sigmaswarm.tuning.paired import holm, median_interval, wilcoxon
-from sigmaswarm.tuning.summary import FEWEST_SEEDS, Comparison
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -126,14 +124,17 @@ def test_the_tables_say_what_the_runs_were(whole):
     assert (row["cost_low"], row["cost_high"], row["cost_worst"]) == (min(costs), max(costs), max(costs))
     assert comparison.frame["cost_p"][0] is None
     raw = [
-        wilcoxon(comparison.values(c.label, "cost"), comparison.values("pso, log10", "cost"))
+        signed_rank(comparison.values(c.label, "cost"), comparison.values("pso, log10", "cost"))
         for c in comparison.contenders[1:]
     ]
-    assert comparison.frame["cost_p"].to_list()[1:] == holm(np.array(raw)).tolist()
+    assert comparison.frame["cost_p"].to_list()[1:] == holm(raw)
     said = (folder / "comparison.md").read_text()
     assert "3 seeds, 24 evaluations each" in said
     assert said.endswith("\n\nToo few seeds for a test: 6 or more.\n")
-    assert ", p - |" in said and "p = " not in said
+    header, _, _, random, *_ = (line.split(" | ") for line in said.splitlines())
+    low, middle, high = sorted(costs)
+    assert random[2:5] == [f"{middle:.4g} [{low:.4g}, {high:.4g}]", f"{high:.4g}", "-"]
+    assert header[2:5] == ["training cost [95%]", "worst", "p"]
     assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 24
 
 
@@ -141,10 +142,11 @@ def test_with_enough_seeds_the_table_has_tests(whole):
     few = whole[0]
     enough = replace(few, runs={label: runs * 2 for label, runs in few.runs.items()})
     assert enough.seeds == 6 == FEWEST_SEEDS
-    assert "p = " in enough.markdown()
-    assert "Too few" not in enough.markdown() and "p -" not in enough.markdown()
-    assert wilcoxon(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
-    assert wilcoxon(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05
+    table = comparison_table(enough)
+    assert "Too few" not in table.to_markdown()
+    assert [row[5] for row in table.table.rows] == enough.frame["cost_p"].to_list()
+    assert signed_rank(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
+    assert signed_rank(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05
 
 
 def test_the_curves_are_a_naive_count(whole):
@@ -159,40 +161,16 @@ def test_the_curves_are_a_naive_count(whole):
     assert rows.row(0, named=True)["median"] == np.inf
 
 
-# --- Statistics ---------------------------------------------------------------------------------------------
+def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
+    aligned: list[str] = []
 
+    def counted(drive: Drive) -> InitialState:
+        aligned.append(drive.name)
+        return initial_state(drive)
 
-@pytest.mark.parametrize("n", [1, 3, 5, 6, 10, 20, 37])
-def test_the_interval_covers_the_median_and_no_narrower_one_does(n: int):
-    low, high = median_interval(np.random.default_rng(n).permutation(n).astype(float))
-    cut = int(low)
-    assert high == n - 1 - cut
-    assert 1 - 2 * binom.cdf(cut - 1, n, 0.5) >= 0.95 or cut == 0
-    assert 1 - 2 * binom.cdf(cut, n, 0.5) < 0.95
-
-
-@given(st.lists(st.integers(-50, 50), min_size=2, max_size=9, unique_by=abs).filter(lambda v: 0 not in v))
-def test_the_paired_test_against_all_signs(differences: list[int]):
-    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
-    total = sum(r for r, d in zip(ranks, differences, strict=True) if d > 0)
-    sums = [sum(r for r, s in zip(ranks, signs, strict=True) if s) for signs in
-            itertools.product((0, 1), repeat=len(ranks))]  # fmt: skip
-    extreme = min(np.mean(np.array(sums) <= total), np.mean(np.array(sums) >= total))
-    ours = np.array(differences, float)
-    assert wilcoxon(ours, np.zeros(len(ours))) == pytest.approx(min(1.0, 2 * extreme))
-
-
-def test_the_paired_test_with_ties_and_failures():
-    assert wilcoxon(np.ones(5), np.ones(5)) == 1.0
-    failing = np.array([np.inf] * 10)
-    assert wilcoxon(failing, np.arange(10.0)) < 0.01
-    assert wilcoxon(failing, failing) == 1.0
-
-
-def test_holm_as_in_the_textbook():
-    assert holm(np.array([0.01, 0.04, 0.03, 0.005])).tolist() == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm(np.array([0.9, 0.8])).tolist() == [1.0, 1.0]
-    assert holm(np.array([])).tolist() == []
+    monkeypatch.setattr("sigmaswarm.drives.prepared.initial_state", counted)
+    compare(DRIVES, test=HELD_OUT, optimizers=("pso", "random"), seeds=2, particles=4, generations=1)
+    assert sorted(aligned) == ["d0", "d1", "other"]
 
 
 # --- Mistakes ------------------------------------------------------------------------------------------------

@@ -1,33 +1,37 @@
-"""What a comparison of optimizers found, and its tables."""
+"""The record of a comparison of optimizers: every tuning's outcome, and their statistics."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.tuning.contenders import Contender
-from sigmaswarm.tuning.paired import holm, median_interval, wilcoxon
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.compare.contenders import Contender
+from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
+from sigmaswarm.files import write_json, write_whole
 
 FEWEST_SEEDS = 6
 """With fewer pairs a two-sided signed-rank test can't reach 5%: its lowest p is 2^(1 - pairs)."""
 
-MEASURES = {
+COMPARED = {
     "cost": "training cost",
     "held_out_cost": "held-out cost",
     "held_out_rmse": "held-out RMSE, m",
     "held_out_heading": "held-out heading error, deg",
 }
-"""What is compared; lower wins."""
+"""What is compared of the outcomes; lower wins."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """One tuning of a comparison.
+class Outcome:
+    """What one tuning of a comparison came to: run.json.
 
     Attributes
     ----------
@@ -57,14 +61,24 @@ class Run:
     history_steps: tuple[int, ...]
     history_best: tuple[float, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain types."""
-        return asdict(self)
+    def write(self, file: Path) -> None:
+        """Write run.json."""
+        write_json(file, asdict(self))
 
     @classmethod
-    def from_dict(cls, table: dict[str, Any]) -> "Run":
-        """What `to_dict` made."""
-        return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})  # pyright: ignore
+    def read(cls, file: Path) -> "Outcome":
+        """Read what `write` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read.
+        """
+        try:
+            table: dict[str, Any] = json.loads(file.read_text())
+            return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})  # pyright: ignore
+        except (OSError, ValueError, TypeError, AttributeError):
+            raise InputError(f"{file}: not a readable result; delete it to redo this run") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +89,8 @@ class Comparison:
     ----------
     contenders : tuple of Contender
         The first one is the reference.
-    runs : mapping of a contender's label to tuple of Run
-        One run for each seed.
+    runs : mapping of a contender's label to tuple of Outcome
+        One for each seed.
     budget : int
         Evaluations that each run could take.
     steps_per_set : int
@@ -86,7 +100,7 @@ class Comparison:
     """
 
     contenders: tuple[Contender, ...]
-    runs: Mapping[str, tuple[Run, ...]]
+    runs: Mapping[str, tuple[Outcome, ...]]
     budget: int
     steps_per_set: int
     drives: tuple[str, ...]
@@ -106,13 +120,7 @@ class Comparison:
     def measures(self) -> tuple[str, ...]:
         """The measures that are known of at least one run."""
         every = [run for runs in self.runs.values() for run in runs]
-        return tuple(m for m in MEASURES if any(getattr(run, m) is not None for run in every))
-
-    @property
-    def _columns(self) -> list[str]:
-        """The measures for people, who need not read the same twice where the objective is the RMSE."""
-        same = all(c.config.objective == "truth-rmse" for c in self.contenders)
-        return [m for m in self.measures if not (same and m == "held_out_cost")]
+        return tuple(m for m in COMPARED if any(getattr(run, m) is not None for run in every))
 
     @cached_property
     def frame(self) -> pl.DataFrame:
@@ -124,8 +132,8 @@ class Comparison:
         for measure in self.measures:
             reference = self.values(self.contenders[0].label, measure)
             others = [self.values(c.label, measure) for c in self.contenders[1:]]
-            corrected = holm(np.array([wilcoxon(other, reference) for other in others], dtype=np.float64))
-            for row, p in zip(rows, [None, *corrected.tolist()], strict=True):
+            corrected = holm([signed_rank(other, reference) for other in others])
+            for row, p in zip(rows, [None, *corrected], strict=True):
                 row[f"{measure}_p"] = p
         return pl.DataFrame(rows, infer_schema_length=None)
 
@@ -150,7 +158,7 @@ class Comparison:
         """One row for each run."""
         rows = [
             {"optimizer": c.name, "scale": c.scale, "seed": seed}
-            | {m: getattr(run, m) for m in MEASURES}
+            | {m: getattr(run, m) for m in COMPARED}
             | {
                 "evaluations": run.evaluations,
                 "failures": run.failures,
@@ -160,7 +168,7 @@ class Comparison:
             for c in self.contenders
             for seed, run in enumerate(self.runs[c.label])
         ]
-        return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
+        return pl.DataFrame(rows, schema_overrides=dict.fromkeys(COMPARED, pl.Float64))
 
     @cached_property
     def curves(self) -> pl.DataFrame:
@@ -181,44 +189,15 @@ class Comparison:
             rows += [who | dict(zip(names, row, strict=True)) for row in np.transpose(columns).tolist()]
         return pl.DataFrame(rows)
 
-    def _reached(self, run: Run, grid: Array) -> Array:
+    def write(self, folder: Path) -> list[Path]:
+        """Write comparison.csv, runs.csv and curves.csv; their paths."""
+        frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
+        for name, frame in frames.items():
+            write_whole(folder / name, frame.write_csv())
+        return [folder / name for name in frames]
+
+    def _reached(self, run: Outcome, grid: Array) -> Array:
         """The lowest cost of a run by the time that so much is spent; ``inf`` before its first generation is over."""
         spent = np.array(run.history_steps) / self.steps_per_set
         best = np.array([np.inf, *run.history_best])
         return best[np.searchsorted(spent, grid * (1 + 1e-12), side="right")]
-
-    def markdown(self) -> str:
-        """The table for people: medians with intervals and the worst run, beside what the tests say."""
-        titles = ["optimizer", "scale", *(MEASURES[m] for m in self._columns), "steps", "touched bounds"]
-        lines = [titles, ["---"] * len(titles)]
-        for row in self.frame.iter_rows(named=True):
-            cells = [_cell(row, measure, tested=self.seeds >= FEWEST_SEEDS) for measure in self._columns]
-            touched = row["touched_bounds"].replace(" ", ", ") or "-"
-            lines.append(
-                [f"`{row['optimizer']}`", row["scale"], *cells, f"{row['steps_share']:.0%}", touched]
-            )
-        return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n\n" + self._note() + "\n"
-
-    def _note(self) -> str:
-        """What the table's figures are."""
-        return (
-            f"{self.seeds} seeds, {self.budget} evaluations each. Median [95% interval of the median], worst run, "
-            f"and p: paired Wilcoxon test against {self.contenders[0].label}, corrected after Holm over the rows. "
-            "Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
-            f"parameter ended on a bound. Trained on {', '.join(self.drives)}; "
-            f"held out: {', '.join(self.test) or 'none'}."
-            + ("" if self.seeds >= FEWEST_SEEDS else f"\n\nToo few seeds for a test: {FEWEST_SEEDS} or more.")
-        )
-
-
-def _cell(row: dict[str, Any], measure: str, *, tested: bool) -> str:
-    middle, low, high, worst, p = (
-        row[f"{measure}_{part}"] for part in ("median", "low", "high", "worst", "p")
-    )
-    if p is None:
-        said = ""
-    elif not tested:
-        said = ", p -"
-    else:
-        said = f", p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}"
-    return f"{middle:.4g} [{low:.4g}, {high:.4g}], {worst:.4g}{said}"

@@ -1,14 +1,19 @@
 """Statistics against hand calculations on a frozen table of scores, against scipy, and by simulation."""
 
+import itertools
 import math
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
+from scipy.stats import binom
 
-from sigmaswarm.study import statistics as s
+from sigmaswarm.experiments import statistics as s
+from sigmaswarm.experiments.study.results import compare_paired, summarize
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from study_coverage import coverage
@@ -35,7 +40,7 @@ def test_means_by_hand():
 
 
 def test_the_summary_by_hand():
-    found = s.summarize(FROZEN, STRATA, 2 / 3, rng())
+    found = summarize(FROZEN, STRATA, 2 / 3, rng())
     mean, sd = 10 / 3, math.sqrt(((2 - 10 / 3) ** 2 + (3.5 - 10 / 3) ** 2 + (4.5 - 10 / 3) ** 2) / 2)
     assert found.mean == pytest.approx(mean)
     assert found.sd == pytest.approx(sd)
@@ -132,7 +137,7 @@ def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
     for trial in range(3):
         held_out = 4 * np.arange(25) + chance.integers(0, 4, 25)
         values[trial, held_out] = (level * chance.uniform(0.9, 1.1, 25))[strata[held_out]]
-    found = s.summarize(values, [str(k) for k in strata], 1 / 3, rng())
+    found = summarize(values, [str(k) for k in strata], 1 / 3, rng())
     low, high = found.bootstrap_interval
     assert low < found.mean < high
     assert high - low < 0.2 * found.mean  # as drives of a condition differ, not as conditions do
@@ -140,15 +145,15 @@ def test_in_a_small_study_the_interval_is_around_the_mean(seed: int):
 
 def test_a_failed_filter_has_no_intervals():
     failed = np.where(FROZEN == 6.0, np.inf, FROZEN)
-    found = s.summarize(failed, STRATA, 2 / 3, rng())
-    assert found.mean == math.inf
-    assert all(math.isnan(x) for x in (*found.corrected_t_interval, *found.bootstrap_interval, found.sd))
+    found = summarize(failed, STRATA, 2 / 3, rng())
+    assert found.mean is found.sd is None
+    assert found.corrected_t_interval == found.bootstrap_interval == (None, None)
 
 
 def test_the_comparison_by_hand():
     tuned = np.array([[1.0, 2.0, 3.0, 4.0]])
     manual = np.array([[2.0, 5.0, 2.5, 8.0]])
-    found = s.compare(tuned, manual, ["all"] * 4, rng())
+    found = compare_paired(tuned, manual, ["all"] * 4, rng())
     assert found.mean_difference == pytest.approx((-1 - 3 + 0.5 - 4) / 4)
     assert found.improvement == pytest.approx(100 * (4.375 - 2.5) / 4.375)  # eq. 5
     # ranks of |difference|: 0.5 is 1 (worse), 1 is 2, 3 is 3, 4 is 4 (better): (9 - 1) / 10
@@ -167,14 +172,42 @@ def test_the_paper_s_improvement():
 def test_only_drives_that_both_were_tested_on_are_compared():
     other = np.where(np.isnan(FROZEN), NAN, FROZEN + 1)
     other[:, 3] = NAN
-    assert s.compare(FROZEN, other, STRATA, rng()).n_drives == 3
-    assert s.compare(FROZEN, FROZEN, STRATA, rng()).p == 1.0
+    assert compare_paired(FROZEN, other, STRATA, rng()).n_drives == 3
+    assert compare_paired(FROZEN, FROZEN, STRATA, rng()).p == 1.0
+
+
+@pytest.mark.parametrize("n", [1, 3, 5, 6, 10, 20, 37])
+def test_the_interval_covers_the_median_and_no_narrower_one_does(n: int):
+    low, high = s.median_interval(np.random.default_rng(n).permutation(n).astype(float))
+    cut = int(low)
+    assert high == n - 1 - cut
+    assert 1 - 2 * binom.cdf(cut - 1, n, 0.5) >= 0.95 or cut == 0
+    assert 1 - 2 * binom.cdf(cut, n, 0.5) < 0.95
+
+
+@given(st.lists(st.integers(-50, 50), min_size=2, max_size=9, unique_by=abs).filter(lambda v: 0 not in v))
+def test_the_paired_test_against_all_signs(differences: list[int]):
+    ranks = np.argsort(np.argsort(np.abs(differences))) + 1
+    total = sum(r for r, d in zip(ranks, differences, strict=True) if d > 0)
+    sums = [sum(r for r, up in zip(ranks, signs, strict=True) if up) for signs in
+            itertools.product((0, 1), repeat=len(ranks))]  # fmt: skip
+    extreme = min(np.mean(np.array(sums) <= total), np.mean(np.array(sums) >= total))
+    ours = np.array(differences, float)
+    assert s.signed_rank(ours, np.zeros(len(ours))) == pytest.approx(min(1.0, 2 * extreme))
+
+
+def test_the_paired_test_with_ties_and_failures():
+    assert s.signed_rank(np.ones(5), np.ones(5)) == 1.0
+    failing = np.array([np.inf] * 10)
+    assert s.signed_rank(failing, np.arange(10.0)) < 0.01
+    assert s.signed_rank(failing, failing) == 1.0
 
 
 def test_holm_by_hand():
     # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1: 0.04, 0.06, 0.06, 0.04, and never below the one before.
     assert s.holm([0.03, 0.01, 0.04, 0.02]) == pytest.approx([0.06, 0.04, 0.06, 0.06])
-    assert s.holm([0.5, 0.9]) == [1.0, 1.0]
+    assert s.holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert s.holm([0.9, 0.8]) == [1.0, 1.0]
     assert s.holm([]) == []
 
 

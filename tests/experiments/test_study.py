@@ -11,14 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sigmaswarm.drives import alignment
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.report.study_figures import save_study_figures
-from sigmaswarm.report.study_tracks import save_study_tracks
-from sigmaswarm.study.config import StudyConfig, read_config
-from sigmaswarm.study.design import Design, make_design
-from sigmaswarm.study.run import Study, run_study
+from sigmaswarm.experiments.study.config import StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Design, make_design
+from sigmaswarm.experiments.study.run import Study, run_study
+from sigmaswarm.report.study import save_study
 from sigmaswarm.tuning.search import Search
+from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
 
 TINY = StudyConfig(
@@ -36,8 +39,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study that nobody interrupted, on one worker."""
     study = run_study(TINY, tmp_path_factory.mktemp("study") / "whole", workers=1)
-    save_study_figures(study, study.folder / "figures")
-    save_study_tracks(study, study.folder)
+    save_study(study, study.folder)
     return study
 
 
@@ -53,8 +55,8 @@ def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Pat
     script.write_text(
         "import os, signal, sys\n"
         "from pathlib import Path\n"
-        "from sigmaswarm.study.config import read_config\n"
-        "from sigmaswarm.study.run import run_study\n"
+        "from sigmaswarm.experiments.study.config import read_config\n"
+        "from sigmaswarm.experiments.study.run import run_study\n"
         "left = int(sys.argv[1])\n"
         "def tell(_):\n"
         "    global left\n"
@@ -69,8 +71,7 @@ def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Pat
         ended = subprocess.run([sys.executable, str(script), str(draw.randint(1, 5))], check=False)
         assert ended.returncode == -signal.SIGKILL
     study = run_study(TINY, out, resume=True)
-    save_study_figures(study, out / "figures")
-    save_study_tracks(study, out)
+    save_study(study, study.folder)
     assert contents(out) == contents(whole.folder)
 
 
@@ -78,8 +79,7 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     before = contents(whole.folder)
     monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
     again = run_study(TINY, whole.folder, resume=True)
-    save_study_figures(again, whole.folder / "figures")
-    save_study_tracks(again, whole.folder)
+    save_study(again, again.folder)
     assert contents(whole.folder) == before
 
 
@@ -133,7 +133,7 @@ def test_results_can_be_found_again_in_the_scores(whole: Study):
 def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
     raw = whole.results.summary("untuned", "raw-gps", "gps_rmse_m")
     assert raw is not None
-    assert raw["mean"] == 0.0
+    assert raw.mean == 0.0
 
 
 def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
@@ -143,14 +143,14 @@ def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
     assert (tmp_path / "out" / "best" / "honest-pso-ukf-turns-clear.toml").exists()
     summary = study.results.summary("honest", "pso-ukf", "position_rmse_m")
     assert summary is not None
-    assert summary["n_drives"] >= 2
+    assert summary.n_drives >= 2
 
 
 def test_a_user_s_own_drives(tmp_path: Path, design: Design):
     for drive in design.drives[:3]:
         write_drive(drive, tmp_path / "drives" / drive.name)
     config = TINY.model_copy(update={"drives": (str(tmp_path / "drives"),), "generations": 1})
-    assert run_study(config, tmp_path / "out").results.content["drives"]["count"] == 3
+    assert run_study(config, tmp_path / "out").results.drives.count == 3
 
 
 def test_a_study_goes_on_only_with_what_it_was_asked_for(whole: Study, tmp_path: Path):
@@ -186,3 +186,27 @@ def test_drives_without_truth_are_refused(tmp_path: Path, design: Design):
         (tmp_path / "drives" / drive.name / "truth.csv").unlink()
     with pytest.raises(InputError, match="has no truth"):
         make_design(TINY.model_copy(update={"drives": (str(tmp_path / "drives"),)}))
+
+
+def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By search, scores, tracks, pictures and timings together; and no search space is made twice."""
+    aligned: list[str] = []
+    spaces: list[tuple[object, ...]] = []
+
+    def counted(drive: Drive) -> InitialState:
+        aligned.append(drive.name)
+        return initial_state(drive)
+
+    def made(*asked: object, **more: object) -> SearchSpace:
+        spaces.append((*asked, *more.values()))
+        return search_space(*asked, **more)
+
+    monkeypatch.setattr("sigmaswarm.drives.prepared.initial_state", counted)
+    monkeypatch.setattr("sigmaswarm.tuning.problem.search_space", made)
+    for module in [m for name, m in sys.modules.items() if name.startswith("sigmaswarm.")]:
+        if getattr(module, "initial_state", None) is initial_state and module is not alignment:
+            monkeypatch.setattr(module, "initial_state", counted)
+    study = run_study(TINY.model_copy(update={"generations": 1}), tmp_path / "out")
+    save_study(study, study.folder)
+    assert sorted(aligned) == sorted(drive.name for drive in study.design.drives)
+    assert len(spaces) == len(set(spaces)) == 5

@@ -1,4 +1,4 @@
-"""What a study is asked for: one TOML file, saved with its results."""
+"""The configuration of a study: one TOML file, saved with its results."""
 
 import tomllib
 from pathlib import Path
@@ -14,20 +14,37 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.space import Scale
 
+ALL = "all"
+"""The pool of all conditions, and the maneuver or environment of a drive that names none."""
+UNTUNED = "untuned"
+"""The protocol of methods that nothing is tuned for."""
+MAIN = "pso-ukf"
+"""The paper's method, which all others are compared with."""
 ProtocolName = Literal["paper", "honest"]
-PROTOCOLS: dict[ProtocolName, tuple[str, Scale]] = {
-    "paper": ("gps-rmse", "linear"),
-    "honest": ("truth-rmse", "log10"),
-}
-"""Objective and scale of each protocol; the paper's is its equation 4."""
 
-TUNED: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
+
+class Protocol(BaseModel):
+    """What is minimized under a protocol, and how variances are searched."""
+
+    model_config = ConfigDict(frozen=True)
+
+    objective: str
+    scale: Scale
+
+
+PROTOCOLS: dict[str, Protocol] = {
+    "paper": Protocol(objective="gps-rmse", scale="linear"),
+    "honest": Protocol(objective="truth-rmse", scale="log10"),
+}
+"""The paper's is its equation 4."""
+
+TUNED_METHODS: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
     "pso-ukf": ("ukf", "planar5", ("paper", "honest")),
     "pso-ekf": ("ekf", "planar5", ("honest",)),
     "pso-adaptive-ukf": ("adaptive-ukf", "planar5", ("honest",)),
     "pso-planar8": ("ukf", "planar8", ("honest",)),
 }
-"""What is tuned, and in which protocols; the paper tunes the UKF alone."""
+"""Kind, model and protocols of every tuned method; the paper tunes the UKF alone."""
 
 
 class StudyConfig(BaseModel):
@@ -49,20 +66,19 @@ class StudyConfig(BaseModel):
     trials: int = Field(default=20, ge=2)
     particles: int = Field(default=30, ge=2)
     generations: int = Field(default=50, ge=1)
-    """The first placement of the swarm included: 30 x 50 are 1500 evaluations."""
+    """The first placement included: 30 x 50 are 1500 evaluations."""
     seed: int = Field(default=0, ge=0)
     """Decides drives, splits and swarms."""
     per_condition: bool = False
     """Tune each condition by itself instead of one filter for all of them."""
 
     def tune_config(self, method: str, protocol: ProtocolName) -> TuneConfig:
-        """What one of `TUNED` is asked for under a protocol."""
-        kind, model, _ = TUNED[method]
-        objective, scale = PROTOCOLS[protocol]
+        """What one of `TUNED_METHODS` is asked for under a protocol."""
+        kind, model, _ = TUNED_METHODS[method]
         return TuneConfig(
             optimizer="pso",
-            objective=objective,
-            scale=scale,
+            objective=PROTOCOLS[protocol].objective,
+            scale=PROTOCOLS[protocol].scale,
             particles=self.particles,
             generations=self.generations,
             trials=self.trials,

@@ -1,0 +1,1 @@
+"""Several optimizers with the same budget on the same drives, over many seeds."""

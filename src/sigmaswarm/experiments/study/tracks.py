@@ -1,0 +1,61 @@
+"""Tracks of a study: a few drives that its best trial held back, by the filters that this trial tuned."""
+
+from collections.abc import Mapping
+
+from sigmaswarm.experiments.study.config import ALL, MAIN, ProtocolName
+from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.scores import manual
+from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.scoring.tracks import Picture, Tracker, Tracks
+
+MANUAL = ("ukf-datasheet", "ukf-defaults")
+FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
+    ("honest", MAIN),
+    ("paper", MAIN),
+    ("honest", "pso-ekf"),
+    ("honest", "pso-planar8"),
+)
+"""Protocol and method of the filters whose tracks are kept; a series is called by both, ``honest-pso-ukf``."""
+MOST_DRIVES = 10
+MOST_POINTS = 700
+"""Of a series: with more, the tracks would be most of the page."""
+
+
+def follow(
+    design: Design, parameters: Mapping[Task, FilterParameters], trial: int
+) -> tuple[list[Tracks], Picture]:
+    """Tracks of some of the drives that a trial held back, and of the first one what a printed picture shows."""
+    tracks: list[Tracks] = []
+    pictures: list[Picture] = []
+    for i in shown_drives(design, trial):
+        ready = design.prepared[i]
+        replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=not pictures)
+        tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in FOLLOWED}
+        by_hand = {method: manual(method, ready.drive) for method in MANUAL}
+        for series, one in (tuned | by_hand).items():
+            tracker.record(series, replay, one)
+        tracker.keep_estimate("imu_only", run_imu_only(ready))
+        tracks.append(tracker.tracks(ready.drive.name))
+        if not pictures:
+            pictures.append(tracker.picture(ready.drive.name))
+    return tracks, pictures[0]
+
+
+def shown_drives(design: Design, trial: int) -> list[int]:
+    """Indices of drives that a trial held back: one of each condition, or of each maneuver where these are many.
+
+    Each maneuver's comes from another part of its drives, so that environments differ, too; one that turns comes first.
+    Of drives that name no condition the first ones are taken.
+    """
+    _, test = design.split(trial)
+    named = {i: design.conditions[i] for i in test}
+    if len(set(named.values())) > MOST_DRIVES:
+        named = {i: (maneuver, ALL) for i, (maneuver, _) in named.items()}
+    groups = list(dict.fromkeys(named.values()))[:MOST_DRIVES]
+    if len(groups) == 1:
+        return test[:MOST_DRIVES]
+    members = [[i for i in test if named[i] == group] for group in groups]
+    chosen = [own[k * len(own) // len(groups)] for k, own in enumerate(members)]
+    return sorted(chosen, key=lambda i: design.conditions[i][0] != "turns")

@@ -1,1 +1,0 @@
-"""sigmaswarm.study: the paper's whole experiment, repeated, scored on held-out drives, and put into tables."""
