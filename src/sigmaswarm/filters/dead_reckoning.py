@@ -20,5 +20,7 @@ def run_imu_only(drive: Drive | PreparedDrive, *, initial: InitialState | None =
     v = vx + 1j * vy + np.cumsum(a * line.dt)
     v_before = np.concatenate([[vx + 1j * vy], v[:-1]])
     p = x + 1j * y + np.cumsum(v_before * line.dt + a * line.dt**2 / 2)
-    mean = np.column_stack([p.real, p.imag, v.real, v.imag, wrap_angle(heading)])[line.sampled]
+    del a, before, v_before
+    states = (p.real, p.imag, v.real, v.imag, wrap_angle(heading))
+    mean = np.column_stack([state[line.sampled] for state in states])
     return Estimate(line.imu_time, mean, np.empty(0), initial)

@@ -249,12 +249,12 @@ def _evaluated(
     drive = ready.drive
     filters = compared(drive, tuned)
     tracker = Tracker(ready, picture=True)
-    tracking = tracking_replay(ready)
-    recorded = {method: tracker.record(method, tracking, p) for method, p in filters.items()}
-    imu_only = run_imu_only(ready)
+    imu_only = run_imu_only(ready)  # first: it is held whole, and the filters' targets are not yet there
     tracker.keep_estimate("imu_only", imu_only)
     dead_reckoning = score_imu_only(drive, imu_only, length, seed)
     del imu_only
+    tracking = tracking_replay(ready)
+    recorded = {method: tracker.record(method, tracking, p) for method, p in filters.items()}
     outages = outage_replay(ready, length=length, seed=seed)
     passes = {"tracking": [tracking], "outages": [outages]}
     sums = joined([recording.sums for recording in recorded.values()], axis=1)

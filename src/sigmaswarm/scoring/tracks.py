@@ -152,6 +152,9 @@ class Tracker:
     def _keep_fixes(self) -> None:
         if "raw_gps" in self._thin:
             return
+        for kept in (self._thin, self._fine, self._close):  # after the filters, whenever it was kept
+            if "imu_only" in kept:
+                kept["imu_only"] = kept.pop("imu_only")
         gps = self._ready.drive.gps
         columns = {"time": gps.time, "x": gps.x, "y": gps.y}
         if self._truth is not None:
