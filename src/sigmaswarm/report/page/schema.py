@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, Field, ValidationError
 
 from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.files import finite
 
 End = float | Literal["-"]
 
@@ -99,7 +100,9 @@ def load(kind: type[M], path: Path) -> M:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        return kind.model_validate(tomllib.loads(text) if path.suffix == ".toml" else json.loads(text))
+        return kind.model_validate(
+            tomllib.loads(text) if path.suffix == ".toml" else finite(json.loads(text))
+        )
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; repeat the command that made the folder") from None
     except ValidationError as error:
