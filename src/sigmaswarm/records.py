@@ -8,6 +8,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.files import finite
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -22,7 +23,9 @@ def load_record(kind: type[M], path: Path) -> M:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        return kind.model_validate(tomllib.loads(text) if path.suffix == ".toml" else json.loads(text))
+        return kind.model_validate(
+            tomllib.loads(text) if path.suffix == ".toml" else finite(json.loads(text))
+        )
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; repeat the command that made the folder") from None
     except ValidationError as error:
