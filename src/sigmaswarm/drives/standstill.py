@@ -1,4 +1,4 @@
-"""When does the car stand? Told from the IMU's calm and from fixes that stay where they are; causally.
+"""Standstills of the car, told from the IMU's calm and from fixes that stay where they are; causally.
 
 A smooth road at constant speed is as calm as a standstill, so the fixes must agree; a car that departs is slow for the
 fixes at first, so the IMU must agree. The same functions serve a whole drive and a live filter.
@@ -7,9 +7,9 @@ fixes at first, so the IMU must agree. The same functions serve a whole drive an
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Drive
 
 WINDOW = 1.0
@@ -29,7 +29,7 @@ TURNING = math.radians(1.5)
 
 
 def standing(drive: Drive) -> NDArray[np.bool_]:
-    """Whether the car stands at each IMU sample, shape (n,); from that sample and earlier data only."""
+    """Standstill at each IMU sample, shape (n,); from that sample and earlier data only."""
     imu, gps = drive.imu, drive.gps
     samples = np.column_stack([imu.time, imu.ax, imu.ay, imu.gz])
     calm = np.zeros(len(imu), dtype=np.bool_)
@@ -44,13 +44,13 @@ def standing(drive: Drive) -> NDArray[np.bool_]:
 
 
 def new_floor() -> Array:
-    """How restless ax, ay, gz are when the car is calm, shape (3,); `is_calm` learns it."""
+    """The deviations of ax, ay, gz while the car is calm, shape (3,), still unknown; `is_calm` learns them."""
     return np.full(3, np.inf)
 
 
-@njit(cache=True)
+@cached
 def is_calm(samples: Array, last: int, floor: Array) -> bool:
-    """Whether the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated.
+    """True if the second before row ``last`` is calm; rows are t, ax, ay, gz; ``floor`` is updated.
 
     All three columns in one pass for the means and one for the variances: a live filter asks at each of its samples.
     """
@@ -84,15 +84,15 @@ def is_calm(samples: Array, last: int, floor: Array) -> bool:
     return calm
 
 
-@njit(cache=True)
+@cached
 def _calm_throughout(samples: Array, floor: Array, calm: NDArray[np.bool_]) -> None:
     for k in range(len(samples)):
         calm[k] = is_calm(samples, k, floor)
 
 
-@njit(cache=True)
+@cached
 def fixes_stand(fixes: Array, now: float) -> bool:
-    """Whether a straight line through the last seconds' fixes hardly moves; rows are t, x, y, none after ``now``."""
+    """True if a straight line through the last seconds' fixes hardly moves; rows are t, x, y, none after ``now``."""
     first = 0
     while first < len(fixes) and fixes[first, 0] < now - FIX_WINDOW:
         first += 1

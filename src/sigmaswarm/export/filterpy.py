@@ -71,7 +71,7 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
         decorators = [ast.unparse(d) for d in getattr(node, "decorator_list", [])]
         kept = name is not None and "overload" not in decorators and (names is None or name in names)
         if kept:
-            compiled = any(d.startswith("njit") for d in decorators)
+            compiled = any(d.startswith(("njit", "cached")) for d in decorators)
             first = node.lineno if compiled or not decorators else node.decorator_list[0].lineno  # pyright: ignore
             parts.append("\n".join(lines[first - 1 : node.end_lineno]))
     return "\n\n\n".join(parts)

@@ -19,8 +19,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sigmaswarm.compilation import cached
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ class Vehicle(NamedTuple):
     full_brake: Array  # m/s2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _lookup(x: float, knots: Array, values: Array) -> float:
     """Linear interpolation, constant beyond both ends."""
     if x <= knots[0]:
@@ -100,12 +101,12 @@ def _lookup(x: float, knots: Array, values: Array) -> float:
     return values[-1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _clip(x: float, low: float, high: float) -> float:
     return min(max(x, low), high)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, float, float]:
     """Vertical load on each wheel, N, under the accelerations (m/s2) that the suspension carries."""
     front = car.mass * (GRAVITY * car.rear - car.height * ax) / (car.front + car.rear)
@@ -121,7 +122,7 @@ def _wheel_loads(car: Vehicle, ax: float, ay: float) -> tuple[float, float, floa
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _tire(
     kappa: float,
     alpha: float,
@@ -145,13 +146,13 @@ def _tire(
     return force * slip_x, force * slip_y, slip_x, slip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
     """A tire that already slides does not deflect any further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
     """Torques, N m, that the pedals ask of all motors and of all brakes together.
 
@@ -166,7 +167,7 @@ def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
     return drive * lever, brake * lever
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _spin_up(
     spin: float, slip: float, load: float, force: float, drive: float, brake: float, car: Vehicle
 ) -> float:
@@ -182,7 +183,7 @@ def _spin_up(
     return (torque - car.wheel_radius * force) / car.wheel_inertia
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _wheel(
     i: int,
     s: Array,
@@ -241,13 +242,13 @@ def _wheel(
     return force_x, force_y, along * force_y - across * force_x
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _swing(target: float, value: float, rate: float, frequency: float, damping: float) -> float:
     """Second derivative of a second-order response."""
     return frequency**2 * (target - value) - 2.0 * damping * frequency * rate
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _derivative(
     s: Array, rate: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> tuple[float, float, float]:
@@ -297,7 +298,7 @@ def _derivative(
     return ax, ay, math.hypot(force_x, force_y) / (friction * car.mass * GRAVITY)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float) -> None:
     row[:12] = s[:12]
     row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
@@ -308,7 +309,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
         row[PEAK_ALPHA] = max(row[PEAK_ALPHA], abs(s[ALPHA + i]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _advance(
     s: Array, k: Array, trial: Array, row: Array, steer: float, pedal: float, friction: float, car: Vehicle
 ) -> None:
@@ -327,7 +328,7 @@ def _advance(
     s[STEER] = _clip(s[STEER], -car.steer_max, car.steer_max)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> Array:
     """Return the state, shape (24,), of a car that rolls straight ahead at `speed` (m/s)."""
     s = np.zeros(STATES)
@@ -336,7 +337,7 @@ def start_state(x: float, y: float, yaw: float, speed: float, car: Vehicle) -> A
     return s
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, pedal: Array) -> Array:
     """Drive with given commands.
 
@@ -367,7 +368,7 @@ def run_open_loop(car: Vehicle, friction: float, start: Array, steer: Array, ped
     return record
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) -> tuple[float, int, float]:
     """Wanted steering angle, rad; the nearest point's index; the way gone along the path, m.
 
@@ -400,7 +401,7 @@ def _steer(s: Array, path: Array, spacing: float, nearest: int, car: Vehicle) ->
     return _clip(math.atan(angle), -car.steer_max, car.steer_max), nearest, nearest * spacing + beyond
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> float:
     """Wanted pedal, -1 to 1. Rows of the plan: speed m/s, acceleration m/s2, way m."""
     if soon[0] < 0.02 and abs(s[VX]) < 0.3:
@@ -414,7 +415,7 @@ def _press(s: Array, now: Array, soon: Array, gone: float, car: Vehicle) -> floa
     return max((wanted - coast) / (coast - _lookup(speed, car.pedal_speed, car.full_brake)), -1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def run_closed_loop(
     car: Vehicle, friction: float, start: Array, path: Array, spacing: float, plan: Array
 ) -> Array:

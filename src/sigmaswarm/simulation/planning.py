@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
+
+from sigmaswarm.compilation import cached
 
 Array = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     return np.column_stack([east, north, yaw, curvature])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@cached(nogil=True, error_model="numpy")
 def _reachable(squared: Array, gain: Array, fading: Array, loss: Array) -> None:
     """Lower the squared speeds, in place, until acceleration and braking can follow them; shapes (n,)."""
     for i in range(1, len(squared)):

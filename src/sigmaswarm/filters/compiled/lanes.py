@@ -62,10 +62,10 @@ N_ROWS = 122
 FLAGS = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def kernel(function, **options):
+def kernel(function, compiler=njit, **options):
     """Compile a function. It takes the array of rows ``w``, so that it knows of one base pointer only."""
     usual = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True, "forceinline": True}
-    return njit(function, **(usual | options))
+    return compiler(function, **(usual | options))
 
 
 def _inline(function):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives import standstill, timeline
 from sigmaswarm.filters.compiled.lanes import *
 from sigmaswarm.filters.compiled.measurements import absorbers
@@ -150,7 +151,7 @@ def cached_by_sources(make, **options):
     frozen = standstill, timeline  # what kernels take from elsewhere
     files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(str(module.__file__)) for module in frozen)]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return kernel(make(digest), **({"cache": True, "forceinline": False} | options))
+    return kernel(make(digest), cached, **({"forceinline": False} | options))
 
 
 @cached_by_sources

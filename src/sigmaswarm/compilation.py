@@ -1,0 +1,142 @@
+"""Compiled functions, kept between processes where that is safe, and compiled anew where it is not.
+
+Numba keeps machine code in pickles, so whoever writes them runs code in the reader's name: they are kept in a folder
+that is open to nobody else. Numba itself would refuse to start where it finds no folder to write to, and fall over a
+file that is cut short; here the one costs time, and so does the other.
+"""
+
+# Numba has types of its own, which a type checker for Python does not know.
+# pyright: basic, reportAttributeAccessIssue=false
+
+import hashlib
+import os
+import pickle
+import stat
+import warnings
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba import config, njit
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.serialize import dumps
+from numba.misc.appdirs import AppDirs
+
+from sigmaswarm.errors import SigmaswarmWarning
+
+
+def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`numba.njit` whose machine code is kept between processes, where there is a folder for it."""
+    if function is None:
+        return lambda function: cached(function, **options)
+    dispatcher = njit(**options)(function)
+    if not config.DISABLE_JIT:
+        dispatcher._cache = _cache_of(function)
+    return dispatcher
+
+
+def _cache_of(function: Callable[..., Any]) -> Any:
+    folder, trouble = _folder()
+    if folder is None:
+        return _NoCache(trouble)
+    usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+    try:
+        kept = _Cache(function)
+    except (RuntimeError, OSError):
+        return _NoCache(f"{folder} can't be written")
+    finally:
+        config.CACHE_DIR = usual
+    inside = Path(kept.cache_path).is_relative_to(folder)
+    return kept if inside else _NoCache(f"{folder} can't be written")
+
+
+@cache
+def _folder() -> tuple[Path | None, str]:
+    """Where machine code is kept, made if need be; or None, and why.
+
+    That is ``sigmaswarm`` in NUMBA_CACHE_DIR where that is set, else in the user's folder for caches.
+    """
+    if config.CACHE_DIR:
+        folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
+    else:
+        folder = Path(AppDirs("sigmaswarm", appauthor=False).user_cache_dir)
+    if not folder.is_absolute():
+        return None, "there is no home folder"
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        folder = folder.resolve()
+        private = _is_private(folder)
+    except OSError:
+        return None, f"{folder} can't be made"
+    if not private:
+        return None, f"{folder} is open to others, who could put code into it (mode 700 is private)"
+    return folder, ""
+
+
+def _is_private(folder: Path) -> bool:
+    """True if nobody else can write into a folder or exchange it. Where users have no numbers, nothing is asked."""
+    if not hasattr(os, "getuid"):
+        return True
+    own, above = folder.stat(), folder.parent.stat()
+    exchangeable = above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX
+    return own.st_uid == os.getuid() and not own.st_mode & 0o077 and not exchangeable
+
+
+class _Checked(CompileResultCacheImpl):
+    """Machine code with its checksum: a flipped bit in it would crash, or compute something else."""
+
+    def reduce(self, cres: Any) -> Any:
+        kept = dumps(super().reduce(cres))
+        return hashlib.sha256(kept).digest(), kept
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        digest, kept = payload
+        if hashlib.sha256(kept).digest() != digest:
+            raise ValueError("the machine code is garbled")
+        return super().rebuild(target_context, pickle.loads(kept))
+
+
+class _Cache(FunctionCache):
+    """A cache whose faults cost a compilation, never the run; what is garbled in it is written anew."""
+
+    _impl_class = _Checked
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # what unpickling garbage raises can be anything
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except OSError:  # a full disk
+            pass
+        except Exception:  # a garbled index
+            try:
+                self.flush()
+                super().save_overload(sig, data)
+            except OSError:
+                pass
+
+
+class _NoCache(NullCache):
+    """No cache: says so when it would have kept something for the first time."""
+
+    def __init__(self, trouble: str) -> None:
+        self._trouble = trouble
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        _say_once(self._trouble)
+
+
+@cache
+def _say_once(trouble: str) -> None:
+    warnings.warn(
+        f"compiled filters are not kept, since {trouble}: each start compiles them anew, which takes up to a minute; "
+        "set NUMBA_CACHE_DIR to a folder of your own",
+        SigmaswarmWarning,
+        stacklevel=2,
+    )
