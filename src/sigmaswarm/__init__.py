@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
-    from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_reference
+    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
+    from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.report.study_figures import study_figures
     from sigmaswarm.scoring.consistency import Consistency, consistency
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
@@ -81,8 +81,8 @@ _HOMES = {
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("datasheet", "preset"),
     "filters.live": ("LiveFilter",),
-    "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
-    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_reference"),
+    "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
+    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
     "report.study_figures": ("study_figures",),
     "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
@@ -148,8 +148,8 @@ __all__ = [
     "run_filter",
     "run_innovations",
     "run_model",
-    "run_reference",
     "run_study",
+    "run_textbook",
     "simulate",
     "simulate_many",
     "split_drives",

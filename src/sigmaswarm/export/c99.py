@@ -11,7 +11,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.export.features import features_of, listed, plain, values_of
 from sigmaswarm.export.template import fill
-from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
 
 FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
 
@@ -53,7 +54,7 @@ def _row(name: str, numbers: Iterable[float]) -> str:
 
 
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
-    n, stands, names = p.n_states, p.standstill_noise is not None, STATE_NAMES[p.model]
+    n, stands, names = p.n_states, p.standstill_noise is not None, MODELS[p.model].names
     derived: dict[str, float | None] = {
         "GAMMA_SQUARED": p.alpha**2 * (n + p.kappa),
         "SPREAD": p.alpha**2 * (n + p.kappa - 1) + p.beta,
@@ -74,6 +75,8 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "FIXES_NOTE": ", and those of the last 3 s" if stands else "",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "GYRO_NOTE": ", and all that the gyro shows is its bias" if p.model == "planar8" else "",
+        "GYRO_NOTE": ", and all that the gyro shows is its bias"
+        if MODELS[p.model].gyro_bias is not None
+        else "",
         "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }

@@ -1,4 +1,4 @@
-"""One filter over one drive: `run_filter` compiled, `run_reference` in the textbook's form."""
+"""One filter over one drive: `run_filter` compiled, `run_textbook` in the textbook's form."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,12 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Recording
-from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.filters.recording import Innovations, Recording, failure_at
+from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.filters.textbook.loop import run_steps
 from sigmaswarm.geodesy import wrap_angle
 
 Array = NDArray[np.float64]
@@ -68,9 +69,6 @@ def run_filter(
         If ``initial`` is not given and the drive never moves far enough.
     """
     replay = _replay(drive, initial)
-    if not len(replay.timeline.imu_time):
-        start = replay.initial.time
-        raise InputError(f"{drive.name}: no IMU sample after the start at {start:g} s; start earlier")
     recording = Recording(replay, parameters)
     whole = recording.whole()
     return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
@@ -89,14 +87,7 @@ def run_innovations(
     return recording.innovations
 
 
-def _replay(drive: Drive, initial: InitialState | None) -> Replay:
-    """The whole drive, compared with nothing."""
-    initial = initial or initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
-    return Replay(timeline, initial, Targets.none(timeline))
-
-
-def run_reference(
+def run_textbook(
     drive: Drive,
     parameters: FilterParameters,
     *,
@@ -116,22 +107,27 @@ def run_reference(
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 
-    Raises
-    ------
-    NotPositiveDefiniteError
-        When the filter fails.
+    Returns
+    -------
+    Estimate
+        With ``failure`` set where the filter failed.
     """
+    replay = _replay(drive, initial)
+    line = replay.timeline
+    car = TextbookCar(
+        line, parameters, replay.initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
+    )
+    rows = np.where(line.sampled, np.cumsum(line.sampled) - 1, -1)
+    run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
+    run.mean[:, THETA] = wrap_angle(run.mean[:, THETA])
+    failure = failure_at(line, line.end[run.failed]) if run.failed >= 0 else None
+    return Estimate(line.imu_time, run.mean, run.covariance, replay.initial, failure)
+
+
+def _replay(drive: Drive, initial: InitialState | None) -> Replay:
+    """The whole drive, compared with nothing."""
     initial = initial or initial_state(drive)
     timeline = build_timeline(drive, initial.time)
-    car = TextbookCar(
-        timeline, parameters, initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
-    )
-    means, covariances = [], []
-    for step, sampled in enumerate(timeline.sampled):
-        car.step(step)
-        if sampled:
-            means.append(car.filter.mean)
-            covariances.append(car.filter.covariance)
-    mean = np.array(means)
-    mean[:, THETA] = wrap_angle(mean[:, THETA])
-    return Estimate(timeline.imu_time, mean, np.array(covariances), initial)
+    if not len(timeline.imu_time):
+        raise InputError(f"{drive.name}: no IMU sample after the start at {initial.time:g} s; start earlier")
+    return Replay(timeline, initial, Targets.none(timeline))

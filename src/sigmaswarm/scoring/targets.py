@@ -7,7 +7,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, hide_fixes, random_windows, snap_ends
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters.batch import Replay, Targets
+from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
 
 OUTAGE_LENGTH = 5.0
