@@ -22,8 +22,12 @@ import numpy as np
 
 from sigmaswarm import datasheet, simulate
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters import batch
-from sigmaswarm.filters.compiled import lanes, measurements, planar5, run
+from sigmaswarm.filters import schedule
+from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
+from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.packing import Chunk
+from sigmaswarm.filters.replay import start_replays
 from sigmaswarm.scoring.targets import tracking_replay
 
 FLOPS = ("add", "mul", "div", "sqrt")
@@ -74,11 +78,11 @@ def count() -> None:
     planar5.math = measurements.math = SimpleNamespace(
         sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), pi=math.pi
     )
-    rows = np.array([[Counting(0.1) for _ in range(lanes.LANES)] for _ in range(lanes.N_ROWS)], dtype=object)
-    for row in (lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT, lanes.FORGETTING):
+    rows = np.array([[Counting(0.1) for _ in range(lanes.LANES)] for _ in range(layout.N_ROWS)], dtype=object)
+    for row in (R.XX, R.YY, R.UU, R.VV, R.TT, R.FORGETTING):
         rows[row] = [Counting(1.0) for _ in range(lanes.LANES)]
-    rows[lanes.FADING] = [Counting(-1.0) for _ in range(lanes.LANES)]
-    absorb = measurements.absorbers(5)["absorb_fix"]
+    rows[R.FADING] = [Counting(-1.0) for _ in range(lanes.LANES)]
+    absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
     for name, step in (
         ("predict", lambda: planar5.predict_planar5(rows, 0.01, 1.0, 0.1, 0.1, 1.0)),
         ("fix", lambda: absorb(rows, 1.0, 2.0, 0.0, 0.0, 1.0)),
@@ -96,20 +100,20 @@ def kernel_call(fixes: bool = True):
     drive = simulate("urban", duration=600.0, seed=1)
     replay = tracking_replay(prepared(drive))
     steps, flags, *others, ends = replay.arrays(False, False, False)
-    rows = batch.start_rows([replay], batch.Chunk((datasheet(drive),)))[0]
+    rows = start_replays([replay], Chunk((datasheet(drive),)))[0]
 
     def call():
         run.run_lanes(
-            5,
+            "planar5",
             steps,
-            flags if fixes else flags & ~run.FIX,
+            flags if fixes else flags & ~schedule.FIX,
             *others,
             ends if fixes else np.zeros_like(ends),
             rows.copy(),
-            batch.new_place(),
+            run.new_place(),
             len(steps),
-            np.empty((0, lanes.N_STATE + 1, 0)),
-            np.empty((0, 5)),
+            run.NO_RECORD,
+            run.NO_INNOVATIONS,
         )
 
     return call, len(steps)

@@ -34,8 +34,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import lanes
-from sigmaswarm.filters.compiled.run import FIX, IMU
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import FIX, IMU
 from stepwise import (
     EPS,
     Stepwise,

@@ -12,7 +12,7 @@ from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, Unscen
 from rival_pyswarms import position, process
 from sigmaswarm.drives.standstill import FIX_WINDOW, fixes_stand, is_calm, new_floor
 from sigmaswarm.drives.timeline import CORNERING
-from sigmaswarm.filters.batch import (
+from sigmaswarm.filters.schedule import (
     LATERAL_INTERVAL,
     STANDSTILL_INTERVAL,
     STANDSTILL_RATE_NOISE,
@@ -45,11 +45,11 @@ class Ukf:
 
     def __init__(self, parameters, initial):
         p, n = parameters, parameters.n_states
-        means, covariances = start_of(initial, [p])
+        mean, covariance = start_of(initial, p)
         points = MerweScaledSigmaPoints(n, p.alpha, p.beta, p.kappa)
         fx = process if n == 5 else process8
         self.filter = UnscentedKalmanFilter(n, 2, dt=1.0, hx=position, fx=fx, points=points)
-        self.filter.x, self.filter.P = means[0], covariances[0]
+        self.filter.x, self.filter.P = mean, covariance
         self.filter.Q, self.filter.R = np.diag(p.process_noise), np.diag(p.measurement_noise)
         self.p, self.start, self.slots = p, initial.time, [-1, -1]
         self.samples, self.filled, self.floor = np.empty((4000, 4)), 0, new_floor()
@@ -109,9 +109,9 @@ class Ekf:
     """FilterPy's extended filter for planar5, without constraints."""
 
     def __init__(self, parameters, initial):
-        means, covariances = start_of(initial, [parameters])
+        mean, covariance = start_of(initial, parameters)
         self.filter = ExtendedKalmanFilter(5, 2)
-        self.filter.x, self.filter.P = means[0], covariances[0]
+        self.filter.x, self.filter.P = mean, covariance
         self.filter.Q, self.filter.R = (
             np.diag(parameters.process_noise),
             np.diag(parameters.measurement_noise),

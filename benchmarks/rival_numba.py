@@ -1,7 +1,7 @@
 """The rival that one would write with Numba: the textbook's UKF in plain loops, one filter at a time.
 
 Sigma points drawn by Cholesky in state order, pushed through the process, drawn again for the fix. It is what
-`run_reference(..., heading_first=False)` does, and `check` holds the two together.
+`run_textbook(..., heading_first=False)` does, and `check` holds the two together.
 """
 
 import math
@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from rival_pyswarms import Course
-from sigmaswarm import Drive, FilterParameters, clip, run_reference
+from sigmaswarm import Drive, FilterParameters, clip, run_textbook
 
 
 @njit(cache=True, error_model="numpy")
@@ -126,7 +126,7 @@ def means(course: Course, p: FilterParameters) -> np.ndarray:
 def check(drive: Drive, course: Course, p: FilterParameters, seconds: float) -> None:
     """Raise AssertionError unless it does what the textbook filter does."""
     short = clip(drive, drive.imu.time[0], course.initial.time + seconds)
-    book = run_reference(short, p, initial=course.initial, heading_first=False).mean
+    book = run_textbook(short, p, initial=course.initial, heading_first=False).mean
     ours = means(course, p)[: len(book)]
     turn = np.exp(1j * ours[:, 4]) / np.exp(1j * book[:, 4])  # one heading is wrapped, the other not
     np.testing.assert_allclose(ours[:, :4], book[:, :4], rtol=0, atol=1e-6)

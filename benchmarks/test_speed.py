@@ -12,7 +12,7 @@ import pytest
 import rival_numba
 from rival_pyswarms import Course, make_filter
 from rival_pyswarms import tune as tune_with_pyswarms
-from sigmaswarm import Gps, clip, initial_state, run_filter, run_reference, tune
+from sigmaswarm import Gps, clip, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.scoring.batch import Replayer
 
 PART = 5.0
@@ -90,7 +90,7 @@ def test_textbook(measure, drive, part, parameter_sets):
     initial = initial_state(short)
     samples = int((short.imu.time > initial.time).sum())
     measure(
-        lambda: run_reference(short, parameter_sets[0], initial=initial),
+        lambda: run_textbook(short, parameter_sets[0], initial=initial),
         work=samples,
         rounds=3,
     )

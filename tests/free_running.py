@@ -8,10 +8,10 @@ from oracles.extended import THETA, covariance_error, mean_error
 from oracles.filterpy_car import FilterPyCar
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import Replay, Targets
-from sigmaswarm.filters.compiled import run
+from sigmaswarm.filters import schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay, Targets
 from stepwise import steps_with_fixes
 
 TWIN_TURN = 1e-13  # rad, how far the twin's initial heading is moved
@@ -68,7 +68,7 @@ def filterpy_run(
     theirs.restart(initial.mean, initial.covariance)
     states = []
     for i, fix in steps_with_fixes(timeline, n_steps):
-        theirs.step(i, run.IMU if fix is None else run.FIX, fix)
+        theirs.step(i, schedule.IMU if fix is None else schedule.FIX, fix)
         if timeline.sampled[i]:
             states.append((theirs.mean, theirs.covariance))
     mean, covariance = map(np.array, zip(*states, strict=True))

@@ -21,11 +21,12 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters import batch
-from sigmaswarm.filters.compiled import lanes, run
+from sigmaswarm.filters import packing, schedule
+from sigmaswarm.filters.compiled import lanes, layout, run
+from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.live import live_step
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.simulation.gps import find_gps
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, make_drive
@@ -50,8 +51,11 @@ def steps_with_fixes(
 
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
     """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
-    flags = batch.flags_of(timeline, *batch.switches(sets[0]))
-    kinds = [flags == run.IMU, *(flags & bit != 0 for bit in (run.FIX, run.LATERAL, run.STANDSTILL))]
+    flags = schedule.flags_of(timeline, *schedule.switches(sets[0]))
+    kinds = [
+        flags == schedule.IMU,
+        *(flags & bit != 0 for bit in (schedule.FIX, schedule.LATERAL, schedule.STANDSTILL)),
+    ]
     chosen: set[int] = set()
     for kind in kinds:
         steps = np.flatnonzero(kind)
@@ -72,30 +76,29 @@ class CompiledCars:
 
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
         assert len(sets) % lanes.LANES == 0
-        self.line, self.n = timeline, sets[0].n_states
+        self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
         self.remembers = sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf")
         self.parts = [slice(a, a + lanes.LANES) for a in range(0, len(sets), lanes.LANES)]
-        self.rows = np.zeros((len(sets), lanes.N_ROWS))
+        self.rows = np.zeros((len(sets), layout.N_ROWS))
         for part in self.parts:
-            start = batch.pack_states(*batch.start_of(initial, sets[part]))
-            self.rows[part, : lanes.N_STATE] = start.T
-            self.rows[part, lanes.CONSTANTS] = batch.pack_constants(sets[part], timeline.nominal_interval).T
-        self.rows[:, lanes.RECENT], self.rows[:, lanes.OK] = -1.0, 1.0
+            chunk = packing.Chunk(tuple(sets[part]))
+            start = packing.start_rows([initial], [timeline.nominal_interval], chunk)[0]
+            self.rows[part, : layout.N_KEPT] = start.T
 
     def step(self, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
-        self.rows[:, [lanes.NIS, lanes.SQ_FIX, lanes.LOG_DET]], self.rows[:, lanes.DET] = 0.0, 1.0
+        self.rows[:, [R.NIS, R.SQ_FIX, R.LOG_DET]], self.rows[:, R.DET] = 0.0, 1.0
         if not self.remembers:
-            self.rows[:, lanes.REJECTED] = 0.0
+            self.rows[:, R.REJECTED] = 0.0
         for part in self.parts:
             (self._live if self.remembers else self._run)(part, i, happens, fix, since)
 
     def _run(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t = self.line
-        rows = self.rows[part, : lanes.N_KEPT].T.copy()
-        rows[lanes.SUMS] = 0.0
-        rows[[lanes.DET, lanes.OK]], rows[lanes.RECENT] = 1.0, -1.0
+        rows = self.rows[part, : layout.N_KEPT].T.copy()
+        rows[layout.SUM_ROWS] = 0.0
+        rows[[R.DET, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
-            self.n,
+            self.model,
             np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
             np.array([happens]),
             np.empty((0, 4)) if fix is None else fix[None].copy(),
@@ -103,12 +106,12 @@ class CompiledCars:
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
             rows,
-            np.zeros(4),
+            run.new_place(),
             1,
-            np.empty((0, lanes.N_STATE + 1, 0)),
-            np.empty((0, 5)),
+            run.NO_RECORD,
+            run.NO_INNOVATIONS,
         )
-        self.rows[part, : lanes.N_KEPT] = rows.T
+        self.rows[part, : layout.N_KEPT] = rows.T
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t, step = self.line, live_step
@@ -118,19 +121,19 @@ class CompiledCars:
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return batch.unpack_states(self.rows[:, : lanes.N_STATE].T, self.n)
+        return packing.unpack_states(self.rows[:, : layout.N_STATE].T, self.n)
 
     @property
     def noise(self) -> np.ndarray:
         """Diagonals of Q and R, (s, n + 2)."""
-        return self.rows[:, [*range(lanes.Q0, lanes.Q0 + self.n), lanes.RX, lanes.RY]]
+        return self.rows[:, [*range(layout.Q0, layout.Q0 + self.n), R.RX, R.RY]]
 
     @property
     def sums(self) -> np.ndarray:
         """NIS, ln det S and squared residual of the last fix, and the recent size of the innovations, (4, s)."""
         rows = self.rows.T
-        log_determinant = rows[lanes.LOG_DET] + np.log(rows[lanes.DET])
-        return np.array([rows[lanes.NIS], log_determinant, rows[lanes.SQ_FIX], rows[lanes.RECENT]])
+        log_determinant = rows[R.LOG_DET] + np.log(rows[R.DET])
+        return np.array([rows[R.NIS], log_determinant, rows[R.SQ_FIX], rows[R.RECENT]])
 
 
 # --- The oracle beside the compiled filter -----------------------------------------------------------------
@@ -183,7 +186,7 @@ def compiled_against_extended(
 ) -> Stepwise:
     """The compiled filter runs over the drive; the oracle takes some of its steps (all by default) beside it."""
     compiled, oracle = CompiledCars(timeline, initial, sets), ExtendedCar(timeline, sets)
-    flags = batch.flags_of(timeline, *batch.switches(sets[0]))
+    flags = schedule.flags_of(timeline, *schedule.switches(sets[0]))
     found: dict[str, list[np.ndarray]] = {field.name: [] for field in fields(Stepwise)}
     since = 0.0
     for i, fix in steps_with_fixes(timeline, until):
@@ -207,12 +210,10 @@ def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
     mean, covariance = compiled.state
     oracle.mean, oracle.covariance = mean.astype(extended), covariance.astype(extended)
     if compiled.remembers:
-        noise, recent = compiled.noise.astype(extended), compiled.rows[:, lanes.RECENT].astype(extended)
+        noise, recent = compiled.noise.astype(extended), compiled.rows[:, R.RECENT].astype(extended)
         oracle.q, oracle.r = noise[:, :n], noise[:, n:]
         oracle.recent = np.where(recent < 0, np.nan, recent)
-    oracle.rejected = (
-        compiled.rows[:, lanes.REJECTED].astype(int) if compiled.remembers else 0 * oracle.rejected
-    )
+    oracle.rejected = compiled.rows[:, R.REJECTED].astype(int) if compiled.remembers else 0 * oracle.rejected
     oracle.since = extended(since)
 
 
@@ -223,14 +224,14 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
         "mean": mean_error(mean, oracle.mean),
         "covariance": covariance_error(covariance, oracle.covariance),
         "shrunk": shrinkage(oracle.prior, oracle.covariance),
-        "turn": heading_std(oracle.prior, compiled.rows[:, lanes.OK] == 1.0),
+        "turn": heading_std(oracle.prior, compiled.rows[:, R.OK] == 1.0),
         "absorbed": np.bool_(absorbed),
     }
     if absorbed:
         true = [oracle.nis, oracle.log_determinant, oracle.squared_residual]
         if compiled.remembers:
             true.append(np.where(np.isnan(oracle.recent), -1, oracle.recent))
-            decided = (compiled.rows[:, lanes.REJECTED] == oracle.rejected) | ~np.isfinite(errors["turn"])
+            decided = (compiled.rows[:, R.REJECTED] == oracle.rejected) | ~np.isfinite(errors["turn"])
             assert decided.all(), "the gates disagree"
         if oracle.kind == "adaptive-ukf":
             noise = np.concatenate([oracle.q, oracle.r], axis=1)
@@ -255,11 +256,10 @@ def textbook_against_filterpy(
     until: int | None = None,
 ) -> Stepwise:
     """FilterPy runs over the drive; the textbook's filter takes some of its steps (all by default) beside it."""
-    flags, per_set = batch.flags_of(timeline, *batch.switches(sets[0])), []
+    flags, per_set = schedule.flags_of(timeline, *schedule.switches(sets[0])), []
     for p in sets:
         theirs = FilterPyCar(timeline, p, theta_first=theta_first, redraw=redraw)
-        means, covariances = batch.start_of(initial, [p])
-        theirs.restart(means[0], covariances[0])
+        theirs.restart(*schedule.start_of(initial, p))
         ours = TextbookCar(timeline, p, initial, heading_first=theta_first, redraw_sigma_points=redraw)
         states = []
         for i, fix in steps_with_fixes(timeline, until):

@@ -152,7 +152,7 @@ def test_truth_never_reaches_a_filter(tmp_path: Path):
     without = sigmaswarm.read_drive(tmp_path / "drive")
     assert with_truth.truth is not None
     assert without.truth is None
-    for run in (sigmaswarm.run_filter, sigmaswarm.run_reference):
+    for run in (sigmaswarm.run_filter, sigmaswarm.run_textbook):
         a, b = run(with_truth, SET), run(without, SET)
         assert (a.mean.tobytes(), a.covariance.tobytes()) == (b.mean.tobytes(), b.covariance.tobytes())
 

@@ -23,7 +23,7 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import sigmaswarm.forking  # it must see each fork  # noqa: F401
+import sigmaswarm.forking  # it must see each fork  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
-    from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_reference
+    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
+    from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.report.compare import comparison_table
     from sigmaswarm.report.study import save_study, study_figures, study_tables
     from sigmaswarm.scoring.consistency import Consistency, consistency
@@ -94,8 +94,8 @@ _HOMES = {
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("datasheet", "preset"),
     "filters.live": ("LiveFilter",),
-    "filters.reference": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
-    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_reference"),
+    "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
+    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
     "report.compare": ("comparison_table",),
     "report.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
@@ -159,8 +159,8 @@ __all__ = [
     "run_filter",
     "run_innovations",
     "run_model",
-    "run_reference",
     "run_study",
+    "run_textbook",
     "save_study",
     "simulate",
     "simulate_many",

@@ -18,9 +18,9 @@ from scipy.stats import chi2
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.geodesy import wrap_angle
 
 EARLY = 12  # IMU samples after the start, where the initial covariance still counts

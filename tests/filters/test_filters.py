@@ -14,9 +14,9 @@ from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.models import gps_position, planar5, planar8
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.reference import ExtendedKalmanFilter
-from sigmaswarm.filters.reference.ekf import complex_step
-from sigmaswarm.filters.run import Estimate, run_filter, run_reference
+from sigmaswarm.filters.run import Estimate, run_filter, run_textbook
+from sigmaswarm.filters.textbook import ExtendedKalmanFilter
+from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.tuning.batch import run_batch
 from support import DRIVES, make_drive, needs_shared
 
@@ -33,14 +33,14 @@ def difference(a: Estimate, b: Estimate) -> float:
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
 def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
-    assert difference(run_filter(equipped(), p), run_reference(equipped(), p)) < 1e-9
+    assert difference(run_filter(equipped(), p), run_textbook(equipped(), p)) < 1e-9
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
 def test_compiled_is_the_textbook_s_with_two_receivers(model: str, kind: str):
     p, initial = parameters(model, kind=kind, **OPTIONS["all"]), initial_state(equipped())
-    compiled, textbook = (run(two_receivers(), p, initial=initial) for run in (run_filter, run_reference))
+    compiled, textbook = (run(two_receivers(), p, initial=initial) for run in (run_filter, run_textbook))
     assert difference(compiled, textbook) < 1e-9
 
 
@@ -58,7 +58,7 @@ def test_the_options_matter():
 def test_compiled_is_the_textbook_s_on_a_real_drive(kind: str):
     drive = clip(read_drive(DRIVES / "colorado-1"), 0.0, 75.0)  # with the standstill before it departs
     p = parameters("planar8", kind=kind, lateral_noise=0.05, rear_axle=1.2, standstill_noise=1e-3, gate=12.0)
-    assert difference(run_filter(drive, p), run_reference(drive, p)) < 1e-9
+    assert difference(run_filter(drive, p), run_textbook(drive, p)) < 1e-9
 
 
 def test_the_extended_filter_is_filterpy_s():

@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 from oracles.box import box_table
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters.batch import Replay, Sums, run_replays
-from sigmaswarm.filters.compiled import lanes, run
+from sigmaswarm.filters import schedule
+from sigmaswarm.filters.compiled import lanes, layout, run
+from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import Replay, Sums, run_replays
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.tuning.batch import run_batch
@@ -82,28 +84,28 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     # longer 3e-16, but still less than half a unit in the last place of the angle itself.
     # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
     headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
-    initial = np.zeros((lanes.N_KEPT, lanes.LANES))
-    initial[[lanes.XX, lanes.YY, lanes.UU, lanes.VV, lanes.TT]] = 1e-40
-    initial[lanes.CONSTANTS] = 1.0
+    initial = np.zeros((layout.N_KEPT, lanes.LANES))
+    initial[[R.XX, R.YY, R.UU, R.VV, R.TT]] = 1e-40
+    initial[layout.CONSTANT_ROWS] = 1.0
     velocity = []
     for chunk in headings.reshape(-1, lanes.LANES):
         rows = initial.copy()
-        rows[lanes.T] = chunk
+        rows[R.T] = chunk
         run.run_lanes(
-            5,
+            "planar5",
             np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
-            np.array([run.IMU]),
+            np.array([schedule.IMU]),
             np.empty((0, 4)),
             np.zeros(2),
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
             rows,
-            np.zeros(4),
+            run.new_place(),
             1,
-            np.empty((0, lanes.N_STATE + 1, 0)),
-            np.empty((0, 5)),
+            run.NO_RECORD,
+            run.NO_INNOVATIONS,
         )
-        velocity.append(rows[[lanes.U, lanes.V]])
+        velocity.append(rows[[R.U, R.V]])
     x = headings.astype(np.longdouble)
     error = np.concatenate(velocity, axis=1) - np.array([np.cos(x), np.sin(x)])
     assert np.all(np.abs(error) < 3e-16 + 0.5 * EPS * np.abs(headings))
@@ -118,7 +120,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
     run_replays([short_replay()], [parameters])  # so that it has a signature
     # Machine code that came from the cache can't be read: compile once more, without one.
-    kernel = run.KERNELS[parameters.n_states]
+    kernel = run.KERNELS[parameters.model]
     options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
     fresh = numba.njit(**options)(kernel.py_func)
     signature = kernel.signatures[0]

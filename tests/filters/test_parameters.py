@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import run_filter, run_reference
+from sigmaswarm.filters.run import run_filter, run_textbook
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -196,7 +196,7 @@ def test_q_refers_to_the_stated_interval():
     a, b = run_filter(slow, stated), run_filter(slow, doubled)
     np.testing.assert_allclose(a.mean, b.mean, atol=1e-9)
     np.testing.assert_allclose(a.covariance, b.covariance, rtol=1e-9, atol=1e-12)
-    textbook = run_reference(slow, stated)
+    textbook = run_textbook(slow, stated)
     np.testing.assert_allclose(textbook.covariance, a.covariance, rtol=1e-7, atol=1e-10)
     assert np.max(np.abs(run_filter(slow, replace(stated, nominal_interval=None)).mean - a.mean)) > 1e-3
     at_home = run_filter(drive, stated).mean, run_filter(drive, replace(stated, nominal_interval=None)).mean

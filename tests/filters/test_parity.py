@@ -18,12 +18,13 @@ from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import Replay, Targets, flags_of, run_replays, switches
-from sigmaswarm.filters.compiled import lanes, run
+from sigmaswarm.filters.compiled import lanes
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.filters.run import run_filter, run_reference
+from sigmaswarm.filters.replay import Replay, Targets, run_replays
+from sigmaswarm.filters.run import run_filter, run_textbook
+from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY, flags_of, switches
+from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
 from stepwise import (
     REAL,
     SIMULATED,
@@ -87,7 +88,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
 ):
     timeline, initial = ready(name)
     sets = box_sets(model, kind, 32)
-    for bit in (run.FIX, run.VELOCITY, run.LATERAL, run.STANDSTILL):
+    for bit in (FIX, VELOCITY, LATERAL, STANDSTILL):
         assert happens_at(timeline, sets[0], bit) > 30
     errors = compiled_against_extended(timeline, initial, sets, some_steps(timeline, sets, 30))
     known = errors.known
@@ -332,7 +333,7 @@ def test_a_coasting_car_is_linear_and_every_filter_is_the_kalman_filter(kind: st
             covariances.append(kalman.P)
     filters = [run_filter(coasting, p, initial=initial)]
     if alpha == 0.5:  # at 1e-3 the textbook's weights of 1e6 leave it ten digits
-        filters.append(run_reference(coasting, p, initial=initial))
+        filters.append(run_textbook(coasting, p, initial=initial))
     for estimate in filters:
         assert mean_error(estimate.mean, np.array(means)).max() < 1e-12
         assert covariance_error(estimate.covariance, np.array(covariances)).max() < 1e-12

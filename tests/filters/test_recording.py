@@ -12,9 +12,9 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
-from sigmaswarm.filters.batch import Replay, Targets, run_replays
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
 from support import make_drive

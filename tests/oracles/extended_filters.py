@@ -14,8 +14,8 @@ import numpy as np
 from oracles.extended import Extended, cholesky, diagonal, transposed, whiten
 from oracles.extended_car import Measurement, coasted, fix, lateral, linear, newton, newton_jacobian
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
 
 GYRO_AT_REST = (
     Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180

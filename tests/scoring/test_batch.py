@@ -15,8 +15,8 @@ from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.models import THETA, gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER
-from sigmaswarm.filters.reference import SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.filters.textbook import SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.targets import outage_windows

@@ -18,7 +18,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.targets import forecast_replay
 from support import make_drive

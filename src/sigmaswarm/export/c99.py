@@ -13,7 +13,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
 
 FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
 SHORTEST_INTERVAL = 1e-4
@@ -87,7 +88,7 @@ def _fits_float(p: FilterParameters) -> bool:
 
 
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
-    stands, names = p.standstill_noise is not None, STATE_NAMES[p.model]
+    stands, names = p.standstill_noise is not None, MODELS[p.model].names
     gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
     derived: dict[str, float | None] = {
         "GAMMA_SQUARED": gamma_squared,
@@ -112,6 +113,8 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "FIXES_NOTE": ", and those of the last 3 s" if stands else "",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "GYRO_NOTE": ", and all that the gyro shows is its bias" if p.model == "planar8" else "",
+        "GYRO_NOTE": ", and all that the gyro shows is its bias"
+        if MODELS[p.model].gyro_bias is not None
+        else "",
         "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }

@@ -5,16 +5,16 @@ from collections.abc import Iterable
 
 from sigmaswarm.drives import timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import batch
-from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
+from sigmaswarm.filters import schedule
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
 
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
-    velocity, lateral, stands = batch.switches(p)
-    biases, gate = p.model == "planar8", p.gate is not None
+    velocity, lateral, stands = schedule.switches(p)
+    biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
     adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
     used = {
         "UNSCENTED": p.kind != "ekf",
@@ -50,17 +50,17 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "VELOCITY_NOISE": p.velocity_noise,
         "LATERAL_NOISE": p.lateral_noise,
         "REAR_AXLE": p.rear_axle,
-        "LATERAL_INTERVAL": batch.LATERAL_INTERVAL,
+        "LATERAL_INTERVAL": schedule.LATERAL_INTERVAL,
         "CORNERING": timeline.CORNERING,
         "STANDSTILL_NOISE": p.standstill_noise,
-        "STANDSTILL_INTERVAL": batch.STANDSTILL_INTERVAL,
-        "STANDSTILL_RATE_NOISE": batch.STANDSTILL_RATE_NOISE,
+        "STANDSTILL_INTERVAL": schedule.STANDSTILL_INTERVAL,
+        "STANDSTILL_RATE_NOISE": schedule.STANDSTILL_RATE_NOISE,
     }
     return plain(numbers) | {
         "VERSION": __version__,
         "DESCRIPTION": f"{p.model}, {p.kind}",
         "MODEL": p.model,
-        "MOST_REJECTED": str(MOST_REJECTED),
+        "MOST_REJECTED": str(schedule.MOST_REJECTED),
     }
 
 

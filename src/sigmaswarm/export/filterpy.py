@@ -13,8 +13,8 @@ from sigmaswarm.drives import alignment, standstill
 from sigmaswarm.export.features import features_of, listed, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters import models
-from sigmaswarm.filters.parameters import STATE_NAMES, FilterParameters
-from sigmaswarm.filters.reference import ekf
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.textbook import ekf
 
 FILE = "run_filter.py"
 
@@ -23,10 +23,13 @@ def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
     """The script, by file name; ``interval`` (s) is what Q refers to."""
     p = parameters
     features = features_of(p)
-    used = ["THETA", "planar5", *(["planar8"] if p.model == "planar8" else []), "gps_position"]
+    model = models.MODELS[p.model]
+    stands = features["USE_STANDSTILL"] and model.gyro_bias is not None
+    used = ["THETA", *(["GYRO_BIAS"] if stands or features["USE_LATERAL"] else [])]
+    used += [*dict.fromkeys(["planar5", p.model]), "gps_position"]
     used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
     used += ["lateral_velocity"] if features["USE_LATERAL"] else []
-    used += ["gyro_bias"] if features["USE_STANDSTILL"] and p.model == "planar8" else []
+    used += ["gyro_bias"] if stands else []
     sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
     places = [
         "SEMI_MAJOR_AXIS",
@@ -38,7 +41,7 @@ def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
         "geodetic_to_enu",
     ]
     values = values_of(p, interval) | {
-        "STATES": repr(STATE_NAMES[p.model]),
+        "STATES": repr(model.names),
         "PROCESS_NOISE": listed(p.process_noise),
         "MEASUREMENT_NOISE": listed(p.measurement_noise),
         "STANDS": "stands[k]" if features["USE_STANDSTILL"] else "False",

@@ -13,8 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.export.maps import MAPS, Origin
 from sigmaswarm.export.ros import ros2
 from sigmaswarm.files import whole_file
-from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.parameters import STATE_NAMES
+from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.forking import require_threads
 from sigmaswarm.geodesy import enu_to_geodetic
@@ -131,7 +130,7 @@ def true_trajectory(drive: Drive) -> Estimate:
 
 def _columns(estimate: Estimate) -> dict[str, Array]:
     """Time and states by name."""
-    states = next(names for names in STATE_NAMES.values() if len(names) == estimate.mean.shape[1])
+    states = next(m.names for m in MODELS.values() if len(m.states) == estimate.mean.shape[1])
     return {"t": estimate.time} | {name: estimate.mean[:, i] for i, name in enumerate(states)}
 
 

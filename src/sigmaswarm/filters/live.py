@@ -9,10 +9,12 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
-from sigmaswarm.filters import batch
-from sigmaswarm.filters.compiled import lanes, live
+from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.compiled.layout import N_KEPT
 from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.packing import Chunk, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
 MOST_WAITING = 1000
@@ -87,7 +89,7 @@ class LiveFilter:
         p = parameters
         self.parameters = p
         self._n = p.n_states
-        self._plausible = batch.plausible(p)
+        self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
         # More than the history takes: an IMU may run faster than it says.
         samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
@@ -165,16 +167,13 @@ def _believe(
 ) -> Array:
     """The belief at the start, and the settings behind it."""
     v = np.zeros(live.N_ALL)
-    v[: lanes.N_STATE] = batch.pack_states(*batch.start_of(initial, [p]))[:, 0]
-    v[lanes.CONSTANTS] = batch.pack_constants([p], nominal_interval)[:, 0]
-    v[lanes.DET] = v[lanes.OK] = 1.0
-    v[lanes.RECENT] = -1.0
+    v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk((p,)))[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
     v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = -1.0
     v[live.NOMINAL] = nominal_interval
     v[live.LEVER_X], v[live.LEVER_Y] = lever_arm[0], lever_arm[1]
-    v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else batch.LATERAL_INTERVAL
-    v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else batch.STANDSTILL_INTERVAL
+    v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
+    v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
     v[live.LAST_SAMPLE] = -np.inf
     v[live.FLOOR] = new_floor()
     return v

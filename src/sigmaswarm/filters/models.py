@@ -1,10 +1,15 @@
-"""Vehicle models in the textbook's form: the process f(state, dt, imu) and measurements h(state).
+"""Vehicle models: what each one is, and its process f(state, dt, imu) and measurements h(state) in the textbook's form.
+
+A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
+models before it, so that measurements find them at the same places.
 
 `UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled filter
 knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame.
 """
 
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 THETA = 4
-"""Index of the heading in planar5 and planar8."""
+"""Index of the heading, in every model."""
+GYRO_BIAS = 7
+"""Index of the bias of the gyro (z), in the models that have one."""
 
 
 def planar5(state: Array, dt: float, imu: Array) -> Array:
@@ -37,9 +44,6 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
-PROCESSES: dict[str, Callable[[Array, float, Array], Array]] = {"planar5": planar5, "planar8": planar8}
-
-
 def gps_position(lever: tuple[float, float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
     """The fix that a state predicts: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
@@ -60,7 +64,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
     """Velocity to the left (m/s) at the rear axle, ``rear_axle`` m behind the IMU: a car on its wheels has none."""
 
     def h(state: Array) -> Array:
-        bias = state[7] if len(state) == 8 else 0.0
+        bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
         left = np.cos(state[THETA]) * state[3] - np.sin(state[THETA]) * state[2]
         return np.array([left - rear_axle * (yaw_rate - bias)])
 
@@ -69,4 +73,114 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 
 def gyro_bias(state: Array) -> Array:
     """What the gyro shows while the car stands, rad/s."""
-    return state[7:8].copy()
+    return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
+
+
+VARIANCE = (1e-5, 10.0)
+"""The paper's box for all variances, Q per nominal IMU step."""
+SMALL_VARIANCE = (1e-12, 10.0)
+"""For position, velocity, heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
+BIAS_WALK = (1e-16, 1e-4)
+"""For the random walks of the biases."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor that may have a bias: the bias's unit, and the box of its standard deviation at the start."""
+
+    unit: str
+    start_std: tuple[float, float]
+
+
+SENSORS = {"accel": Sensor("m/s2", (1e-3, 1.0)), "gyro": Sensor("rad/s", (1e-5, 0.1))}
+"""In the order of `FilterParameters.bias_std`."""
+
+
+@dataclass(frozen=True)
+class State:
+    """One state of a model.
+
+    Attributes
+    ----------
+    name, unit : str
+    variance : (lowest, highest)
+        Box of its process noise, unit squared per nominal IMU step.
+    shared : str
+        The name under which it is searched together with its like, where east and north have the same noise.
+    bias_of : str or None
+        The sensor in `SENSORS` whose bias it is: it starts at 0.
+    """
+
+    name: str
+    unit: str
+    variance: tuple[float, float]
+    shared: str
+    bias_of: str | None = None
+
+    @property
+    def variance_unit(self) -> str:
+        """The unit squared: m2/s4 for m/s2."""
+        return re.sub(r"([a-z]+)(\d*)", lambda part: f"{part[1]}{2 * int(part[2] or 1)}", self.unit)
+
+    @property
+    def density_unit(self) -> str:
+        """Of the square root of white noise's density."""
+        return f"{self.unit}/sqrt(s)"
+
+
+@dataclass(frozen=True)
+class CarModel:
+    """A process model for cars.
+
+    Attributes
+    ----------
+    states : tuple of State, length n
+    process : callable
+        ``f(state, dt, imu) -> state``, in the textbook's form.
+    imu : tuple of str
+        The axes that drive it, as a time line names them.
+    blind : bool
+        It does not know the compass: noise to the east and to the north is searched as one.
+    """
+
+    states: tuple[State, ...]
+    process: Callable[[Array, float, Array], Array]
+    imu: tuple[str, ...] = ("ax", "ay", "gz")
+    blind: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states, in order."""
+        return tuple(state.name for state in self.states)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Those whose biases it estimates, in the order of `SENSORS`."""
+        return tuple(sensor for sensor in SENSORS if any(s.bias_of == sensor for s in self.states))
+
+    @property
+    def gyro_bias(self) -> int | None:
+        """Where the bias of the gyro (z) stands: at standstill it is measured."""
+        return GYRO_BIAS if len(self.states) > GYRO_BIAS else None
+
+
+def _plane(variance: tuple[float, float]) -> tuple[State, ...]:
+    return (
+        State("x", "m", variance, "xy"),
+        State("y", "m", variance, "xy"),
+        State("vx", "m/s", variance, "vxy"),
+        State("vy", "m/s", variance, "vxy"),
+        State("theta", "rad", variance, "theta"),
+    )
+
+
+_BIASES = tuple(
+    State(name, SENSORS[sensor].unit, BIAS_WALK, name, sensor)
+    for name, sensor in (("accel_bias_x", "accel"), ("accel_bias_y", "accel"), ("gyro_bias_z", "gyro"))
+)
+
+MODELS: dict[str, CarModel] = {
+    "planar5": CarModel(_plane(VARIANCE), planar5, blind=False),
+    "planar8": CarModel((*_plane(SMALL_VARIANCE), *_BIASES), planar8),
+}
+"""By name. planar5 is the paper's, with the paper's box."""

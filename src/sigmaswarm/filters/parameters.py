@@ -12,21 +12,8 @@ from pydantic.dataclasses import dataclass
 
 from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-
-_PLANE = ("x", "y", "vx", "vy", "theta")
-STATE_NAMES: dict[str, tuple[str, ...]] = {
-    "planar5": _PLANE,
-    "planar8": (*_PLANE, "accel_bias_x", "accel_bias_y", "gyro_bias_z"),
-}
-"""The states of each model, in order."""
-
-_PLANE_UNITS = ("m2", "m2", "m2/s2", "m2/s2", "rad2")
-PROCESS_NOISE_UNITS: dict[str, tuple[str, ...]] = {
-    "planar5": _PLANE_UNITS,
-    "planar8": (*_PLANE_UNITS, "m2/s4", "m2/s4", "rad2/s2"),
-}
-"""Units of the diagonal of Q, per nominal IMU step."""
 
 
 def _as_tuple(value: Any) -> Any:
@@ -119,7 +106,7 @@ class FilterParameters:
     @property
     def n_states(self) -> int:
         """How many states the model has."""
-        return len(STATE_NAMES[self.model])
+        return len(MODELS[self.model].states)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types for TOML and JSON; options that are at their defaults are left out."""
@@ -191,12 +178,12 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
     """The units of what a parameter file states, for whoever reads it."""
-    model = parameters.model
+    states = MODELS[parameters.model].states
     known: dict[str, Any] = {
-        "process_noise": [f"{u} per nominal IMU step" for u in PROCESS_NOISE_UNITS[model]],
+        "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
-        "bias_std": ["m/s2", "rad/s"],
+        "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
@@ -205,14 +192,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "latency": "s",
     }
     stated = parameters.to_dict()
-    return {k: v for k, v in known.items() if k in stated} | {"states": list(STATE_NAMES[model])}
-
-
-_PLANE_DENSITIES = ("m/sqrt(s)", "m/sqrt(s)", "m/s/sqrt(s)", "m/s/sqrt(s)", "rad/sqrt(s)")
-_DENSITY_UNITS: dict[str, tuple[str, ...]] = {
-    "planar5": _PLANE_DENSITIES,
-    "planar8": (*_PLANE_DENSITIES, "m/s2/sqrt(s)", "m/s2/sqrt(s)", "rad/s/sqrt(s)"),
-}
+    return {k: v for k, v in known.items() if k in stated} | {"states": [s.name for s in states]}
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:
@@ -223,8 +203,8 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
     p = parameters
     if p.nominal_interval is None or min(p.process_noise) < 0:
         return {}
-    each = zip(STATE_NAMES[p.model], p.process_noise, _DENSITY_UNITS[p.model], strict=True)
-    return {state: f"{np.sqrt(q / p.nominal_interval):.4g} {unit}" for state, q, unit in each}
+    each = zip(MODELS[p.model].states, p.process_noise, strict=True)
+    return {s.name: f"{np.sqrt(q / p.nominal_interval):.4g} {s.density_unit}" for s, q in each}
 
 
 def _one_line(error: object) -> str:

@@ -7,20 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.filters.batch import (
-    Chunk,
-    Replay,
-    Sums,
-    definite,
-    new_place,
-    run_rows,
-    start_rows,
-    unpack_states,
-    unpack_sums,
-)
-from sigmaswarm.filters.compiled.lanes import N_STATE
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled.layout import N_STATE
+from sigmaswarm.filters.compiled.run import new_place
 from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.packing import Chunk, definite, unpack_states, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
 SAMPLES = 10_000
@@ -97,7 +90,7 @@ class Recording:
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int = SAMPLES) -> None:
         self._replay, self._chunk, self._samples = replay, Chunk((parameters,)), samples
-        self._rows, self._place = start_rows([replay], self._chunk), new_place()
+        self._rows, self._place = start_replays([replay], self._chunk), new_place()
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._pieces = self._run()
         self._complete = False
@@ -119,7 +112,7 @@ class Recording:
             stops = ends[first : first + self._samples]
             part = record[: len(stops)]
             stop = int(stops[-1])
-            run_rows(self._replay, self._chunk, self._rows[0], self._place, stop, part, self._innovations)
+            run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, part, self._innovations)
             yield self._piece(line.imu_time[first : first + len(stops)], part)
         self._complete = True
 
@@ -130,11 +123,7 @@ class Recording:
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         mean[~sound], covariance[~sound] = np.nan, np.nan
         if self.failure is None and not sound.all():
-            self.failure = (
-                f"{self._replay.timeline.drive.name}: the filter failed at t = {time[np.argmin(sound)]:.3f} s "
-                "(covariance not positive definite, or NaN in the data); "
-                "are all variances positive and all samples finite?"
-            )
+            self.failure = failure_at(self._replay.timeline, time[np.argmin(sound)])
         return Piece(time, mean, covariance, sound)
 
     @property
@@ -154,3 +143,11 @@ class Recording:
     def _need_all(self) -> None:
         if not self._complete:
             raise RuntimeError("take all pieces of the recording first")
+
+
+def failure_at(line: Timeline, time: float) -> str:
+    """The sentence that says when a filter failed (s), and why it may have."""
+    return (
+        f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
+        "definite, or NaN in the data); are all variances positive and all samples finite?"
+    )

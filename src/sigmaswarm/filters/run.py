@@ -1,4 +1,4 @@
-"""One filter over one drive: `run_filter` compiled, `run_reference` in the textbook's form."""
+"""One filter over one drive: `run_filter` compiled, `run_textbook` in the textbook's form."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.filters.batch import Replay, Targets
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Recording
-from sigmaswarm.filters.textbook_car import TextbookCar
+from sigmaswarm.filters.recording import Innovations, Recording, failure_at
+from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.filters.textbook.loop import run_steps
 from sigmaswarm.geodesy import wrap_angle
 
 Array = NDArray[np.float64]
@@ -119,7 +119,7 @@ def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate
         yield Estimate(piece.time, piece.mean, piece.covariance, replay.initial)
 
 
-def run_reference(
+def run_textbook(
     drive: Drive,
     parameters: FilterParameters,
     *,
@@ -139,22 +139,18 @@ def run_reference(
     redraw_sigma_points : bool
         See `UnscentedKalmanFilter`.
 
-    Raises
-    ------
-    NotPositiveDefiniteError
-        When the filter fails.
+    Returns
+    -------
+    Estimate
+        With ``failure`` set where the filter failed.
     """
-    initial = initial or initial_state(drive)
-    timeline = build_timeline(drive, initial.time)
+    replay = replay_of(drive, initial)
+    line = replay.timeline
     car = TextbookCar(
-        timeline, parameters, initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
+        line, parameters, replay.initial, heading_first=heading_first, redraw_sigma_points=redraw_sigma_points
     )
-    means, covariances = [], []
-    for step, sampled in enumerate(timeline.sampled):
-        car.step(step)
-        if sampled:
-            means.append(car.filter.mean)
-            covariances.append(car.filter.covariance)
-    mean = np.array(means)
-    mean[:, THETA] = wrap_angle(mean[:, THETA])
-    return Estimate(timeline.imu_time, mean, np.array(covariances), initial)
+    rows = np.where(line.sampled, np.cumsum(line.sampled) - 1, -1)
+    run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
+    run.mean[:, THETA] = wrap_angle(run.mean[:, THETA])
+    failure = failure_at(line, line.end[run.failed]) if run.failed >= 0 else None
+    return Estimate(line.imu_time, run.mean, run.covariance, replay.initial, failure)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.batch import Replay, Sums, joined, pack, run_replays
 from sigmaswarm.filters.compiled.lanes import LANES
+from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 

@@ -13,9 +13,9 @@ from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
-from sigmaswarm.filters.batch import joined, run_replays
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import joined, run_replays
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of

@@ -8,7 +8,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_windows, snap_ends
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import Replay, Targets
+from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
 
 OUTAGE_LENGTH = 5.0

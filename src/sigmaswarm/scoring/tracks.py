@@ -16,11 +16,11 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import whole_file
-from sigmaswarm.filters.batch import Replay
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
 from sigmaswarm.scoring.targets import tracking_replay

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, get_args
 
 import numpy as np
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.parameters import STATE_NAMES, FilterKind, FilterParameters, ModelName
+from sigmaswarm.filters.models import MODELS, SENSORS, VARIANCE
+from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
@@ -39,14 +42,6 @@ SCALING = (
     Dimension("kappa", "kappa", 0, 0.0, 5.0, spread=False),
 )
 """The paper's box for the scaling of the sigma points."""
-VARIANCE = (1e-5, 10.0)
-"""The paper's box for all variances, Q per nominal IMU step."""
-SMALL_VARIANCE = (1e-12, 10.0)
-"""planar8's for position, velocity, heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
-BIAS_WALK = (1e-16, 1e-4)
-"""planar8's for the random walks of the biases."""
-BIAS_STD = ((1e-3, 1.0), (1e-5, 0.1))
-"""planar8's for the biases at the start, m/s2 and rad/s."""
 OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "velocity": (Dimension("velocity_noise", "velocity_noise", 0, 1e-4, 10.0),),
     "lateral": (
@@ -57,7 +52,6 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
 }
-_EACH_STATE = tuple((state, 1) for state in STATE_NAMES["planar5"])
 NOISES = ("process_noise", "measurement_noise", "velocity_noise", "lateral_noise", "standstill_noise")
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 
@@ -142,17 +136,15 @@ def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> It
     """
     if kind != "ekf":
         yield from SCALING
-    plane = VARIANCE if model == "planar5" else SMALL_VARIANCE
-    blind = model == "planar8" or "lateral" in use
-    for name, entries in (("xy", 2), ("vxy", 2), ("theta", 1)) if blind else _EACH_STATE:
-        yield Dimension(f"q_{name}", "process_noise", entries, *plane)
-    for bias in STATE_NAMES[model][5:]:
-        yield Dimension(f"q_{bias}", "process_noise", 1, *BIAS_WALK)
+    described = MODELS[model]
+    blind = described.blind or "lateral" in use
+    for name, states in groupby(described.states, lambda state: state.shared if blind else state.name):
+        alike = list(states)
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *alike[0].variance)
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *VARIANCE)
-    if model == "planar8":
-        yield Dimension("accel_bias_std", "bias_std", 1, *BIAS_STD[0])
-        yield Dimension("gyro_bias_std", "bias_std", 1, *BIAS_STD[1])
+    for sensor in described.sensors:
+        yield Dimension(f"{sensor}_bias_std", "bias_std", 1, *SENSORS[sensor].start_std)
     if kind in ("adaptive-ukf", "strong-tracking-ukf"):
         yield ADAPTIVE
     for option in OPTIONS:

@@ -15,7 +15,7 @@ from sigmaswarm import (
     Tunable,
     initial_state,
     run_model,
-    run_reference,
+    run_textbook,
 )
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.filters.custom.run import Runner, _run
@@ -82,7 +82,7 @@ def test_compiled_and_textbook_agree(case: str, alpha: float):
 
 
 def test_a_car_as_a_model_of_one_s_own_is_the_car():
-    """planar5 through `Model` on jittered clocks takes the same steps as `run_reference`: two ways to one filter."""
+    """planar5 through `Model` on jittered clocks takes the same steps as `run_textbook`: two ways to one filter."""
     drive = make_drive(duration=14.0, jitter=0.4, seed=3)
     initial = initial_state(drive)
     line = build_timeline(drive, initial.time)
@@ -113,7 +113,7 @@ def test_a_car_as_a_model_of_one_s_own_is_the_car():
     ):  # planar5 is plain Python that Numba does not see
         estimate = run_model(log, model, parameters)
     car = FilterParameters(0.5, 2.0, 1.0, (1e-6,) * 5, (1.0, 1.0))
-    reference = run_reference(drive, car, initial=initial, heading_first=False)
+    reference = run_textbook(drive, car, initial=initial, heading_first=False)
     np.testing.assert_allclose(estimate.mean[1:], reference.mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(estimate.covariance[1:], reference.covariance, rtol=0, atol=1e-9)
 

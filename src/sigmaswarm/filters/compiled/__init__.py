@@ -1,5 +1,6 @@
 """The filters, compiled: many parameter sets at once.
 
-`lanes` names the rows of the one array that a run works on; `planar5` and `planar8` predict in closed form;
-`measurements` absorb; `run` puts them on a time line. `reference/` says the same in the textbook's words.
+`layout` numbers the rows of the one array that a run works on; `planar5` and `planar8` predict in closed form;
+`measurements` absorb; `step` puts both together, `run` and `live` put steps on a time line. `custom` is the
+filter around a user's own model. `textbook/` says the same in the textbook's words.
 """

@@ -1,9 +1,9 @@
-"""What all kernels share: lanes, the rows of their arrays, compiler flags, and a sine that vectorizes.
+"""What all kernels share: lanes, compiler flags, and a sine that vectorizes.
 
 **Lanes.** Arrays are (row, lane) with LANES parameter sets side by side, so that each loop over lanes becomes
-vector instructions. All rows of one run live in one local array: with a single base pointer the compiler can
-rule out that writing one row changes another. A failing lane turns to NaN or loses its OK flag; nothing
-branches on it, so the other lanes neither wait nor change.
+vector instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer
+the compiler can rule out that writing one row changes another. A failing lane turns to NaN or loses its OK flag;
+nothing branches on it, so the other lanes neither wait nor change.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -14,58 +14,23 @@ import math
 import numpy as np
 from numba import njit
 
+from sigmaswarm.filters.compiled.unroll import unrolled
+
 LANES = 16
 """Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
-
-# One array holds all rows of a run: state, constants, sums, scratch.
-# The mean: east, north, their velocities, heading, biases of the accelerometer (forward, left) and of the gyro.
-X, Y, U, V, T, A, B, W = range(8)
-# The covariance: its upper triangle column by column, so that planar5's rows are the first of planar8's.
-(XX,
- XY, YY,
- XU, YU, UU,
- XV, YV, UV, VV,
- XT, YT, UT, VT, TT,
- XA, YA, UA, VA, TA, AA,
- XB, YB, UB, VB, TB, AB, BB,
- XW, YW, UW, VW, TW, AW, BW, WW) = range(8, 44)  # fmt: skip
-N_STATE = 44
-P0 = XX
-"""Row of P[0, 0]; P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i."""
-
-# The constants of a parameter set. Q and R may change during a run: an adaptive filter writes them.
-GAMMA, INV_GAMMA2, SPREAD, SECOND = range(44, 48)
-Q0 = 48  # eight variances of Q
-RX, RY, R_VELOCITY, R_LATERAL, R_STANDSTILL, R_RATE = range(56, 62)
-REAR_AXLE, LATENCY, GATE, FORGETTING, FADING = range(62, 67)
-CONSTANTS = slice(44, 67)
-N_CONSTANTS = 23
-
-# The sums that a run returns.
-SQ_POSITION, SQ_HEADING, NEES, SQ_FIX, SQ_FORECAST, NIS, LOG_DET, DET, OK, REJECTED, RECENT = range(67, 78)
-SUMS = slice(67, 78)
-N_SUMS = 11
-N_KEPT = 78
-"""Rows that make a filter: from them it goes on. What follows is scratch."""
-
-# Scratch: the last estimate's x, y, theta; Cov(state, z) for two components of z; H P H^T, then S = H P H^T + R of a
-# fix, nu and the gain's G.
-BEFORE_X, BEFORE_Y, BEFORE_T = range(78, 81)
-C1, C2 = 81, 89
-S11, S12, S22, V11, V12, V22, N1, N2, G11, G12, G22, USE = range(97, 109)
-# Scratch of a prediction: acceleration, its covariances with the state and with itself.
-EAST, NORTH, JEAST, JNORTH, E, ALONG, COS, SIN, MU_EAST, MU_NORTH, GEE, GEN, GNN = range(109, 122)
-N_ROWS = 122
 
 # NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
 # by zero of error_model="python" would be an early exit, which no vectorized loop may have.
 FLAGS = {"contract", "reassoc", "nsz", "arcp"}
+OPTIONS = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True}
 
 
-def kernel(function, compiler=njit, **options):
-    """Compile a function. It takes the array of rows ``w``, so that it knows of one base pointer only."""
-    usual = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True, "forceinline": True}
-    return compiler(function, **(usual | options))
+def kernel(function, **known):
+    """Compile a function for use in others, with its keyword-only parameters bound: see `unrolled`.
+
+    It takes the array of rows ``w``, so that it knows of one base pointer only.
+    """
+    return njit(unrolled(function, **known), forceinline=True, **OPTIONS)
 
 
 def _inline(function):

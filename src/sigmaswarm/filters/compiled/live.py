@@ -1,6 +1,6 @@
 """A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
 
-The filter is the first lane of the rows in `lanes`. Each step spreads it over all lanes, which costs less than another
+The filter is the first lane of the rows in `layout`. Each step spreads it over all lanes, which costs less than another
 set of kernels would. The memory is five arrays, so that each call takes the same few arguments:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
@@ -21,17 +21,17 @@ from numba.core.dispatcher import Dispatcher
 
 from sigmaswarm.drives.standstill import FIX_WINDOW, WINDOW, fixes_stand, is_calm
 from sigmaswarm.drives.timeline import CORNERING
-from sigmaswarm.filters.compiled.lanes import LANES, OK, P0, SUMS, kernel
-from sigmaswarm.filters.compiled.measurements import absorbers
-from sigmaswarm.filters.compiled.planar5 import predict_planar5
-from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.compiled.lanes import LANES
+from sigmaswarm.filters.compiled.layout import N_KEPT, P0, R
 from sigmaswarm.filters.compiled.rows import new_rows
-from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY, cached_by_sources
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.run import cached_by_sources
+from sigmaswarm.filters.compiled.step import step5, step8
+from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
 
-# The belief: state, constants and sums as in `lanes`, then when it is, Q's scale since the last fix, and the intervals
+# The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, and the intervals
 # in which the constraints were absorbed last.
-N_FILTER = SUMS.stop
+N_FILTER = N_KEPT
+OK = R.OK
 TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT = range(N_FILTER, N_FILTER + 4)
 N_BELIEF = N_FILTER + 4
 # Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
@@ -78,27 +78,6 @@ _plain = partial(njit, error_model="numpy", nogil=True)
 _cached_plain = partial(cached_by_sources, fastmath=False)
 
 
-def _step(
-    w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
-    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
-):  # fmt: skip
-    """Predict, then absorb what happens at the step's end, as in `run`, but for a last bit."""
-    if dt > 0.0:
-        predict(w, dt, ax, ay, gz, q_scale)
-    if happens & FIX:
-        absorb_fix(w, zx, zy, lever_x, lever_y, since)
-        if happens & VELOCITY:
-            absorb_velocity(w, zu, zv)
-    if happens & LATERAL:
-        absorb_lateral(w, gz)
-    if happens & STANDSTILL:
-        absorb_standstill(w, gz)
-
-
-_step5 = kernel(unrolled(_step, predict=predict_planar5, **absorbers(5)))
-_step8 = kernel(unrolled(_step, predict=predict_planar8, **absorbers(8)))
-
-
 @cached_by_sources
 def live_step(sources):
     def step(v, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since):
@@ -110,9 +89,9 @@ def live_step(sources):
             for l in range(LANES):
                 w[r, l] = v[r]
         if n == 5:
-            _step5(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            step5(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
         else:
-            _step8(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            step8(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
         for r in range(N_FILTER):
             v[r] = w[r, 0]
 
@@ -131,7 +110,7 @@ def _step_to(v, n, to, ax, ay, gz, happens, zx, zy, zu, zv):
 
 @_plain
 def _slot(t, start, interval):
-    """Which interval a moment lies in, as `batch._every` says it; a constraint is absorbed once in each."""
+    """Which interval a moment lies in, as `schedule._every` says it; a constraint is absorbed once in each."""
     return math.floor((t - start) / interval + 1e-6)
 
 

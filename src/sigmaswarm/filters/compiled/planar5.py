@@ -1,4 +1,4 @@
-"""planar5's prediction in closed form; read it beside `models.planar5` and `reference.UnscentedKalmanFilter`.
+"""planar5's prediction in closed form; read it beside `models.planar5` and `textbook.UnscentedKalmanFilter`.
 
 The process is linear in all but theta: u' = u + dt g(theta), x' = x + (u + u') dt/2, theta' = theta + dt yaw rate,
 with g the acceleration turned into the world. Any square root of P is right for sigma points; take the one with theta
@@ -21,7 +21,8 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import *
+from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
@@ -30,23 +31,19 @@ def predict_planar5(w, dt, ax, ay, gz, q_scale):
     _turn(w, dt * ax, dt * ay)
     h = 0.5 * dt
     for l in range(LANES):
-        a, b, ke, kn = (
-            w[EAST, l],
-            w[NORTH, l],
-            w[JEAST, l],
-            w[JNORTH, l],
-        )  # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
-        xu, xv, xt = w[XU, l], w[XV, l], w[XT, l]
-        yu, yv, yt = w[YU, l], w[YV, l], w[YT, l]
-        uu, uv, ut = w[UU, l], w[UV, l], w[UT, l]
-        vv, vt, tt = w[VV, l], w[VT, l], w[TT, l]
+        # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
+        a, b, ke, kn = w[R.EAST, l], w[R.NORTH, l], w[R.JEAST, l], w[R.JNORTH, l]
+        xu, xv, xt = w[R.XU, l], w[R.XV, l], w[R.XT, l]
+        yu, yv, yt = w[R.YU, l], w[R.YV, l], w[R.YT, l]
+        uu, uv, ut = w[R.UU, l], w[R.UV, l], w[R.UT, l]
+        vv, vt, tt = w[R.VV, l], w[R.VT, l], w[R.TT, l]
 
-        u, v = w[U, l], w[V, l]
-        u1, v1 = u + (a + w[E, l] * a), v + (b + w[E, l] * b)
-        w[X, l] += h * (u + u1)
-        w[Y, l] += h * (v + v1)
-        w[U, l], w[V, l] = u1, v1
-        w[T, l] += dt * gz
+        u, v = w[R.U, l], w[R.V, l]
+        u1, v1 = u + (a + w[R.E, l] * a), v + (b + w[R.E, l] * b)
+        w[R.X, l] += h * (u + u1)
+        w[R.Y, l] += h * (v + v1)
+        w[R.U, l], w[R.V, l] = u1, v1
+        w[R.T, l] += dt * gz
 
         # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on.
         xu1, xv1 = xu + ke * xt, xv + kn * xt
@@ -54,32 +51,32 @@ def predict_planar5(w, dt, ax, ay, gz, q_scale):
         uu1, uv1 = uu + ke * ut, uv + kn * ut
         vu1, vv1 = uv + ke * vt, vv + kn * vt
         u1t, v1t = ut + ke * tt, vt + kn * tt
-        u1u1 = uu1 + ke * u1t + w[ALONG, l] * a * a
-        u1v1 = uv1 + ke * v1t + w[ALONG, l] * a * b
-        v1v1 = vv1 + kn * v1t + w[ALONG, l] * b * b
+        u1u1 = uu1 + ke * u1t + w[R.ALONG, l] * a * a
+        u1v1 = uv1 + ke * v1t + w[R.ALONG, l] * a * b
+        v1v1 = vv1 + kn * v1t + w[R.ALONG, l] * b * b
         x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
         x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
         y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
-        w[XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[Q0, l]
-        w[XY, l] += h * ((xv + xv1) + (y1u + y1u1))
-        w[YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[Q0 + 1, l]
-        w[XU, l], w[XV, l], w[XT, l] = x1u1, x1v1, xt + h * (ut + u1t)
-        w[YU, l], w[YV, l], w[YT, l] = y1u1, y1v1, yt + h * (vt + v1t)
-        w[UU, l], w[UV, l], w[UT, l] = u1u1 + q_scale * w[Q0 + 2, l], u1v1, u1t
-        w[VV, l], w[VT, l] = v1v1 + q_scale * w[Q0 + 3, l], v1t
-        w[TT, l] = tt + q_scale * w[Q0 + 4, l]
+        w[R.XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[R.Q_X, l]
+        w[R.XY, l] += h * ((xv + xv1) + (y1u + y1u1))
+        w[R.YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[R.Q_Y, l]
+        w[R.XU, l], w[R.XV, l], w[R.XT, l] = x1u1, x1v1, xt + h * (ut + u1t)
+        w[R.YU, l], w[R.YV, l], w[R.YT, l] = y1u1, y1v1, yt + h * (vt + v1t)
+        w[R.UU, l], w[R.UV, l], w[R.UT, l] = u1u1 + q_scale * w[R.Q_U, l], u1v1, u1t
+        w[R.VV, l], w[R.VT, l] = v1v1 + q_scale * w[R.Q_V, l], v1t
+        w[R.TT, l] = tt + q_scale * w[R.Q_T, l]
 
 
 @kernel
 def _turn(w, ax, ay):
     """What the mean heading and its spread do to the acceleration times dt."""
     for l in range(LANES):
-        sin_t, cos_t = sincos(w[T, l])
+        sin_t, cos_t = sincos(w[R.T, l])
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        second = w[SECOND, l]
-        d = w[GAMMA, l] * math.sqrt(w[TT, l]) + 1e-300  # never 0/0; no change to any other d
+        second = w[R.SECOND, l]
+        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + 1e-300  # never 0/0; no change to any other d
         sin_d, sin2_h = double_angle(0.5 * d)
-        e = -2.0 * second * w[INV_GAMMA2, l] * sin2_h
+        e = -2.0 * second * w[R.INV_GAMMA2, l] * sin2_h
         k = 1.0 + second * (sin_d / d - 1.0)
-        w[EAST, l], w[NORTH, l], w[E, l], w[ALONG, l] = a, b, e, w[SPREAD, l] * e * e
-        w[JEAST, l], w[JNORTH, l] = -k * b, k * a
+        w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
+        w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a

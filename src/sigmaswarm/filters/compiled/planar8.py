@@ -18,7 +18,8 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import *
+from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
@@ -27,21 +28,25 @@ def predict_planar8(w, dt, ax, ay, gz, q_scale):
     _turn(w, dt, ax, ay)
     h = 0.5 * dt
     for l in range(LANES):
-        c, s, ke, kn = w[COS, l], w[SIN, l], w[JEAST, l], w[JNORTH, l]  # dt R; dt (k J g0 + m t)
-        xt, yt, ut, vt, tt = w[XT, l], w[YT, l], w[UT, l], w[VT, l], w[TT, l]
-        xa, ya, ua, va, ta, aa = w[XA, l], w[YA, l], w[UA, l], w[VA, l], w[TA, l], w[AA, l]
-        xb, yb, ub, vb, tb, ab, bb = w[XB, l], w[YB, l], w[UB, l], w[VB, l], w[TB, l], w[AB, l], w[BB, l]
-        xw, yw, uw, vw, tw, aw, bw, ww = (
-            w[XW, l], w[YW, l], w[UW, l], w[VW, l], w[TW, l], w[AW, l], w[BW, l], w[WW, l],
+        c, s, ke, kn = w[R.COS, l], w[R.SIN, l], w[R.JEAST, l], w[R.JNORTH, l]  # dt R; dt (k J g0 + m t)
+        xt, yt, ut, vt, tt = w[R.XT, l], w[R.YT, l], w[R.UT, l], w[R.VT, l], w[R.TT, l]
+        xa, ya, ua, va, ta, aa = w[R.XA, l], w[R.YA, l], w[R.UA, l], w[R.VA, l], w[R.TA, l], w[R.AA, l]
+        xb, yb, ub, vb, tb, ab, bb = (
+            w[R.XB, l], w[R.YB, l], w[R.UB, l], w[R.VB, l], w[R.TB, l], w[R.AB, l], w[R.BB, l],
         )  # fmt: skip
-        xu, yu, uu, xv, yv, uv, vv = w[XU, l], w[YU, l], w[UU, l], w[XV, l], w[YV, l], w[UV, l], w[VV, l]
+        xw, yw, uw, vw, tw, aw, bw, ww = (
+            w[R.XW, l], w[R.YW, l], w[R.UW, l], w[R.VW, l], w[R.TW, l], w[R.AW, l], w[R.BW, l], w[R.WW, l],
+        )  # fmt: skip
+        xu, yu, uu, xv, yv, uv, vv = (
+            w[R.XU, l], w[R.YU, l], w[R.UU, l], w[R.XV, l], w[R.YV, l], w[R.UV, l], w[R.VV, l],
+        )  # fmt: skip
 
-        u, v = w[U, l], w[V, l]
-        u1, v1 = u + (w[EAST, l] + w[MU_EAST, l]), v + (w[NORTH, l] + w[MU_NORTH, l])
-        w[X, l] += h * (u + u1)
-        w[Y, l] += h * (v + v1)
-        w[U, l], w[V, l] = u1, v1
-        w[T, l] += dt * (gz - w[W, l])
+        u, v = w[R.U, l], w[R.V, l]
+        u1, v1 = u + (w[R.EAST, l] + w[R.MU_EAST, l]), v + (w[R.NORTH, l] + w[R.MU_NORTH, l])
+        w[R.X, l] += h * (u + u1)
+        w[R.Y, l] += h * (v + v1)
+        w[R.U, l], w[R.V, l] = u1, v1
+        w[R.T, l] += dt * (gz - w[R.W, l])
 
         # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on; theta' = t1.
         xu1, xv1 = xu + ke * xt - (c * xa - s * xb), xv + kn * xt - (s * xa + c * xb)
@@ -52,62 +57,62 @@ def predict_planar8(w, dt, ax, ay, gz, q_scale):
         u1a, v1a = ua + ke * ta - (c * aa - s * ab), va + kn * ta - (s * aa + c * ab)
         u1b, v1b = ub + ke * tb - (c * ab - s * bb), vb + kn * tb - (s * ab + c * bb)
         u1w, v1w = uw + ke * tw - (c * aw - s * bw), vw + kn * tw - (s * aw + c * bw)
-        u1u1 = uu1 + (uu1 - uu) + w[GEE, l]
-        u1v1 = uv1 + (vu1 - uv) + w[GEN, l]
-        v1v1 = vv1 + (vv1 - vv) + w[GNN, l]
+        u1u1 = uu1 + (uu1 - uu) + w[R.GEE, l]
+        u1v1 = uv1 + (vu1 - uv) + w[R.GEN, l]
+        v1v1 = vv1 + (vv1 - vv) + w[R.GNN, l]
         u1t1, v1t1 = u1t - dt * u1w, v1t - dt * v1w
         x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
         x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
         y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
 
-        w[XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[Q0, l]
-        w[XY, l] += h * ((xv + xv1) + (y1u + y1u1))
-        w[YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[Q0 + 1, l]
-        w[XU, l], w[XV, l], w[YU, l], w[YV, l] = x1u1, x1v1, y1u1, y1v1
-        w[UU, l], w[UV, l], w[VV, l] = u1u1 + q_scale * w[Q0 + 2, l], u1v1, v1v1 + q_scale * w[Q0 + 3, l]
-        w[XT, l] = xt - dt * xw + h * ((ut - dt * uw) + u1t1)
-        w[YT, l] = yt - dt * yw + h * ((vt - dt * vw) + v1t1)
-        w[UT, l], w[VT, l] = u1t1, v1t1
-        w[TT, l] = tt - dt * (2.0 * tw - dt * ww) + q_scale * w[Q0 + 4, l]
-        w[XA, l], w[XB, l], w[XW, l] = xa + h * (ua + u1a), xb + h * (ub + u1b), xw + h * (uw + u1w)
-        w[YA, l], w[YB, l], w[YW, l] = ya + h * (va + v1a), yb + h * (vb + v1b), yw + h * (vw + v1w)
-        w[UA, l], w[UB, l], w[UW, l], w[VA, l], w[VB, l], w[VW, l] = u1a, u1b, u1w, v1a, v1b, v1w
-        w[TA, l], w[TB, l], w[TW, l] = ta - dt * aw, tb - dt * bw, tw - dt * ww
-        w[AA, l] = aa + q_scale * w[Q0 + 5, l]
-        w[BB, l] = bb + q_scale * w[Q0 + 6, l]
-        w[WW, l] = ww + q_scale * w[Q0 + 7, l]
+        w[R.XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[R.Q_X, l]
+        w[R.XY, l] += h * ((xv + xv1) + (y1u + y1u1))
+        w[R.YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[R.Q_Y, l]
+        w[R.XU, l], w[R.XV, l], w[R.YU, l], w[R.YV, l] = x1u1, x1v1, y1u1, y1v1
+        w[R.UU, l], w[R.UV, l], w[R.VV, l] = u1u1 + q_scale * w[R.Q_U, l], u1v1, v1v1 + q_scale * w[R.Q_V, l]
+        w[R.XT, l] = xt - dt * xw + h * ((ut - dt * uw) + u1t1)
+        w[R.YT, l] = yt - dt * yw + h * ((vt - dt * vw) + v1t1)
+        w[R.UT, l], w[R.VT, l] = u1t1, v1t1
+        w[R.TT, l] = tt - dt * (2.0 * tw - dt * ww) + q_scale * w[R.Q_T, l]
+        w[R.XA, l], w[R.XB, l], w[R.XW, l] = xa + h * (ua + u1a), xb + h * (ub + u1b), xw + h * (uw + u1w)
+        w[R.YA, l], w[R.YB, l], w[R.YW, l] = ya + h * (va + v1a), yb + h * (vb + v1b), yw + h * (vw + v1w)
+        w[R.UA, l], w[R.UB, l], w[R.UW, l], w[R.VA, l], w[R.VB, l], w[R.VW, l] = u1a, u1b, u1w, v1a, v1b, v1w
+        w[R.TA, l], w[R.TB, l], w[R.TW, l] = ta - dt * aw, tb - dt * bw, tw - dt * ww
+        w[R.AA, l] = aa + q_scale * w[R.Q_A, l]
+        w[R.BB, l] = bb + q_scale * w[R.Q_B, l]
+        w[R.WW, l] = ww + q_scale * w[R.Q_W, l]
 
 
 @kernel
 def _turn(w, dt, ax, ay):
     """What heading, biases and their spread do to the acceleration times dt."""
     for l in range(LANES):
-        sin_t, cos_t = sincos(w[T, l])
+        sin_t, cos_t = sincos(w[R.T, l])
         s, c = dt * sin_t, dt * cos_t  # all below is times dt
-        fx, fy = ax - w[A, l], ay - w[B, l]
+        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
         a, b = c * fx - s * fy, s * fx + c * fy
-        second, gamma, tt = w[SECOND, l], w[GAMMA, l], w[TT, l]
+        second, gamma, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.TT, l]
         d = gamma * math.sqrt(tt) + 1e-300
         sin_d, sin2_h = double_angle(0.5 * d)
         sin2_h = second * sin2_h
         k = 1.0 + second * (sin_d / d - 1.0)
-        e = -2.0 * w[INV_GAMMA2, l] * sin2_h
+        e = -2.0 * w[R.INV_GAMMA2, l] * sin2_h
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
-        te, tn = c * w[TA, l] - s * w[TB, l], s * w[TA, l] + c * w[TB, l]
+        te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
         mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
-        w[COS, l], w[SIN, l], w[EAST, l], w[NORTH, l] = c, s, a, b
-        w[MU_EAST, l], w[MU_NORTH, l] = mu_e, mu_n
-        w[JEAST, l], w[JNORTH, l] = m * te - k * b, m * tn + k * a
+        w[R.COS, l], w[R.SIN, l], w[R.EAST, l], w[R.NORTH, l] = c, s, a, b
+        w[R.MU_EAST, l], w[R.MU_NORTH, l] = mu_e, mu_n
+        w[R.JEAST, l], w[R.JNORTH, l] = m * te - k * b, m * tn + k * a
 
-        aa, ab, bb = w[AA, l], w[AB, l], w[BB, l]
+        aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
         ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
-        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[SPREAD, l], second * gamma * gamma
-        w[GEE, l] = (
+        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l], second * gamma * gamma
+        w[R.GEE, l] = (
             c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
         )
-        w[GEN, l] = (
+        w[R.GEN, l] = (
             s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
         )
-        w[GNN, l] = (
+        w[R.GNN, l] = (
             s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
         )

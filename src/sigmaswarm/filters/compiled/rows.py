@@ -12,7 +12,8 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from sigmaswarm.filters.compiled.lanes import LANES, N_ROWS
+from sigmaswarm.filters.compiled.lanes import LANES
+from sigmaswarm.filters.compiled.layout import N_ROWS
 
 CACHE_LINE = 64
 """Bytes; also the width of the widest vectors."""

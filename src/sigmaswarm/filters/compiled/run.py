@@ -11,29 +11,31 @@ from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives import standstill, timeline
-from sigmaswarm.filters.compiled.lanes import *
-from sigmaswarm.filters.compiled.measurements import absorbers
-from sigmaswarm.filters.compiled.planar5 import predict_planar5
-from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters import models, schedule
+from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
+from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, N_STATE, R
 from sigmaswarm.filters.compiled.rows import new_rows
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.step import step5, step8
+from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU
 
 Array = NDArray[np.float64]
 
-# Columns of a step, and its flags: what happens at its end.
+# Columns of a step.
 DT, AX, AY, GZ, Q_SCALE = range(5)
-FIX = 1  # a fix is absorbed
-IMU = 2  # it is an IMU sample's time: estimates are recorded and scored
-VELOCITY = 4  # the fix has a velocity
-LATERAL = 8  # the car's lateral velocity is constrained
-STANDSTILL = 16  # the car stands
-HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
 
 # Columns of a target: a moment of truth inside an IMU interval.
 WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
 
 # Where a run goes on that is made in pieces: the next step, fix and target, and Q's scale since the last fix.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE = range(4)
+NO_RECORD, NO_INNOVATIONS = np.empty((0, N_STATE + 1, 0)), np.empty((0, 5))
+"""For a run that records nothing."""
+
+
+def new_place() -> Array:
+    """Where a run begins."""
+    return np.zeros(4)
+
 
 _TWO_PI = 2 * math.pi
 _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a double
@@ -43,8 +45,8 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 def _take_logarithm(w):
     """Move the product of the last det S into the sum of their logarithms (a slow call: once in a while)."""
     for l in range(LANES):
-        w[LOG_DET, l] += math.log(w[DET, l])
-        w[DET, l] = 1.0
+        w[R.LOG_DET, l] += math.log(w[R.DET, l])
+        w[R.DET, l] = 1.0
 
 
 @kernel
@@ -54,60 +56,52 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading):
     The estimate is linear between two IMU samples; the covariance is that at the later one.
     """
     for l in range(LANES):
-        x = w[BEFORE_X, l] + weight * (w[X, l] - w[BEFORE_X, l]) - true_x
-        y = w[BEFORE_Y, l] + weight * (w[Y, l] - w[BEFORE_Y, l]) - true_y
-        turn = w[T, l] - w[BEFORE_T, l]
+        x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
+        y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
+        turn = w[R.T, l] - w[R.BEFORE_T, l]
         turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
-        wrong = w[BEFORE_T, l] + weight * turn - true_theta
+        wrong = w[R.BEFORE_T, l] + weight * turn - true_theta
         wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
-        w[SQ_POSITION, l] += x * x + y * y
-        w[SQ_HEADING, l] += scores_heading * wrong * wrong
-        xx, xy, yy = w[XX, l], w[XY, l], w[YY, l]
-        w[NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        w[R.SQ_POSITION, l] += x * x + y * y
+        w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
+        xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
+        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
-def _run(
-    w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations,
-    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
-):  # fmt: skip
+def _run(w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations, *, step):
     """The steps from a place to a stop; w holds what the filters are and remember, before and after."""
     n_fixes = int(place[NEXT_FIX])
     n_targets = int(place[NEXT_TARGET])
     n_recorded = 0
     since = place[SINCE]
     interval_starts = True
-    for step in range(int(place[NEXT_STEP]), stop):
+    for s in range(int(place[NEXT_STEP]), stop):
         if interval_starts:
             for l in range(LANES):
-                w[BEFORE_X, l] = w[X, l]
-                w[BEFORE_Y, l] = w[Y, l]
-                w[BEFORE_T, l] = w[T, l]
-        u = steps[step]
-        predict(w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE])
+                w[R.BEFORE_X, l] = w[R.X, l]
+                w[R.BEFORE_Y, l] = w[R.Y, l]
+                w[R.BEFORE_T, l] = w[R.T, l]
+        u = steps[s]
+        happens = flags[s]
         since += u[Q_SCALE]
-        happens = flags[step]
+        zx, zy, zu, zv = 0.0, 0.0, 0.0, 0.0
+        if happens & (FIX | HIDDEN):
+            z = fixes[n_fixes]
+            zx, zy, zu, zv = z[0], z[1], z[2], z[3]
+        step(
+            w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE], happens, zx, zy, zu, zv, lever[0], lever[1], since
+        )  # fmt: skip
         if happens & FIX:
-            z = fixes[n_fixes]
-            absorb_fix(w, z[0], z[1], lever[0], lever[1], since)
             since = 0.0
-        if happens & HIDDEN:
-            z = fixes[n_fixes]
-            forecast_fix(w, z[0], z[1], lever[0], lever[1])
         if happens & (FIX | HIDDEN):
             if innovations.shape[0] > 0:
                 for r in range(5):
-                    innovations[n_fixes, r] = w[(N1, N2, V11, V12, V22)[r], 0]
-            if happens & VELOCITY:
-                absorb_velocity(w, z[2], z[3])
+                    innovations[n_fixes, r] = w[(R.NU1, R.NU2, R.V11, R.V12, R.V22)[r], 0]
             n_fixes += 1
             if n_fixes % _DETERMINANTS_PER_LOG == 0:
                 _take_logarithm(w)
-        if happens & LATERAL:
-            absorb_lateral(w, u[GZ])
-        if happens & STANDSTILL:
-            absorb_standstill(w, u[GZ])
         interval_starts = (happens & IMU) != 0
-        while n_targets < target_end[step]:
+        while n_targets < target_end[s]:
             t = targets[n_targets]
             _score(w, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING])
             n_targets += 1
@@ -115,15 +109,15 @@ def _run(
             for l in range(record.shape[2]):
                 for r in range(N_STATE):
                     record[n_recorded, r, l] = w[r, l]
-                record[n_recorded, N_STATE, l] = w[OK, l]
+                record[n_recorded, N_STATE, l] = w[R.OK, l]
             n_recorded += 1
     if stop == steps.shape[0]:
         _take_logarithm(w)
     place[NEXT_STEP], place[NEXT_FIX], place[NEXT_TARGET], place[SINCE] = stop, n_fixes, n_targets, since
 
 
-_run5 = kernel(unrolled(_run, predict=predict_planar5, **absorbers(5)))
-_run8 = kernel(unrolled(_run, predict=predict_planar8, **absorbers(8)))
+_run5 = kernel(_run, step=step5)
+_run8 = kernel(_run, step=step8)
 
 
 @kernel
@@ -148,10 +142,10 @@ def cached_by_sources(make, **options):
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
-    frozen = standstill, timeline  # what kernels take from elsewhere
+    frozen = standstill, timeline, models, schedule  # what kernels take from elsewhere
     files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(str(module.__file__)) for module in frozen)]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return kernel(make(digest), cached, **({"forceinline": False} | options))
+    return cached(make(digest), **(OPTIONS | options))
 
 
 @cached_by_sources
@@ -180,12 +174,12 @@ def _run_planar8(sources):
     return run_planar8
 
 
-KERNELS = {5: _run_planar5, 8: _run_planar8}
-"""By number of states."""
+KERNELS = {"planar5": _run_planar5, "planar8": _run_planar8}
+"""By model."""
 
 
 def run_lanes(
-    n: int,
+    model: str,
     steps: Array,
     flags: NDArray[np.int64],
     fixes: Array,
@@ -204,15 +198,15 @@ def run_lanes(
 
     Parameters
     ----------
-    n : 5 or 8, states of the model
+    model : its name
     steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
-    flags : (k,) bits of each step, FIX ... STANDSTILL
+    flags : (k,) bits of each step: see `schedule`
     fixes : (f, 4) m east, north, m/s east, north, in the order in which steps absorb them
     lever : (2,) m forward and left from the IMU to the antenna
     targets : (m, 5) see WEIGHT ... SCORES_HEADING
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, LANES), changed: state, constants and sums of each lane, and what it remembers
-    place : (4,), changed: see NEXT_STEP ... SINCE; zeros at the start
+    place : (4,), changed: see NEXT_STEP ... SINCE
     stop : the step before which to stop; at k, sums are complete
     record : (r, N_STATE + 1, m), written from its start: state and OK flag of the first m lanes at each IMU sample of
         these steps; r = 0: none
@@ -220,4 +214,4 @@ def run_lanes(
         is absorbed; of no rows: none
     """
     arrays = steps, flags, fixes, lever, targets, target_end, rows, place, stop
-    KERNELS[n](*arrays, record, innovations)
+    KERNELS[model](*arrays, record, innovations)

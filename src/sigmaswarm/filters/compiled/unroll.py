@@ -1,7 +1,8 @@
 """Loops over states, written as loops and compiled as straight lines.
 
 A compiler vectorizes innermost loops only, and ours is the one over lanes: in `for l: for i in range(n): ...` the loop
-over states would hide it. So `unrolled` writes the loops over states out, with n a number, before Numba sees them.
+over states would hide it. So `unrolled` writes the loops over states out, with n a number, before Numba sees them; and
+it puts numbers in place of rows' names, which Numba would have to look up one by one.
 """
 
 import ast
@@ -11,12 +12,14 @@ import textwrap
 from collections.abc import Callable
 from typing import Any
 
+from sigmaswarm.filters.compiled.layout import R
+
 STATE_LOOPS = ("i", "j", "k", "row")
 """Names of the loop variables that are written out."""
 
 
 def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
-    """The same function with its keyword-only parameters bound to ``known`` and its loops over states written out.
+    """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
 
     Parameters
     ----------
@@ -25,7 +28,8 @@ def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
     **known
         Values of its keyword-only parameters, and of globals.
     """
-    names = function.__globals__ | known
+    # Without anything to bind, the module's own globals: they may name what comes later in the file.
+    names = function.__globals__ | known if known else function.__globals__
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]
@@ -35,8 +39,9 @@ def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
     ast.fix_missing_locations(tree)
-    exec(compile(tree, function.__code__.co_filename, "exec"), names)
-    return names[function.__name__]
+    defined: dict[str, Any] = {}
+    exec(compile(tree, function.__code__.co_filename, "exec"), names, defined)
+    return defined[function.__name__]
 
 
 class _Writer(ast.NodeTransformer):
@@ -78,6 +83,10 @@ class _Writer(ast.NodeTransformer):
         if isinstance(node.func, ast.Name) and node.func.id == "at":
             return ast.Constant(self._value(node))
         return node
+
+    def visit_Attribute(self, node: ast.Attribute) -> Any:
+        row = isinstance(node.value, ast.Name) and self.names.get(node.value.id) is R
+        return ast.Constant(getattr(R, node.attr)) if row else self.generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> Any:
         known = isinstance(node.ctx, ast.Load) and node.id in self.values

@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
-from sigmaswarm.filters.reference.ekf import complex_step
+from sigmaswarm.filters.textbook.ekf import complex_step
 
 TRIAL_SCALING = {"alpha": 0.5, "beta": 2.0, "kappa": 1.0}
 

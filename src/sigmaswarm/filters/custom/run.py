@@ -11,12 +11,13 @@ from numba.core.errors import NumbaError
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmWarning
+from sigmaswarm.filters.compiled.custom import build_kernel
 from sigmaswarm.filters.custom.checks import check, trial_parameters
-from sigmaswarm.filters.custom.kernel import build_kernel
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance
 from sigmaswarm.filters.custom.steps import Steps, build_steps
-from sigmaswarm.filters.custom.textbook import FAILURES, Run, run_textbook
+from sigmaswarm.filters.textbook.custom import TextbookModel
+from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps
 from sigmaswarm.geodesy import wrap_angle
 
 TRIED = 20
@@ -90,6 +91,14 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     return replace(estimate, failure=failure)
 
 
+@dataclass(frozen=True, eq=False)
+class Filtered(Trajectory):
+    """What a filter did with a log: the trajectory at its ``time``, and each measurement's NIS and NLL, (f,)."""
+
+    nis: Array
+    nll: Array
+
+
 class Runner:
     """Logs made ready once, to be filtered with any number of parameter sets.
 
@@ -111,19 +120,19 @@ class Runner:
         self.steps = [build_steps(log) for log in logs]
         self.kernel = kernel_of(model, self.steps[0])
 
-    def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Run:
+    def run(self, i: int, parameters: Mapping[str, float], *, covariances: bool = False) -> Filtered:
         """Filter log i with parameters by name."""
         return _run(self.model, self.kernel, self.steps[i], parameters, covariances=covariances)
 
 
 def _run(
     model: Model, kernel: Any, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
-) -> Run:
+) -> Filtered:
     p = model.values(parameters)
     scaling = np.array([parameters.get(name, np.nan) for name in SCALING_NAMES])
     if kernel is None:
-        return run_textbook(model, steps, scaling, p, covariances=covariances)
-    run = Run.empty(steps, covariances=covariances)
+        return _run_textbook(model, steps, scaling, p, covariances=covariances)
+    run = _nothing(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.absorbs, steps.records, steps.inputs, steps.measurements)
     angles = np.isin(range(len(model.states)), model.places(model.angles))
     measured = np.isin(range(steps.measurements.shape[1]), model.measured_angles)
@@ -132,8 +141,25 @@ def _run(
         noise = as_covariance(model.measurement_noise(p))
         failed = kernel(*line, steps.mean, steps.covariance, angles, measured, scaling, noise, p, *written)
     except FAILURES:  # raised by the user's functions; the first step is as good as any to name
-        return replace(Run.empty(steps, covariances=covariances), failed=0)
+        return _nothing(steps, covariances=covariances, failed=0)
     return replace(run, failed=int(failed))
+
+
+def _run_textbook(model: Model, steps: Steps, scaling: Array, p: Any, *, covariances: bool) -> Filtered:
+    try:
+        with np.errstate(all="ignore"):  # what comes of it is looked at
+            stepper = TextbookModel(model, steps, scaling, p)
+    except FAILURES:  # R can't be had
+        return _nothing(steps, covariances=covariances, failed=0)
+    trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
+    return Filtered(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
+
+
+def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
+    """NaN all over."""
+    k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
+    trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
+    return Filtered(**vars(trajectory), nis=each[0], nll=each[1])
 
 
 _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
@@ -174,7 +200,7 @@ def _compiled(model: Model, steps: Steps) -> Any:
     return None
 
 
-def _same(a: Run, b: Run) -> bool:
+def _same(a: Filtered, b: Filtered) -> bool:
     deviation = np.sqrt(np.diagonal(b.covariance, axis1=1, axis2=2))
     apart = np.abs(a.mean - b.mean) / deviation
     return (

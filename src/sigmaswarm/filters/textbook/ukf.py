@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.errors import SigmaswarmError
-from sigmaswarm.filters.reference.gaussian import (
+from sigmaswarm.filters.textbook.gaussian import (
     Array,
     GaussianFilter,
     Innovation,

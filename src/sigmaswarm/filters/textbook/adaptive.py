@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter, Innovation
+from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation
 
 
 @dataclass

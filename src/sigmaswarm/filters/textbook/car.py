@@ -7,14 +7,23 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.batch import STANDSTILL_RATE_NOISE, flags_of, start_of, switches
-from sigmaswarm.filters.compiled.measurements import MOST_REJECTED
-from sigmaswarm.filters.compiled.run import FIX, LATERAL, STANDSTILL, VELOCITY
-from sigmaswarm.filters.models import PROCESSES, THETA, gps_position, gyro_bias, lateral_velocity, velocity
+from sigmaswarm.filters.models import MODELS, THETA, gps_position, gyro_bias, lateral_velocity, velocity
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.reference import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.filters.reference.adaptive import SageHusa, StrongTracking
-from sigmaswarm.filters.reference.gaussian import Array, GaussianFilter
+from sigmaswarm.filters.schedule import (
+    FIX,
+    LATERAL,
+    MOST_REJECTED,
+    STANDSTILL,
+    STANDSTILL_RATE_NOISE,
+    VELOCITY,
+    converted,
+    flags_of,
+    start_of,
+    switches,
+)
+from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
+from sigmaswarm.filters.textbook.adaptive import SageHusa, StrongTracking
+from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter
 
 
 class TextbookCar:
@@ -26,7 +35,7 @@ class TextbookCar:
     parameters : FilterParameters
     initial : InitialState
     heading_first, redraw_sigma_points : bool
-        See `run_reference`.
+        See `run_textbook`.
 
     Attributes
     ----------
@@ -47,28 +56,28 @@ class TextbookCar:
     ) -> None:
         p = parameters
         self.timeline, self.parameters = timeline, p
-        means, covariances = start_of(initial, [p])
+        mean, covariance = start_of(initial, p)
         lever = (float(timeline.lever[0]), float(timeline.lever[1]))
-        f, h = PROCESSES[p.model], gps_position(lever, p.latency)
+        self.model = MODELS[p.model]
+        f, h = self.model.process, gps_position(lever, p.latency)
         self.filter: GaussianFilter
         if p.kind == "ekf":
-            self.filter = ExtendedKalmanFilter(f, h, means[0], covariances[0])
+            self.filter = ExtendedKalmanFilter(f, h, mean, covariance)
         else:
             points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
             self.filter = UnscentedKalmanFilter(
                 f,
                 h,
-                means[0],
-                covariances[0],
+                mean,
+                covariance,
                 points,
                 redraw_sigma_points=redraw_sigma_points,
                 angles=(THETA,),
             )
-        convert = timeline.nominal_interval / (p.nominal_interval or timeline.nominal_interval)
-        self.noise = SageHusa(
-            np.array(p.process_noise) * convert, np.array(p.measurement_noise), p.forgetting
-        )
+        q = converted(p, timeline.nominal_interval)
+        self.noise = SageHusa(q, np.array(p.measurement_noise), p.forgetting)
         self.tracking = StrongTracking(p.forgetting)
+        self._imu = np.column_stack([getattr(timeline, axis) for axis in self.model.imu])
         self.flags = flags_of(timeline, *switches(p))
         self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
         self._rejected = 0
@@ -77,7 +86,7 @@ class TextbookCar:
     def step(self, i: int) -> None:
         """Take the time line's step i: predict, then absorb what there is at its end."""
         line, p = self.timeline, self.parameters
-        imu = np.array([line.ax[i], line.ay[i], line.gz[i]])
+        imu, yaw_rate = self._imu[i], float(line.gz[i])
         self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i])
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
@@ -87,12 +96,12 @@ class TextbookCar:
                 self.filter.update(fix[2:], p.velocity_noise * np.eye(2), velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
             self.filter.update(
-                np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(imu[2], p.rear_axle)
+                np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(yaw_rate, p.rear_axle)
             )
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
             self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), velocity)
-            if p.model == "planar8":
-                self.filter.update(imu[2:], np.array([[STANDSTILL_RATE_NOISE]]), gyro_bias)
+            if self.model.gyro_bias is not None:
+                self.filter.update(np.array([yaw_rate]), np.array([[STANDSTILL_RATE_NOISE]]), gyro_bias)
 
     def _absorb_fix(self, fix: Array) -> None:
         innovation = self.filter.measure(fix, np.diag(self.noise.measurement_noise))

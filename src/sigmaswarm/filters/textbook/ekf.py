@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sigmaswarm.filters.reference.gaussian import (
+from sigmaswarm.filters.textbook.gaussian import (
     Array,
     GaussianFilter,
     Innovation,

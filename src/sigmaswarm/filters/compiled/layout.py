@@ -1,0 +1,65 @@
+"""The rows of the one array that a run works on, numbered in the order of their names.
+
+Kernels say ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place before Numba sees it.
+"""
+
+from collections import namedtuple
+from typing import Any
+
+from sigmaswarm.filters.models import MODELS
+
+LETTERS = {
+    "x": "X", "y": "Y", "vx": "U", "vy": "V", "theta": "T",
+    "accel_bias_x": "A", "accel_bias_y": "B", "gyro_bias_z": "W",
+}  # fmt: skip
+"""One for each state of any model; two of them name an element of the covariance."""
+
+_LARGEST = max(MODELS.values(), key=lambda model: len(model.states))
+_STATES = [LETTERS[name] for name in _LARGEST.names]
+
+MEAN = tuple(_STATES)
+COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
+"""The upper triangle column by column, so that a model's rows are the first of a larger one's."""
+CONSTANTS = (
+    "GAMMA", "INV_GAMMA2", "SPREAD", "SECOND",  # sigma points; SECOND = 0: an extended filter
+    *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive filter writes these
+    "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
+    "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
+)  # fmt: skip
+"""Of a parameter set."""
+SUMS = (
+    "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_DET",
+    "DET", "OK", "REJECTED", "RECENT",
+)  # fmt: skip
+"""What a run adds up and remembers; the first seven are those of `replay.Sums`, in its order."""
+SCRATCH = (
+    "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
+    *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for two components of z
+    "S11", "S12", "S22",  # H P H^T
+    "V11", "V12", "V22",  # S = H P H^T + R of a fix
+    "N1", "N2",  # nu
+    "G11", "G12", "G22", "USE",  # the gain's G
+    # A prediction's: acceleration, its covariances with the state and with itself.
+    "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
+    "NU1", "NU2",  # nu of the last fix, for whoever records it
+)  # fmt: skip
+
+_BLOCKS = {"STATE": (*MEAN, *COVARIANCE), "CONSTANTS": CONSTANTS, "SUMS": SUMS, "SCRATCH": SCRATCH}
+NAMES = tuple(name for block in _BLOCKS.values() for name in block)
+N_ROWS = len(NAMES)
+
+R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
+"""Each row's number under its name."""
+P0, Q0, C1, C2 = R.XX, R.Q_X, R.C1_X, R.C2_X
+"""First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
+
+
+def _rows(block: str) -> slice:
+    first = NAMES.index(_BLOCKS[block][0])
+    return slice(first, first + len(_BLOCKS[block]))
+
+
+STATE_ROWS, CONSTANT_ROWS, SUM_ROWS = _rows("STATE"), _rows("CONSTANTS"), _rows("SUMS")
+N_STATE: int = STATE_ROWS.stop
+N_KEPT: int = SUM_ROWS.stop
+"""Rows that make a filter: from them it goes on. What follows is scratch."""

@@ -1,0 +1,33 @@
+"""One step of LANES filters, the same in a run and in a live filter: predict, then absorb what there is."""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+from sigmaswarm.filters.compiled.lanes import kernel
+from sigmaswarm.filters.compiled.measurements import absorbers
+from sigmaswarm.filters.compiled.planar5 import predict_planar5
+from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.schedule import FIX, HIDDEN, LATERAL, STANDSTILL, VELOCITY
+
+
+def _step(
+    w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
+    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+):  # fmt: skip
+    """``happens`` are the bits of `schedule`; zx, zy, zu, zv a fix; ``since`` is Q's scale since the last one."""
+    if dt > 0.0:
+        predict(w, dt, ax, ay, gz, q_scale)
+    if happens & FIX:
+        absorb_fix(w, zx, zy, lever_x, lever_y, since)
+        if happens & VELOCITY:
+            absorb_velocity(w, zu, zv)
+    if happens & HIDDEN:
+        forecast_fix(w, zx, zy, lever_x, lever_y)
+    if happens & LATERAL:
+        absorb_lateral(w, gz)
+    if happens & STANDSTILL:
+        absorb_standstill(w, gz)
+
+
+step5 = kernel(_step, predict=predict_planar5, **absorbers(MODELS["planar5"]))
+step8 = kernel(_step, predict=predict_planar8, **absorbers(MODELS["planar8"]))

@@ -1,0 +1,185 @@
+"""Parameter sets and states in the rows and lanes of the compiled kernel, and what comes out of them.
+
+What is done once a drive and a chunk costs time beside a kernel that takes 0.2 ms, and it holds Python's lock while
+other threads wait: so it is done for all drives together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.lanes import LANES
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N_KEPT, N_STATE, P0, R
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, converted, starts_of, switches
+
+N_SUMS = R.LOG_DET - R.SQ_POSITION + 1
+"""Sums that are shown: those of `replay.Sums`, in its order."""
+_SHOWN = slice(R.SQ_POSITION, R.LOG_DET + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """At most LANES parameter sets of one model and with the same switches, packed once for any number of replays."""
+
+    sets: tuple[FilterParameters, ...]
+    _constants: dict[float, Array] = field(default_factory=dict[float, Array])
+
+    def constants(self, nominal_interval: float) -> Array:
+        """As `pack_constants`."""
+        if nominal_interval not in self._constants:
+            self._constants[nominal_interval] = pack_constants(self.sets, nominal_interval)
+        return self._constants[nominal_interval]
+
+    @cached_property
+    def plausible(self) -> NDArray[np.bool_]:
+        """See `plausible`; shape (n_sets,)."""
+        return np.array([plausible(p) for p in self.sets], dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Parameter sets in chunks for the kernel, and where each chunk's sets stand among them all."""
+
+    size: int
+    chunks: tuple[tuple[NDArray[np.intp], Chunk], ...]
+
+
+def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
+    """Group parameter sets so that those of a chunk can run side by side."""
+    groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
+    for i, p in enumerate(parameter_sets):
+        groups.setdefault((p.model, *switches(p)), []).append(i)
+    parts = [g[i : i + LANES] for g in groups.values() for i in range(0, len(g), LANES)]
+    return Packed(
+        len(parameter_sets),
+        tuple((np.array(part), Chunk(tuple(parameter_sets[i] for i in part))) for part in parts),
+    )
+
+
+def _padded(parameter_sets: Sequence[FilterParameters]) -> list[FilterParameters]:
+    """As many sets as there are lanes: the last one again."""
+    return [*parameter_sets, *[parameter_sets[-1]] * (LANES - len(parameter_sets))]
+
+
+def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
+    """The kernel's constants, shape (N_CONSTANTS, LANES), of at most LANES sets.
+
+    ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
+    """
+    return np.array([_constants(p, nominal_interval) for p in _padded(parameter_sets)]).T.copy()
+
+
+def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
+    n = p.n_states
+    gamma2 = p.alpha**2 * (n + p.kappa)
+
+    def variance(of: float | None) -> float:
+        return np.inf if of is None else of
+
+    q = dict(zip((f"Q_{letter}" for letter in MEAN), converted(p, nominal_interval).tolist(), strict=False))
+    unused = {f"Q_{letter}": 0.0 for letter in MEAN}
+    values = (
+        unused
+        | q
+        | {
+            "GAMMA": np.sqrt(gamma2),
+            "INV_GAMMA2": 1 / gamma2,
+            "SPREAD": p.alpha**2 * (n + p.kappa - 1) + p.beta,
+            "SECOND": 0.0 if p.kind == "ekf" else 1.0,
+            "RX": p.measurement_noise[0],
+            "RY": p.measurement_noise[1],
+            "R_VELOCITY": variance(p.velocity_noise),
+            "R_LATERAL": variance(p.lateral_noise),
+            "R_STANDSTILL": variance(p.standstill_noise),
+            "R_RATE": STANDSTILL_RATE_NOISE,
+            "REAR_AXLE": p.rear_axle,
+            "LATENCY": p.latency,
+            "GATE": np.inf if p.gate is None else p.gate,
+            "FORGETTING": p.forgetting if p.kind == "adaptive-ukf" else 1.0,
+            "FADING": p.forgetting if p.kind == "strong-tracking-ukf" else -1.0,
+        }
+    )
+    return [values[name] for name in CONSTANTS]
+
+
+def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[float], chunk: Chunk) -> Array:
+    """All that LANES filters are at m starts, shape (m, N_KEPT, LANES); intervals (s) are the drives'."""
+    rows = np.zeros((len(initial), N_KEPT, LANES))
+    model, bias_std = MODELS[chunk.sets[0].model], np.array([p.bias_std for p in _padded(chunk.sets)])
+    for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
+        each[:N_STATE] = pack_states(*starts_of(start, model, bias_std))
+        each[CONSTANT_ROWS] = chunk.constants(interval)
+    rows[:, [R.DET, R.OK]] = 1.0
+    rows[:, R.RECENT] = -1.0
+    return rows
+
+
+def pack_states(mean: Array, covariance: Array) -> Array:
+    """State rows (..., N_STATE, LANES) of means (..., LANES, n) and covariances (..., LANES, n, n)."""
+    n = mean.shape[-1]
+    rows, columns = _upper(n)
+    state = np.zeros((*mean.shape[:-2], N_STATE, LANES))
+    state[..., :n, :] = mean.swapaxes(-1, -2)
+    state[..., P0 : P0 + len(rows), :] = covariance[..., rows, columns].swapaxes(-1, -2)
+    return state
+
+
+def unpack_states(state: Array, n: int) -> tuple[Array, Array]:
+    """Means (..., r, n) and covariances (..., r, n, n) of state rows (..., N_STATE, r)."""
+    rows, columns = _upper(n)
+    packed = state[..., P0 : P0 + len(rows), :].swapaxes(-1, -2)
+    covariance = np.empty((*packed.shape[:-1], n, n))
+    covariance[..., rows, columns] = packed
+    covariance[..., columns, rows] = packed
+    return state[..., :n, :].swapaxes(-1, -2).copy(), covariance
+
+
+@cache
+def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the upper triangle, column by column, as the kernel packs it."""
+    columns, rows = np.tril_indices(n)
+    return rows, columns
+
+
+def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
+    """The columns of `Sums`, (8, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
+    n_sets = len(chunk.sets)
+    sound = _sound(rows, chunk.sets[0].n_states)[:, :n_sets] & chunk.plausible
+    return np.where(sound, rows[:, _SHOWN, :n_sets].swapaxes(0, 1), np.nan), ~sound
+
+
+def _sound(rows: Array, n: int) -> NDArray[np.bool_]:
+    """Which lanes never failed and end with a positive definite covariance, shape (m, LANES)."""
+    final = rows[:, :N_STATE]
+    finite = np.isfinite(final).all(axis=1) & np.isfinite(rows[:, _SHOWN]).all(axis=1)
+    return finite & (rows[:, R.OK] == 1.0) & definite(unpack_states(final, n)[1])
+
+
+def plausible(p: FilterParameters) -> bool:
+    """With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long."""
+    return min(p.process_noise) >= 0 and min(p.measurement_noise) > 0
+
+
+def definite(covariance: Array) -> NDArray[np.bool_]:
+    """Which of the covariances (..., n, n) are positive definite, but for rounding.
+
+    The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
+    """
+    n = covariance.shape[-1]
+    with np.errstate(all="ignore"):  # what is not positive, or not finite, ends as such a pivot
+        scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+        scaled = covariance / (scale[..., :, np.newaxis] * scale[..., np.newaxis, :]) + 1e-9 * np.eye(n)
+        a = np.moveaxis(scaled, (-2, -1), (0, 1)).copy()
+        sound = np.isfinite(covariance).all(axis=(-2, -1))
+        for k in range(n):
+            sound &= a[k, k] > 0
+            for i in range(k + 1, n):
+                a[i, i:] -= a[k, i] / a[k, k] * a[k, i:]
+    return np.asarray(sound)

@@ -1,0 +1,142 @@
+"""Replays of drives, and any number of filters over them: what each filter adds up."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled import run
+from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import flags_of, switches
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """Moments at which estimates are compared with a known position and heading.
+
+    Attributes
+    ----------
+    rows : (m, 5)
+        Weight of the later of the two estimates around the moment; x, y (m); theta (rad); 1 where the heading
+        counts, else 0.
+    end : (k,) int64
+        How many targets lie before the end of each step of the time line.
+    """
+
+    rows: Array
+    end: NDArray[np.int64]
+
+    @classmethod
+    def none(cls, timeline: Timeline) -> "Targets":
+        """Nothing to compare with."""
+        return cls(np.empty((0, 5)), np.zeros(len(timeline.dt), dtype=np.int64))
+
+    @property
+    def n_positions(self) -> int:
+        """How many positions are compared."""
+        return len(self.rows)
+
+    @cached_property
+    def n_headings(self) -> int:
+        """How many headings are compared."""
+        return int(self.rows[:, run.SCORES_HEADING].sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """One pass over a drive, ready for any number of filters: where they start, step, and are compared."""
+
+    timeline: Timeline
+    initial: InitialState
+    targets: Targets
+    _arrays: dict[tuple[bool, bool, bool], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
+
+    @cached_property
+    def n_hidden(self) -> int:
+        """How many fixes are hidden from the filter."""
+        return int(self.timeline.hides.sum())
+
+    def arrays(self, velocity: bool, lateral: bool, standstill: bool) -> "DriveArrays":
+        """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
+        taken = velocity, lateral, standstill
+        if taken not in self._arrays:
+            line, targets = self.timeline, self.targets
+            flags = flags_of(line, *taken)
+            self._arrays[taken] = line.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+        return self._arrays[taken]
+
+
+DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]
+"""steps, flags, fixes, lever, targets and their ends: see `compiled.run.run_lanes`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What replays add up for each parameter set; every array has shape (n_replays, n_sets).
+
+    Attributes
+    ----------
+    squared_position : m2, over targets
+    squared_heading : rad2, over targets whose heading counts
+    nees : sum of e^T P^-1 e of the position over targets
+    squared_fix : m2, residuals of the fixes after they were absorbed
+    squared_forecast : m2, innovations of the hidden fixes
+    nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
+    log_determinant : sum of ln det S over the fixes, hidden ones included
+    failed : bool: the covariance lost its definiteness, or something became NaN
+    """
+
+    squared_position: Array
+    squared_heading: Array
+    nees: Array
+    squared_fix: Array
+    squared_forecast: Array
+    nis: Array
+    log_determinant: Array
+    failed: NDArray[np.bool_]
+
+
+def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters] | Packed) -> Sums:
+    """Run one filter per parameter set over each replay. Results do not depend on a set's place or company."""
+    packed = parameter_sets if isinstance(parameter_sets, Packed) else pack(parameter_sets)
+    columns = np.empty((N_SUMS, len(replays), packed.size))
+    failed = np.empty((len(replays), packed.size), dtype=np.bool_)
+    for places, chunk in packed.chunks:
+        rows = start_replays(replays, chunk)
+        for replay, lane_rows in zip(replays, rows, strict=True):
+            run_steps(replay, chunk, lane_rows, run.new_place(), len(replay.timeline.dt))
+        columns[:, :, places], failed[:, places] = unpack_sums(rows, chunk)
+    return Sums(*columns, failed=failed)
+
+
+def start_replays(replays: Sequence[Replay], chunk: Chunk) -> Array:
+    """All that LANES filters are at the start of each of m replays, shape (m, N_KEPT, LANES)."""
+    intervals = [replay.timeline.nominal_interval for replay in replays]
+    return start_rows([replay.initial for replay in replays], intervals, chunk)
+
+
+def run_steps(
+    replay: Replay,
+    chunk: Chunk,
+    rows: Array,
+    place: Array,
+    stop: int,
+    record: Array = run.NO_RECORD,
+    innovations: Array = run.NO_INNOVATIONS,
+) -> None:
+    """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    arrays = replay.arrays(*switches(chunk.sets[0]))
+    run.run_lanes(chunk.sets[0].model, *arrays, rows, place, stop, record, innovations)
+
+
+def joined(parts: Sequence[Sums], axis: int) -> Sums:
+    """Sums of more replays (axis 0) or more sets (axis 1)."""
+    if len(parts) == 1:
+        return parts[0]
+    return Sums(**{name: np.concatenate([getattr(s, name) for s in parts], axis) for name in vars(parts[0])})

@@ -1,0 +1,80 @@
+"""Which measurement a filter absorbs at the end of which step, and where it starts: the same for every form of it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.models import MODELS, SENSORS, CarModel
+from sigmaswarm.filters.parameters import FilterParameters
+
+# What happens at the end of a step, as bits.
+FIX = 1  # a fix is absorbed
+IMU = 2  # it is an IMU sample's time: estimates are recorded and scored
+VELOCITY = 4  # the fix has a velocity
+LATERAL = 8  # the car's lateral velocity is constrained
+STANDSTILL = 16  # the car stands
+HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
+
+LATERAL_INTERVAL = 0.1
+"""s between two looks at the lateral velocity: its error is not white, so more of them tell no more."""
+STANDSTILL_INTERVAL = 0.1
+"""s between two looks at the velocity at standstill."""
+STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
+"""rad2/s2: variance of the gyro around its bias while the car stands."""
+MOST_REJECTED = 5
+"""So many fixes in a row may the gate turn away; the next one is absorbed, or a filter that lost its way never
+recovers."""
+
+
+def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
+    """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
+    return p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None
+
+
+def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:
+    """What happens at the end of each step, as bits FIX ... HIDDEN, shape (k,)."""
+    flags = FIX * line.absorbs + HIDDEN * line.hides + IMU * line.sampled
+    if velocity and line.has_velocity:
+        flags = flags + VELOCITY * line.absorbs
+    if lateral:
+        flags = flags + LATERAL * _every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)
+    if standstill:
+        flags = flags + STANDSTILL * _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL)
+    return flags.astype(np.int64)
+
+
+def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
+    """The first wanted step of each interval of time."""
+    chosen = np.zeros(len(wanted), dtype=np.bool_)
+    at = np.flatnonzero(wanted)
+    slots = np.floor((line.end[at] - line.start) / interval + 1e-6)  # as the live filter's `_slot`
+    chosen[at[np.unique(slots, return_index=True)[1]]] = True
+    return chosen
+
+
+def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
+    """Mean (n,) and covariance (n, n) at the start of a drive."""
+    return starts_of(initial, MODELS[p.model], np.array(p.bias_std))
+
+
+def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[Array, Array]:
+    """Means (..., n) and covariances (..., n, n) for bias_std of shape (..., 2).
+
+    What a start does not say is a bias: it is 0, as unsure as ``bias_std`` says.
+    """
+    n, known = len(model.states), min(len(model.states), len(initial.mean))
+    mean, covariance = np.zeros((*bias_std.shape[:-1], n)), np.zeros((*bias_std.shape[:-1], n, n))
+    mean[..., :known] = initial.mean[:known]
+    covariance[..., :known, :known] = initial.covariance[:known, :known]
+    sensors = [*SENSORS]
+    for i, state in enumerate(model.states[known:], known):
+        if state.bias_of is not None:
+            covariance[..., i, i] = bias_std[..., sensors.index(state.bias_of)] ** 2
+    return mean, covariance
+
+
+def converted(p: FilterParameters, nominal_interval: float) -> Array:
+    """Diagonal of Q per nominal interval (s) of a drive, (n,), where the set may refer to another interval."""
+    return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

@@ -1,0 +1,79 @@
+"""The textbook filters on a log, for a model of the user's own: slow, and any Python will do in f and h."""
+
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.custom.model import Model, as_covariance
+from sigmaswarm.filters.custom.steps import Steps
+from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
+from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
+
+
+class TextbookModel:
+    """A textbook filter of a model on a log's steps.
+
+    Parameters
+    ----------
+    model, steps
+    scaling : ndarray, shape (3,)
+        alpha, beta, kappa.
+    p : the model's record
+
+    Attributes
+    ----------
+    filter : GaussianFilter
+    nis, nll : ndarray, shape (f,)
+        Of each measurement before it is absorbed: normalized innovation squared, negative log-likelihood. NaN where
+        there was none yet.
+    """
+
+    def __init__(self, model: Model, steps: Steps, scaling: Array, p: Any) -> None:
+        self.model, self.steps, self.p = model, steps, p
+        self.noise = as_covariance(model.measurement_noise(p))
+        self.filter = textbook_filter(model, steps, scaling, p)
+        self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
+
+    def step(self, i: int) -> None:
+        """Take step i, and absorb what there is at its end."""
+        steps, kalman = self.steps, self.filter
+        dt, row = float(steps.dt[i]), steps.absorbs[i]
+        if dt > 0:
+            q = as_covariance(self.model.process_noise(dt, self.p))
+            kalman.predict(dt, steps.inputs[steps.source[i]], q)
+        if row >= 0:
+            innovation = kalman.measure(steps.measurements[row], self.noise)
+            self.nis[row], self.nll[row] = innovation.nis, negative_log_likelihood(innovation)
+            kalman.absorb(innovation)
+
+
+def textbook_filter(model: Model, steps: Steps, scaling: Array, p: Any) -> GaussianFilter:
+    """The model's filter at the start of a log."""
+
+    def f(state: Array, dt: float, u: Array) -> Array:
+        return np.asarray(model.f(state.copy(), dt, u, p))  # a copy: f may work in place
+
+    def h(state: Array) -> Array:
+        return np.asarray(model.h(state.copy(), p))
+
+    if model.kind == "ekf":
+        return ExtendedKalmanFilter(f, h, steps.mean, steps.covariance, measured_angles=model.measured_angles)
+    alpha, beta, kappa = (float(value) for value in scaling)
+    points = SigmaPoints(alpha, beta, kappa)
+    return UnscentedKalmanFilter(
+        f,
+        h,
+        steps.mean,
+        steps.covariance,
+        points,
+        angles=model.places(model.angles),
+        measured_angles=model.measured_angles,
+    )
+
+
+def negative_log_likelihood(innovation: Innovation) -> float:
+    """-log N(nu; 0, S); raises `numpy.linalg.LinAlgError` where S is no covariance."""
+    root = np.linalg.cholesky(innovation.variance)
+    log_det = 2 * np.log(np.diag(root)).sum()
+    return float(0.5 * (innovation.nis + log_det + len(innovation.nu) * np.log(2 * np.pi)))

@@ -1,0 +1,89 @@
+"""Models are descriptions: what reads them agrees with them, and a larger one would find its place."""
+
+import importlib
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from filter_cases import equipped, parameters
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.filters.compiled import layout, run
+from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, ModelName
+from sigmaswarm.filters.packing import Chunk, start_rows, unpack_states
+from sigmaswarm.filters.parameters import densities, units
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, start_of
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.tuning.space import search_space
+
+EACH_MODEL = pytest.mark.parametrize("name", MODELS)
+
+
+def test_every_model_has_a_name_a_kernel_and_its_states_first():
+    assert get_args(ModelName) == tuple(MODELS) == tuple(run.KERNELS)
+    for small, large in zip(list(MODELS.values()), list(MODELS.values())[1:], strict=False):
+        assert large.names[: len(small.names)] == small.names
+    for model in MODELS.values():
+        assert model.names[THETA] == "theta"
+        assert model.gyro_bias is None or model.names[GYRO_BIAS] == "gyro_bias_z"
+        assert len(model.process(np.zeros(len(model.states)), 0.1, np.zeros(len(model.imu)))) == len(
+            model.states
+        )
+
+
+def test_rows_are_numbered_by_their_names_without_gaps():
+    assert sorted(R) == list(range(layout.N_ROWS))
+    assert len(set(layout.NAMES)) == layout.N_ROWS
+    n = len(layout.MEAN)
+    for j in range(n):
+        for i in range(j + 1):
+            name = layout.MEAN[i] + layout.MEAN[j]
+            assert getattr(R, name) == layout.P0 + j * (j + 1) // 2 + i
+    assert [getattr(R, f"Q_{letter}") for letter in layout.MEAN] == list(range(layout.Q0, layout.Q0 + n))
+
+
+@EACH_MODEL
+def test_constants_stand_in_the_rows_of_their_names(name: str):
+    p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
+                   standstill_noise=0.6, kind="adaptive-ukf", forgetting=0.875)  # fmt: skip
+    rows = start_rows([initial_state(equipped())], [0.01], Chunk((p,)))[0, :, 0]
+    n = p.n_states
+    wanted = {"RX": 0.25, "RY": 0.36, "GATE": 7.0, "LATENCY": 0.125, "R_VELOCITY": 0.3, "R_LATERAL": 0.4,
+              "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FORGETTING": 0.875,
+              "FADING": -1.0, "SECOND": 1.0, "GAMMA": np.sqrt(0.25 * (n + 1)), "INV_GAMMA2": 1 / (0.25 * (n + 1)),
+              "SPREAD": 0.25 * n + 2.0, "OK": 1.0, "DET": 1.0, "RECENT": -1.0}  # fmt: skip
+    assert {row: rows[getattr(R, row)] for row in wanted} == wanted
+    assert tuple(rows[layout.Q0 : layout.Q0 + n]) == p.process_noise
+
+
+@EACH_MODEL
+def test_all_forms_start_from_the_same_state(name: str):
+    initial, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
+    mean, covariance = start_of(initial, p)
+    assert mean[:5].tolist() == initial.mean.tolist()
+    assert np.diag(covariance)[5:].tolist() == [0.2**2, 0.2**2, 0.004**2][: p.n_states - 5]
+    rows = start_rows([initial], [0.01], Chunk((p,)))[0]
+    means, covariances = unpack_states(rows[: layout.N_STATE], p.n_states)
+    assert all(m.tolist() == mean.tolist() for m in means)
+    assert all(c.tolist() == covariance.tolist() for c in covariances)
+
+
+@EACH_MODEL
+def test_units_densities_and_box_are_those_of_the_states(name: str):
+    p, states = parameters(name, nominal_interval=0.01), MODELS[name].states
+    said = units(p)
+    assert said["states"] == [s.name for s in states]
+    assert said["process_noise"][2] == "m2/s2 per nominal IMU step"
+    assert [text.split()[1] for text in densities(p).values()] == [f"{s.unit}/sqrt(s)" for s in states]
+    space = search_space(name, "log10")
+    entries = sum(d.entries for d in space.dimensions if d.field == "process_noise")
+    assert entries == len(states)
+
+
+def test_the_textbook_knows_nothing_of_the_compiled_filter():
+    for part in ("car", "loop", "ukf", "ekf", "adaptive", "gaussian", "custom"):
+        module = importlib.import_module(f"sigmaswarm.filters.textbook.{part}")
+        homes = {getattr(value, "__module__", "") or "" for value in vars(module).values()}
+        assert not [home for home in homes if ".compiled" in home or home.endswith("packing")], part
+    assert TextbookCar.__module__.startswith("sigmaswarm.filters.textbook")
