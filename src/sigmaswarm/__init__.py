@@ -23,7 +23,7 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import sigmaswarm.forking  # it must see each fork  # noqa: F401
+import sigmaswarm.forking  # it must see each fork  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 __version__ = "0.1.0"
 
