@@ -111,6 +111,9 @@ class ResultFolder:
         folder = self.path / f"trial-{trial:03d}"
         if not folder.exists():
             return None
+        self.checkpoint(trial).unlink(
+            missing_ok=True
+        )  # of a run killed between keeping the one and dropping the other
         try:
             with (folder / "history.npz").open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 history = {name: file[name] for name in file.files}

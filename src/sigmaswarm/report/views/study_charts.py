@@ -147,9 +147,8 @@ def convergence_chart(
     if not mine:
         return None
     objective = results.protocols[protocol].objective
-    theirs = results.paper["figure_2"]["stable_generation"]
     return Chart(
-        f"Cost over generations, {protocol} (the paper's Fig. 2: stable within {theirs})",
+        f"Cost over generations, {protocol}",
         tuple(mark for c in mine for mark in _course(results, c, alone=len(mine) == 1)),
         x=Axis("generation"),
         y=Axis(f"cost: {objective}, m", scale, (0 if scale == "linear" else None, None)),
@@ -164,14 +163,14 @@ def _course(results: Results, course: Convergence, *, alone: bool) -> list[Mark]
     low, middle, high = (
         [inf if v is None else v for v in values] for values in (course.low, course.median, course.high)
     )
-    x = range(1, len(middle) + 1)
+    x, theirs = range(1, len(middle) + 1), results.paper["figure_2"]["stable_generation"]
     band = Band(x, low, high, Look(color, opacity=0.15), "10 to 90% of the trials" if alone else "")
     name = "median" if alone else results.label(course.method) if whole else course.group
     settled = Points(
         [course.stable],
         [middle[course.stable - 1]],
         Look(color, dash="none", symbol="diamond", size=6.75),
-        f"within 1% from generation {course.stable} on" if alone else "",
+        f"within 1% from generation {course.stable} on (the paper: {theirs})" if alone else "",
         hovers=(f"within 1% of its end from generation {course.stable} on",),
     )
     return [*([band] if whole else []), Curve(x, middle, Look(color, 2.0), name), settled]

@@ -45,8 +45,10 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
             Axis("position, m", range=(0.0, reach)),
             Axis("heading, deg", range=(-turned, turned)),
         )
-        charts.append(Chart(name, (radius, Curve(time, far, look)), y=position))
-        charts.append(Chart("", (band, Curve(time, columns["heading_error"], look)), y=heading))
+        x = Axis("time, s" if series == list(DRAWN)[-1] else "")
+        title = "" if charts else f"{picture.whole.name}: errors and 3 sigma"
+        charts.append(Chart(name, (radius, Curve(time, far, look)), x, position))
+        charts.append(Chart(title, (band, Curve(time, columns["heading_error"], look)), x, heading))
     return tuple(charts)
 
 

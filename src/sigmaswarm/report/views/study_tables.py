@@ -11,7 +11,7 @@ from sigmaswarm.experiments.study.record import Results, TrialTuning, Variant, V
 from sigmaswarm.report.views.record import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
-ERRORS = {POSITION: "position RMSE against truth, m", HEADING: "heading error, deg", DRIFT: "outage drift, m"}
+ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
 ROWS: tuple[tuple[str, str, str | None], ...] = (
     (UNTUNED, "imu-only", "imu-only"),
     (UNTUNED, "raw-gps", None),
