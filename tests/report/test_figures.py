@@ -15,15 +15,9 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.report.draw.png import save
-from sigmaswarm.report.evidence import save_evaluation
-from sigmaswarm.report.figures import (
-    comparison,
-    convergence,
-    errors,
-    save_tuning_figures,
-    tracks,
-)
+from sigmaswarm.report.evaluation import comparison, errors, save_evaluation, tracks
 from sigmaswarm.report.style import LABELS
+from sigmaswarm.report.tuning import convergence, save_tuning_figures
 from sigmaswarm.scoring.evaluation import evaluate, method_names
 from sigmaswarm.scoring.tracks import Picture, compared, picture_of
 from sigmaswarm.tuning.result import Tuning

@@ -17,11 +17,11 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.report.evidence import copy_tuning
-from sigmaswarm.report.figures import save_tuning_figures
-from sigmaswarm.report.page.commands import tune_command
-from sigmaswarm.report.page.folders import read_report
-from sigmaswarm.report.page.html import page as html_page
+from sigmaswarm.report.draw.html import page as html_page
+from sigmaswarm.report.evaluation import copy_tuning
+from sigmaswarm.report.pages.commands import tune_command
+from sigmaswarm.report.pages.folders import read_report
+from sigmaswarm.report.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import METHODS, Evaluation, evaluate
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
 from sigmaswarm.tuning.tune import tune

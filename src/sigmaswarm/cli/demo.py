@@ -32,8 +32,8 @@ def demo(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, stdout, tuning_progress
     from sigmaswarm.errors import InputError
-    from sigmaswarm.report.evidence import save_evaluation
-    from sigmaswarm.report.figures import save_tuning_figures
+    from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
 
     if out.exists() and not out.is_dir():

@@ -50,7 +50,7 @@ def evaluate(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout
     from sigmaswarm.errors import InputError
-    from sigmaswarm.report.evidence import save_evaluation
+    from sigmaswarm.report.evaluation import save_evaluation
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     if not 0 < outage_length < inf:

@@ -34,8 +34,8 @@ def report(
     """
     from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.files import write_whole
-    from sigmaswarm.report.page.folders import read_report
-    from sigmaswarm.report.page.html import page
+    from sigmaswarm.report.draw.html import page
+    from sigmaswarm.report.pages.folders import read_report
     from sigmaswarm.report.style import check_file
 
     if out is not None:

@@ -60,7 +60,7 @@ def tune(
 
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
-    from sigmaswarm.report.figures import save_tuning_figures
+    from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
 
     read = read_drives(drives)

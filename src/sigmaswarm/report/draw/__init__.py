@@ -1,1 +1,1 @@
-"""Drawing of what `report/views/` says: charts by plotly (pages) and matplotlib (PNG), tables as text."""
+"""Drawing of what `report/views/` says: PNG by matplotlib, charts of pages by plotly, pages as HTML, tables as text."""

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.folder import StudyRecord
-from sigmaswarm.report.page.evaluation import evaluation_report
-from sigmaswarm.report.page.tuning import tuning_report
+from sigmaswarm.report.pages.evaluation import evaluation_report
+from sigmaswarm.report.pages.study import study_report
+from sigmaswarm.report.pages.tuning import tuning_report
 from sigmaswarm.report.views.record import Report
-from sigmaswarm.report.views.study import study_report
 
 ADAPTERS: dict[str, Callable[[Path], Report]] = {
     "scores.json": evaluation_report,

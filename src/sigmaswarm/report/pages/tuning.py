@@ -9,7 +9,7 @@ from typing import Any
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
-from sigmaswarm.report.page.commands import tune_command
+from sigmaswarm.report.pages.commands import tune_command
 from sigmaswarm.report.views.record import Cell, Column, Figure, Report, Section, Table
 from sigmaswarm.report.views.tuning import convergence_chart
 from sigmaswarm.tuning.config import SWARM

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from html import escape
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from string import Template
 from typing import Any
 
@@ -29,7 +30,7 @@ def page(report: Report) -> str:
     """
     from plotly.offline import get_plotlyjs
 
-    assets = files("sigmaswarm.report.page")
+    assets = _assets()
     charts = [chart for section in report.sections for chart in section.charts]
     data = {
         "charts": [plotly.content(chart) for chart in charts],
@@ -53,6 +54,11 @@ def page(report: Report) -> str:
         script=assets.joinpath("page.js").read_text(encoding="utf-8"),
         data=_json(data),
     )
+
+
+def _assets() -> Traversable:
+    """The folder of the page's frame, style and script."""
+    return files("sigmaswarm.report.draw").joinpath("page")
 
 
 def _json(content: Any) -> str:
@@ -108,7 +114,7 @@ def _section(section: Section, numbers: Iterator[int]) -> str:
     look = "charts two" if any(chart.broad for chart in section.charts) else "charts"
     parts += [f'<div class="{look}">{"".join(charts)}</div>'] if charts else []
     if section.tracks:
-        parts.append(files("sigmaswarm.report.page").joinpath("tracks.html").read_text(encoding="utf-8"))
+        parts.append(_assets().joinpath("tracks.html").read_text(encoding="utf-8"))
     return "".join([*parts, "</section>"])
 
 

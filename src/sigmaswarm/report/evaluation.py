@@ -1,4 +1,7 @@
-"""The pictures of a tuning and of an evaluation, as PNG files; all they show is said in `views/`."""
+"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else.
+
+All that the pictures show is said in `views/`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,27 +9,41 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.report.draw.png import figure_of, new_figure, save
 from sigmaswarm.report.style import LABELS
 from sigmaswarm.report.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
-from sigmaswarm.report.views.tuning import convergence_chart
-from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, method_names
+from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.tracks import Picture
-from sigmaswarm.tuning.record import HISTORY_FILE, History
-from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 
 
-def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Path]:
-    """Write convergence.csv and the figures of a tuning into its folder; the pictures' paths.
+def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
+    """Write all that `sigmaswarm report` and people look at; the paths of all files.
 
-    ``track`` is of a training drive: `scoring.tracks.picture_of`.
+    Parameters
+    ----------
+    evaluation : Evaluation
+    folder : Path
+        Made where it is missing.
+    tuning : Path, optional
+        The tuning.toml that was evaluated, or the folder that holds it; copied.
     """
-    History.of(tuning).save(folder / HISTORY_FILE)
-    labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
-    return [
-        save(convergence(tuning), folder / "convergence.png"),
-        save(tracks(track, labels), folder / "training-track.png"),
-    ]
+    make_folder(folder)
+    written = [*evaluation.save(folder), *save_evaluation_figures(evaluation, folder)]
+    return written if tuning is None else [*written, *copy_tuning(tuning, folder)]
+
+
+def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
+    """Copy a tuning.toml, or that of a folder, and the history beside it; the paths of what was copied."""
+    file = tuning / FILE if tuning.is_dir() else tuning
+    written: list[Path] = []
+    for name, source in ((FILE, file), (HISTORY_FILE, file.parent / HISTORY_FILE)):
+        copy = folder / name
+        if source.is_file() and not (copy.exists() and copy.samefile(source)):
+            write_whole(copy, source.read_bytes())
+            written.append(copy)
+    return written
 
 
 def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
@@ -42,12 +59,6 @@ def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
         }
         written += [save(f, folder / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
     return written
-
-
-def convergence(tuning: Tuning) -> Figure:
-    """Best cost so far and median cost of the generations (the paper's Fig. 2)."""
-    chart = convergence_chart(History.of(tuning), tuning.best_trial, tuning.config.objective)
-    return figure_of(chart, size=(6.4, 4.0))
 
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
-from sigmaswarm.report.page.commands import evaluate_command
-from sigmaswarm.report.page.tuning import (
+from sigmaswarm.report.pages.commands import evaluate_command
+from sigmaswarm.report.pages.tuning import (
     convergence_section,
     data_section,
     filter_name,
