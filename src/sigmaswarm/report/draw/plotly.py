@@ -1,8 +1,6 @@
 """Charts as plotly.js takes them: traces and layout, of JSON types. `page.js` adds what all plots of a page share."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any
 
@@ -43,20 +41,8 @@ _POINT = 96 / 72
 Trace = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Ready:
-    """A chart that is written in plotly's terms already."""
-
-    title: str
-    traces: tuple[Mapping[str, Any], ...]
-    layout: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    broad: bool = False
-
-
-def content(chart: Chart | Ready) -> dict[str, Any]:
+def content(chart: Chart) -> dict[str, Any]:
     """Traces and layout."""
-    if isinstance(chart, Ready):
-        return {"traces": list(chart.traces), "layout": chart.layout}
     return {"traces": traces(chart), "layout": layout(chart)}
 
 

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from sigmaswarm.report.draw.plotly import Ready
 from sigmaswarm.report.views.charts import Chart, Look
 from sigmaswarm.scoring.tracks import Tracks
 
@@ -109,7 +108,7 @@ class Section:
     title: str
     text: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
-    charts: tuple[Chart | Ready, ...] = ()
+    charts: tuple[Chart, ...] = ()
     tracks: TrackView | None = None
 
 
