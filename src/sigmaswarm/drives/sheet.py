@@ -57,7 +57,10 @@ class Sheet:
                     f"{path}, row 1: column {name!r} appears twice; delete or rename one of them"
                 )
         cells.columns = names
-        return cls(path, cells[filled], filled.to_numpy() + 2)  # the header is line 1
+        rows = (
+            cells if len(filled) == len(cells) else cells[filled]
+        )  # a copy of a day's text takes a gigabyte
+        return cls(path, rows, filled.to_numpy() + 2)  # the header is line 1
 
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
