@@ -26,7 +26,11 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 
 @dataclass(frozen=True)
 class Sheet:
-    """A CSV file's cells, still text (None where empty), and the file's line (n,) that each row stands on."""
+    """A CSV file's cells, and the file's line (n,) that each row stands on.
+
+    Cells are numbers where all of them can be read as such, which takes a fifth of the memory; otherwise text (None
+    where empty), which tells what is wrong.
+    """
 
     path: Path
     cells: pl.DataFrame
@@ -39,6 +43,11 @@ class Sheet:
             raise DriveError(
                 f"{path} is missing; a drive needs it, with a header line and one row per sample"
             )
+        cells = _plain_numbers(path)
+        return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
+
+    @classmethod
+    def _text(cls, path: Path) -> "Sheet":
         try:
             cells = pl.read_csv(path, infer_schema=False)
         except pl.exceptions.NoDataError:
@@ -66,6 +75,19 @@ class Sheet:
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
         """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        told: list[str] = []
+        try:
+            found = self._known_columns(required, optional, told)
+        except DriveError:
+            if self.cells.dtypes[0] == pl.String:
+                raise
+            return self._text(self.path).columns(required, optional, remarks)
+        remarks += told
+        return found
+
+    def _known_columns(
+        self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
+    ) -> dict[str, Array]:
         known = (*required, *optional)
         names = self.cells.columns
         for name in required:
@@ -88,7 +110,9 @@ class Sheet:
 
     def _numbers(self, column: str) -> Array:
         """A column (n,) as finite numbers within its range."""
-        text = self.cells[column].str.strip_chars()
+        text = self.cells[column]
+        if text.dtype == pl.String:
+            text = text.str.strip_chars()
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
             i = int(values.is_finite().fill_null(False).arg_min() or 0)
@@ -115,6 +139,18 @@ class Sheet:
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         value = self.cells[column][i] or ""
         return DriveError(f"{self.path}, row {self.lines[i]}, column {column}: {value!r} {what}; {remedy}")
+
+
+def _plain_numbers(path: Path) -> pl.DataFrame | None:
+    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    try:
+        names = pl.read_csv(path, n_rows=0).columns
+        cells = pl.read_csv(path, schema_overrides=dict.fromkeys(names, pl.Float64), low_memory=True)
+    except (pl.exceptions.PolarsError, OSError, UnicodeDecodeError):
+        return None
+    plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
+    whole = len(cells) > 0 and all(column.null_count() == 0 and column.is_finite().all() for column in cells)
+    return cells if plain and whole else None
 
 
 def _empty(path: Path) -> DriveError:
