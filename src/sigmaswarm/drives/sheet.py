@@ -35,7 +35,11 @@ def one_file(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A CSV file's cells, still text (None where empty), and the file's line (n,) that each row stands on."""
+    """A CSV file's cells, and the file's line (n,) that each row stands on.
+
+    Cells are numbers where all of them can be read as such, which takes a fifth of the memory; otherwise text (None
+    where empty), which tells what is wrong.
+    """
 
     path: Path
     cells: pl.DataFrame
@@ -49,6 +53,11 @@ class Sheet:
                 f"{path} is missing; a drive needs it, with a header line and one row per sample"
             )
         require_threads()
+        cells = _plain_numbers(path)
+        return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
+
+    @classmethod
+    def _text(cls, path: Path) -> "Sheet":
         try:
             cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
@@ -67,12 +76,27 @@ class Sheet:
                     f"{path}, row 1: column {quoted(name)} appears twice; delete or rename one of them"
                 )
         cells.columns = names
-        return cls(path, cells[filled], filled.to_numpy() + 2)  # the header is line 1
+        # A copy of a day's text takes a gigabyte.
+        rows = cells if len(filled) == len(cells) else cells[filled]
+        return cls(path, rows, filled.to_numpy() + 2)  # the header is line 1
 
     def columns(
         self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
     ) -> dict[str, Array]:
         """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        told: list[str] = []
+        try:
+            found = self._known_columns(required, optional, told)
+        except DriveError:
+            if self.cells.dtypes[0] == pl.String:
+                raise
+            return self._text(self.path).columns(required, optional, remarks)
+        remarks += told
+        return found
+
+    def _known_columns(
+        self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
+    ) -> dict[str, Array]:
         known = (*required, *optional)
         names = self.cells.columns
         for name in required:
@@ -95,7 +119,7 @@ class Sheet:
 
     def _require_one_line(self, columns: Sequence[str]) -> None:
         """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
-        for name in columns:
+        for name in (name for name in columns if self.cells[name].dtype == pl.String):
             broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
             if broken.any():
                 what = "holds a line break"
@@ -103,7 +127,9 @@ class Sheet:
 
     def _numbers(self, column: str) -> Array:
         """A column (n,) as finite numbers within its range."""
-        text = self.cells[column].str.strip_chars()
+        text = self.cells[column]
+        if text.dtype == pl.String:
+            text = text.str.strip_chars()
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
             i = int(values.is_finite().fill_null(False).arg_min() or 0)
@@ -131,6 +157,20 @@ class Sheet:
         value = self.cells[column][i] or ""
         where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
+
+
+def _plain_numbers(path: Path) -> pl.DataFrame | None:
+    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    try:
+        names = pl.read_csv(**one_file(path), n_rows=0).columns
+        cells = pl.read_csv(
+            **one_file(path), schema_overrides=dict.fromkeys(names, pl.Float64), low_memory=True
+        )
+    except (pl.exceptions.PolarsError, OSError, UnicodeDecodeError):
+        return None
+    plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
+    whole = len(cells) > 0 and all(column.null_count() == 0 and column.is_finite().all() for column in cells)
+    return cells if plain and whole else None
 
 
 def _empty(path: Path) -> DriveError:

@@ -113,7 +113,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     moments = np.union1d(imu_time, fix_time)
     fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
     ends = np.repeat(moments, np.maximum(1, fixes_there))
-    meets = np.isin(ends, fix_time)
+    meets = _among(ends, fix_time)
     sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
@@ -127,7 +127,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         steps=np.column_stack([dt, *(column[sample] for column in (imu.ax, imu.ay, imu.gz)), dt / nominal]),
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
-        sampled=np.isin(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
+        sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
         fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
         fix_time=fix_time,
         has_velocity=has_velocity,
@@ -138,3 +138,11 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         imu_time=imu_time,
         nominal_interval=nominal,
     )
+
+
+def _among(times: Array, known: Array) -> NDArray[np.bool_]:
+    """Which times are among the known ones, both increasing; `np.isin` would sort both again, in their copies."""
+    if not len(known):
+        return np.zeros(len(times), dtype=np.bool_)
+    at = np.searchsorted(known, times, side="left")
+    return known[np.minimum(at, len(known) - 1, out=at)] == times

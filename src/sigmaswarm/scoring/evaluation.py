@@ -1,7 +1,7 @@
 """What a tuning is worth: the same drives by the tuned filter, the manual ones, raw GPS and IMU only."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -254,14 +254,17 @@ def _evaluated(
     dead_reckoning = score_imu_only(drive, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
-    recorded = {method: tracker.record(method, tracking, p) for method, p in filters.items()}
+    recorded = [tracker.record(method, tracking, p) for method, p in filters.items()]
+    innovations = recorded[list(filters).index("tuned")].innovations
+    sums = joined([recording.sums for recording in recorded], axis=1)
+    whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
+    del recorded, tracking  # the next pass has steps and targets of its own
+    ready.forget()
     outages = outage_replay(ready, length=length, seed=seed)
-    passes = {"tracking": [tracking], "outages": [outages]}
-    sums = joined([recording.sums for recording in recorded.values()], axis=1)
-    both = {"tracking": sums, "outages": run_replays([outages], list(filters.values()))}
-    each = dict(zip(filters, [scores_of(passes, both)[i, 0] for i in range(len(filters))], strict=True))
+    sums = run_replays([outages], list(filters.values()))
+    drift = scores_of({"outages": [outages]}, {"outages": sums})
+    each = {method: _joined(whole[i, 0], drift[i, 0]) for i, method in enumerate(filters)}
     others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
-    innovations = recorded["tuned"].innovations
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
         scores={method: (each | others)[method] for method in METHODS},
@@ -271,6 +274,12 @@ def _evaluated(
         picture=tracker.picture(name),
         data=described(drive),
     )
+
+
+def _joined(whole: Score, with_outages: Score) -> Score:
+    """One score of a filter's two passes."""
+    failed = whole.failed or with_outages.failed
+    return replace(whole, outage_drift=with_outages.outage_drift, failed=failed)
 
 
 def score_imu_only(drive: Drive, estimate: Estimate, length: float, seed: int) -> Score:

@@ -21,9 +21,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay
-from sigmaswarm.filters.run import Estimate
+from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
-from sigmaswarm.scoring.targets import tracking_replay
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
 Columns = Mapping[str, NDArray[np.floating[Any]]]
@@ -168,8 +167,11 @@ def tracks_of(
     name: str,
     most_points: int = MOST_POINTS,
 ) -> Tracks:
-    """Run filters, by the names of their series, over a drive, and keep what a page shows of it."""
-    return _tracked(prepared(drive), filters, Tracker(prepared(drive), most_points)).tracks(name)
+    """Run filters, by the names of their series, and dead reckoning over a drive; keep what a page shows of it."""
+    ready = prepared(drive)
+    tracker = Tracker(ready, most_points)
+    tracker.keep_estimate("imu_only", run_imu_only(ready))
+    return _tracked(ready, filters, tracker).tracks(name)
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
@@ -179,10 +181,9 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 
 
 def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], tracker: Tracker) -> Tracker:
-    replay = tracking_replay(ready)
+    replay = replay_of(ready)
     for series, parameters in filters.items():
         tracker.record(series, replay, parameters)
-    tracker.keep_estimate("imu_only", run_imu_only(ready))
     return tracker
 
 
