@@ -42,7 +42,7 @@ def test_a_drive_or_one_line(sigmaswarm: Command, here: Path, place: Path, show:
         arguments = ["import", imu_csv(here), "--gps", log]
     elif reader == "kitti":
         arguments += ["--gps-from-truth", "5,1"]
-    ended = sigmaswarm(*arguments, "--show" if show else "drive")
+    ended = sigmaswarm(*arguments, *(["--show"] if show else ["--out", "drive"]))
     if ended.code == 0:
         assert show or refusal_of(here / "drive") is None
         return

@@ -225,13 +225,13 @@ def test_no_drive_is_written_that_can_not_be_read(sigmaswarm: Command, here: Pat
     """The one that was there stays, and the name is refused before the log is read."""
     rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
     (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
-    assert sigmaswarm("import", "log.csv", "drive").code == 0
+    assert sigmaswarm("import", "log.csv", "--out", "drive").code == 0
     before = {path.name: path.read_bytes() for path in (here / "drive").iterdir()}
     for arguments, said in (
         (("--map", "gps.x=x*1e9"), "column x"),
         (("--name", "a/b"), "name = 'a/b'"),
     ):
-        ended = sigmaswarm("import", "log.csv", "drive", "--overwrite", *arguments)
+        ended = sigmaswarm("import", "log.csv", "--out", "drive", "--overwrite", *arguments)
         lines = [line for line in ended.err.splitlines() if not line.startswith("importing")]
         assert ended.code == 2 and len(lines) == 1 and said in lines[0], ended.err
         assert {path.name: path.read_bytes() for path in (here / "drive").iterdir()} == before
@@ -254,9 +254,9 @@ def test_columns_names_can_not_steer_the_terminal(sigmaswarm: Command, here: Pat
 def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
     rows = [f"{i / 100},0,0,0,{i},0" for i in range(300)]
     (here / "log.csv").write_text("t,ax,ay,gz,x,y\n" + "\n".join(rows) + "\n")
-    assert sigmaswarm("import", "log.csv", "a", option, "300").code == 0
-    ended = sigmaswarm("import", "log.csv", "b", option, "0")
+    assert sigmaswarm("import", "log.csv", "--out", "a", option, "300").code == 0
+    ended = sigmaswarm("import", "log.csv", "--out", "b", option, "0")
     assert ended.code == 2 and f"{option} 0 can't be" in ended.err
     if option != "--max-unpacked-mb":
-        ended = sigmaswarm("import", "log.csv", "b", option, "5")
+        ended = sigmaswarm("import", "log.csv", "--out", "b", option, "5")
         assert ended.code == 2 and f"raise {option}" in ended.err
