@@ -13,7 +13,7 @@ from sigmaswarm.drives import reader, writer
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.errors import DriveError
+from sigmaswarm.errors import DriveError, InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 from support import DRIVES, make_drive, needs_shared
 
@@ -157,7 +157,7 @@ def test_a_failure_while_writing_leaves_the_old_drive_and_no_litter(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(InputError, match=r"No space left on device.*make room"):
         write_drive(make_drive(duration=10.0), tmp_path / "d", overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["d"]
     assert_same(read_drive(tmp_path / "d"), old)

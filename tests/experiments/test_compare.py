@@ -27,7 +27,7 @@ from support import make_drive
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(2)]
 HELD_OUT = [make_drive(duration=15.0, seed=7, name="other")]
 RIVALS = ("pso", "random", "pso:particles=4,generations=3,trials=2", "de:racing=true")
-OPTIONS = {"optimizers": RIVALS, "seeds": 3, "test": HELD_OUT, "particles": 8, "generations": 3}
+OPTIONS = {"optimizers": RIVALS, "seeds": 3, "validation": HELD_OUT, "particles": 8, "generations": 3}
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -169,7 +169,7 @@ def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
         return initial_state(drive)
 
     monkeypatch.setattr("sigmaswarm.drives.prepared.initial_state", counted)
-    compare(DRIVES, test=HELD_OUT, optimizers=("pso", "random"), seeds=2, particles=4, generations=1)
+    compare(DRIVES, validation=HELD_OUT, optimizers=("pso", "random"), seeds=2, particles=4, generations=1)
     assert sorted(aligned) == ["d0", "d1", "other"]
 
 
