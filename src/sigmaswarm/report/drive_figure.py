@@ -9,11 +9,11 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.report.style import BLUE, GREY, PURPLE, VERMILION
 
 Array = NDArray[np.float64]
 
-# Okabe and Ito's colors, which the color-blind can tell apart.
-_TRUTH, _FIX, _OUTAGE, _THIRD = "#0072B2", "#D55E00", "#999999", "#CC79A7"
+_TRUTH, _FIX, _OUTAGE, _THIRD = BLUE, VERMILION, GREY, PURPLE
 
 
 def drive_figure(drive: Drive) -> Figure:
