@@ -98,7 +98,15 @@ def main() -> None:
         gigabytes = (folder / "long.mcap").stat().st_size / 1e9
         print(f"wrote {gigabytes:.2f} GB, {options.hours:g} h in {time.perf_counter() - began:.0f} s")
         code = "from sigmaswarm.cli import main; main()"
-        command = [sys.executable, "-c", code, "import", str(folder / "long.mcap"), str(folder / "drive")]
+        command = [
+            sys.executable,
+            "-c",
+            code,
+            "import",
+            str(folder / "long.mcap"),
+            "--out",
+            str(folder / "drive"),
+        ]
         began = time.perf_counter()
         process = subprocess.Popen(command)
         _, status, used = os.wait4(process.pid, 0)

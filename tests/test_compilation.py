@@ -31,7 +31,7 @@ hits = sum(sum(f.stats.cache_hits.values()) for f in (twice, thrice))
 print(json.dumps({"results": results, "hits": hits, "said": [str(w.message) for w in said]}))
 """
 COMPILED = 3
-SIMULATE = ["simulate", "out", "--maneuver", "cruise", "--environment", "clear", "--runs", "1"]
+SIMULATE = ["simulate", "--out", "out", "--maneuver", "cruise", "--environment", "clear", "--runs", "1"]
 RIGHT = [4.0, 6, 6.0]
 SOURCES = Path(sigmaswarm.__file__).parents[1]
 needs_modes = pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners and modes here")

@@ -10,7 +10,8 @@ from filter_cases import equipped, parameters
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA, ModelName
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import Chunk, start_rows, unpack_states
 from sigmaswarm.filters.parameters import densities, units
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, start_of
