@@ -8,18 +8,17 @@ MOST_NAMES = 12
 """Of a list in a message."""
 
 
-def visible(text: str) -> str:
-    """The text with control characters as escapes: a name may hold what moves a terminal's cursor."""
+def visible(text: str, kept: str = "\n\t") -> str:
+    """The text with control characters but ``kept`` as escapes: a name may hold what moves a terminal's cursor."""
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
+    return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
 def shown(text: object, most: int = MOST_CHARACTERS) -> str:
     """A name or a cell as a message shows it: control characters escaped, as repr does, and cut."""
     whole = str(text)
-    cut = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in whole[:most])
-    return cut + ("..." if len(whole) > most else "")
+    return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
 def quoted(text: object, most: int = MOST_CHARACTERS) -> str:

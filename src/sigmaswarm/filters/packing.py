@@ -149,7 +149,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
-    """The columns of `Sums`, (8, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
+    """The columns of `Sums`, (7, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
     n_sets = len(chunk.sets)
     sound = _sound(rows, chunk.sets[0].n_states)[:, :n_sets] & chunk.plausible
     return np.where(sound, rows[:, _SHOWN, :n_sets].swapaxes(0, 1), np.nan), ~sound
