@@ -216,3 +216,24 @@ with whole_folder(Path("d"), replace=True) as new:
     write_whole(tmp_path / "y.csv", "")
     assert names(tmp_path) == ["d", "y.csv"]
     assert names(tmp_path / "d") == ["good"]
+
+
+def test_a_folder_is_held_by_one_run(tmp_path: Path):
+    out = tmp_path / "out"
+    with (
+        files.held_folder(out),
+        pytest.raises(InputError, match=r"out: another run is filling it"),
+        files.held_folder(out),
+    ):
+        pass
+    with files.held_folder(out):
+        pass
+
+
+def test_a_killed_run_holds_nothing(tmp_path: Path):
+    dying = "import os, sys; from pathlib import Path; from sigmaswarm.files import held_folder\n"
+    dying += "with held_folder(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    done = subprocess.run([sys.executable, "-c", dying, str(tmp_path)], check=False)
+    assert done.returncode == -9
+    with files.held_folder(tmp_path):
+        pass

@@ -67,6 +67,34 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
 
 
 @contextmanager
+def held_folder(path: Path) -> Generator[Path]:
+    """A folder, made where it is missing, that this run alone fills until the block ends.
+
+    Raises
+    ------
+    InputError
+        Another run fills it, or it can't be made.
+    """
+    make_folder(path)
+    handle = os.open(path, os.O_RDONLY) if fcntl else -1
+    try:
+        if fcntl:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise InputError(
+            f"{path}: another run is filling it; wait for its end, or choose another --out"
+        ) from None
+    except OSError:
+        pass  # a file system that can't lock
+    try:
+        yield path
+    finally:
+        if fcntl:
+            os.close(handle)  # the lock ends with it, and with the process
+
+
+@contextmanager
 def whole_file(path: Path) -> Generator[BinaryIO]:
     """Open a file for bytes, which takes its place when the block ends, and never if the block fails.
 

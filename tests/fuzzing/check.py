@@ -123,9 +123,12 @@ def check(seed: Seed, path: Path, imu: Path, sound: Drive, touched: int | None, 
     with limited(SECONDS), warnings.catch_warnings():
         warnings.simplefilter("error")  # a line of NumPy's on stderr is not one of ours
         warnings.simplefilter("ignore", SigmaswarmWarning)
+        shutil.rmtree(scratch, ignore_errors=True)
+        again = None
         for read in (seed.look, seed.read):
             try:
                 got = read(path, imu)
+                again = write_drive(got, scratch) if isinstance(got, Drive) else None
             except SigmaswarmError as error:
                 said = str(error)
                 if not said.isprintable() or len(said) > CHARACTERS:
@@ -133,11 +136,9 @@ def check(seed: Seed, path: Path, imu: Path, sound: Drive, touched: int | None, 
                 got = None
             except OSError:
                 got = None  # the command line says which file it was
-        if not isinstance(got, Drive):
+        if not isinstance(got, Drive) or again is None:
             return False
-        shutil.rmtree(scratch, ignore_errors=True)
-        again = read_drive(write_drive(got, scratch))
-    require_same(got, again)
+        require_same(got, read_drive(again))
     if touched is not None:
         differing(sound, got, REACH * touched)
     if peak_megabytes() > MEGABYTES:

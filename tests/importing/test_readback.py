@@ -1,4 +1,4 @@
-"""What is imported can be read: a drive that `read_drive` would refuse is told before anything is written."""
+"""What is imported can be read: a drive that `read_drive` would refuse never takes its place."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ import polars as pl
 import pytest
 
 from importing.logs import imported
+from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
 
@@ -45,12 +46,22 @@ def test_a_name_that_can(log: Path, name: str):
     ],
 )
 def test_values_that_can_not_be_read_back(tmp_path: Path, changed: dict[str, np.ndarray], said: str):
+    log, out = table(tmp_path, **changed), tmp_path / "out" / "d"
     with pytest.raises(InputError) as caught:
-        imported(table(tmp_path, **changed))
-    assert said in str(caught.value) and "/tmp" not in str(caught.value).replace(str(tmp_path), "")
+        write_drive(imported(log).drive, out)
+    assert str(caught.value).startswith(f"{out}: the drive could not be read back: {said}")
+    assert not list(out.parent.iterdir())
+
+
+def test_what_was_there_stays(tmp_path: Path):
+    out = write_drive(imported(table(tmp_path)).drive, tmp_path / "d")
+    before = (out / "gps.csv").read_bytes()
+    with pytest.raises(InputError, match="could not be read back"):
+        write_drive(imported(table(tmp_path, x=10 * TIME + 2e7)).drive, out, overwrite=True)
+    assert (out / "gps.csv").read_bytes() == before
 
 
 def test_far_truth_can_not_be_read_back(tmp_path: Path):
     pl.DataFrame({"t": TIME, "x": 10 * TIME, "y": 0 * TIME + 1e8}).write_csv(tmp_path / "truth.csv")
     with pytest.raises(InputError, match=r"truth\.csv, row 2, column y: '100000000\.0' is outside"):
-        imported(table(tmp_path), truth=tmp_path / "truth.csv")
+        write_drive(imported(table(tmp_path), truth=tmp_path / "truth.csv").drive, tmp_path / "d")

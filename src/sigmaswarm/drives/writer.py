@@ -1,5 +1,6 @@
 """Writing a drive's folder, whole or not at all."""
 
+import warnings
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,8 @@ import polars as pl
 import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
-from sigmaswarm.errors import DriveError
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.errors import DriveError, SigmaswarmWarning
 from sigmaswarm.files import make_folder, whole_folder
 from sigmaswarm.forking import require_threads
 
@@ -19,8 +21,8 @@ FILES = frozenset({"imu.csv", "gps.csv", "truth.csv", "drive.toml"})
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> Path:
     """Write a drive as a folder that ``read_drive`` reads back to the same bits.
 
-    The same drive gives the same bytes. The folder is written beside its place and then renamed, so that
-    nobody ever finds half a drive.
+    The same drive gives the same bytes. The folder is written beside its place, read back there and then renamed, so
+    that nobody ever finds half a drive, or one that can't be read.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     Raises
     ------
     DriveError
-        Something is there already, or the drive holds what the files can't.
+        Something is there already, or the drive holds what the files can't, or what ``read_drive`` refuses.
     """
     require_threads()
     folder = Path(path).resolve()  # "." has no name to rename
@@ -51,7 +53,19 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
         new.mkdir()
         for file, text in texts.items():
             (new / file).write_bytes(text.encode())
+        _require_readable(new, folder)
     return folder
+
+
+def _require_readable(written: Path, folder: Path) -> None:
+    """Read what is about to take its place; the message names the file, row, column and value."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SigmaswarmWarning)  # the doctor tells what only looks wrong
+            read_drive(written)
+    except DriveError as error:
+        said = str(error).removeprefix(f"{written}/").replace(str(written), str(folder))
+        raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
 
 
 def require_replaceable(folder: Path, overwrite: bool) -> None:

@@ -14,7 +14,6 @@ from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readback import require_readable
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
 from sigmaswarm.wording import names_shown
@@ -70,8 +69,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     Raises
     ------
     InputError
-        A log is broken, lacks something, or a column can't be made, or what is made could not be read back; one line
-        says which, and what to do.
+        A log is broken, lacks something, or a column can't be made; one line says which, and what to do.
     """
     require_name(name, "the drive")
     notes: list[str] = []
@@ -92,7 +90,6 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     drive = assemble(name, gathered, recipe, notes.append)
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
-    require_readable(drive)
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
 
 

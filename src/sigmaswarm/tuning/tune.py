@@ -11,6 +11,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
@@ -102,9 +103,12 @@ def tune(
     held_back = problem.on(others) if others else None
     if held_back:
         _check_apart(problem, held_back)
-    # made only once nothing is left that the user could have got wrong
-    folder = None if out is None else tuning_folder(Path(out), problem, settings, resume=resume)
     with ExitStack() as stack:
+        folder = None
+        if out is not None:  # made only once nothing is left that the user could have got wrong
+            folder = tuning_folder(
+                stack.enter_context(held_folder(Path(out))), problem, settings, resume=resume
+            )
         pool = executor or stack.enter_context(ThreadPoolExecutor())
         return tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
 

@@ -24,7 +24,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.compare.contenders import Contender, budget, contenders
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import held_folder, write_whole
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
 from sigmaswarm.tuning.result import Tuning
@@ -91,8 +91,12 @@ def compare(
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
     asked = _asked(rivals, seeds, problem, beside)
     cells = [_Run(rival, seed) for seed in range(seeds) for rival in rivals]
-    with TemporaryDirectory() as scratch, ThreadPoolExecutor(workers) as pool:
-        folder = ResultFolder(Path(scratch if out is None else out), asked, resume=resume or out is None)
+    with (
+        TemporaryDirectory() as scratch,
+        held_folder(Path(scratch if out is None else out)) as place,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        folder = ResultFolder(place, asked, resume=resume or out is None)
         job = _Job(_searched(problem, rivals), beside, folder.path, threading.Lock())
 
         def told(done: int, total: int, _: object) -> None:

@@ -32,7 +32,7 @@ from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.experiments.study.spread import spreads_of
 from sigmaswarm.experiments.study.timings import Stopwatch, write_timings
 from sigmaswarm.experiments.study.tracks import follow
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.tracks import Picture, save_tracks
@@ -136,27 +136,28 @@ def run_study(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    out, watch = Path(out), Stopwatch()
-    _open_folder(out, config, resume)
-    with ExitStack() as stack:
+    watch = Stopwatch()
+    with held_folder(Path(out)) as folder, ExitStack() as stack:
+        _open_folder(folder, config, resume)
         pool = executor or stack.enter_context(ThreadPoolExecutor(workers))
         design = make_design(config, pool)
         spaces = _spaces(design)
-        trials = _tune_all(design, spaces, out, pool, progress)
+        trials = _tune_all(design, spaces, folder, pool, progress)
         watch.lap("tuning")
         boxes = {task: spaces[task.protocol, task.method] for task in trials}
         points = {task: boxes[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
         touched = {task: boxes[task].touched(trial.point) for task, trial in trials.items()}
         scores = score_all(design, points, pool)
-    results = results_of(design, trials, points, touched, scores)
-    tracks, picture = follow(design, points, shown_trial(trials))
-    scores.write(out)
-    results.write(out)
-    save_tracks(tracks, out / "tracks.npz")
-    watch.lap("scoring")
-    live = write_timings(out, design, watch)
-    record = StudyRecord(results, spreads_of(scores.to_frame()), live, tracks, versions())
-    return Study(out, design, trials, points, _write_best(out, trials, points), record, picture)
+        results = results_of(design, trials, points, touched, scores)
+        tracks, picture = follow(design, points, shown_trial(trials))
+        scores.write(folder)
+        results.write(folder)
+        save_tracks(tracks, folder / "tracks.npz")
+        watch.lap("scoring")
+        live = write_timings(folder, design, watch)
+        record = StudyRecord(results, spreads_of(scores.to_frame()), live, tracks, versions())
+        best = _write_best(folder, trials, points)
+    return Study(folder, design, trials, points, best, record, picture)
 
 
 def _write_best(
@@ -188,7 +189,6 @@ def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
                     f"{getattr(config, name)!r}; repeat the first command, or name another folder"
                 )
         return
-    make_folder(out)
     write_whole(file, config.to_toml())
 
 
