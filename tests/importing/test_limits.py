@@ -4,16 +4,19 @@ import json
 import struct
 import tracemalloc
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+from importing.bags import ROS1
 from importing.logs import a_drive, imported
 from importing.test_phones import phyphox, zipped
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request
+from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.look import look
 
@@ -83,7 +86,9 @@ def test_a_chunk_that_becomes_gigabytes(tmp_path: Path, compression: str):
     log = write(tmp_path / "log.mcap", sent, compression=kind, chunk_size=1 << 30)
     assert log.stat().st_size < 100_000
     limits = Limits(unpacked_mb=3)
-    with pytest.raises(InputError, match=r"would unpack 4 MB at once, more than 3; .* --max-unpacked-mb"):
+    with pytest.raises(
+        InputError, match=r"would unpack at least 4 MB at once, more than 3; .* --max-unpacked-mb"
+    ):
         look(Request(log, limits=limits))
     data = log.read_bytes()
     size = next(n for n in range(4_000_000, 4_010_000) if struct.pack("<Q", n) in data[:200])
@@ -92,6 +97,46 @@ def test_a_chunk_that_becomes_gigabytes(tmp_path: Path, compression: str):
         look(Request(log, limits=limits))
     log.write_bytes(data)
     assert look(Request(log)).tables
+
+
+def test_an_lz4_chunk_that_does_not_say_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    import lz4.frame as lz4
+
+    silent = partial(lz4.compress, store_size=False)
+    monkeypatch.setattr(mcap.lz4.frame, "compress", lambda data, **_: silent(data))
+    sent = [("/x", b'{"a":1,"p":"' + b" " * 1_000_000 + b'"}')] * 4
+    log = write(tmp_path / "log.mcap", sent, compression=mcap.CompressionType.LZ4, chunk_size=1 << 30)
+    data = log.read_bytes()
+    size = next(n for n in range(4_000_000, 4_010_000) if struct.pack("<Q", n) in data[:200])
+    log.write_bytes(data.replace(struct.pack("<Q", size), struct.pack("<Q", 4096)))
+    with pytest.raises(InputError, match="would unpack at least 3 MB at once, more than 3"):
+        look(Request(log, limits=Limits(unpacked_mb=3)))
+    log.write_bytes(data)
+    assert look(Request(log)).tables
+
+
+@pytest.mark.parametrize("compression", ["BZ2", "LZ4"])
+def test_a_ros_bag_whose_chunks_become_gigabytes(tmp_path: Path, compression: str):
+    rosbag1 = pytest.importorskip("rosbags.rosbag1")
+    writer = rosbag1.Writer(tmp_path / "log.bag")
+    writer.set_compression(rosbag1.Writer.CompressionFormat[compression])
+    text = ROS1.types["std_msgs/msg/String"]
+    with writer:
+        connection = writer.add_connection("/x", "std_msgs/msg/String", typestore=ROS1)
+        imu = writer.add_connection("/n", "std_msgs/msg/Float64", typestore=ROS1)
+        for i in range(4):
+            writer.write(connection, i, ROS1.serialize_ros1(text(" " * 1_000_000), "std_msgs/msg/String"))
+            number = ROS1.types["std_msgs/msg/Float64"](float(i))
+            writer.write(imu, i, ROS1.serialize_ros1(number, "std_msgs/msg/Float64"))
+    assert (tmp_path / "log.bag").stat().st_size < 100_000
+
+    def read(limits: Limits) -> int:
+        with open_log(tmp_path / "log.bag", None, limits) as source:
+            return sum(1 for _ in source.stream(["/n"]))  # type: ignore[attr-defined]
+
+    with pytest.raises(InputError, match="would unpack at least"):
+        read(Limits(unpacked_mb=0))
+    assert read(Limits(unpacked_mb=8)) == 4
 
 
 def test_a_parquet_of_more_rows_than_the_limit(tmp_path: Path):
@@ -127,5 +172,7 @@ def test_a_zip_whose_tables_become_gigabytes(tmp_path: Path):
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("Accelerometer", "Gyroscope", "Location"):
             archive.writestr(f"{name}.csv", "a,b\n" + "0,0\n" * 500_000)
-    with pytest.raises(InputError, match="would unpack 6 MB at once, more than 5; unpack it yourself"):
+    with pytest.raises(
+        InputError, match="would unpack at least 6 MB at once, more than 5; unpack it yourself"
+    ):
         imported(tmp_path / "bomb.zip", limits=Limits(unpacked_mb=5))

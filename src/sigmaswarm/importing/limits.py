@@ -33,7 +33,7 @@ class Limits:
         """Refuse what becomes too many bytes."""
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
-                f"{path}: would unpack {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
+                f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
                 "yourself, or raise --max-unpacked-mb"
             )
 

@@ -20,6 +20,9 @@ Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
 """Messages in JSON, which no definition describes, by which a topic's columns are known."""
 
+_LZ4_RATIO = 255
+"""No byte of LZ4 becomes more."""
+
 MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -41,7 +44,7 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
                     f"{path}: has no index or no topics; run `mcap recover` on it, or record it again"
                 )
             for chunk in summary.chunk_indexes:
-                limits.check_unpacked(_unpacked(file, chunk.chunk_start_offset), path)
+                limits.check_unpacked(_unpacked(file, chunk.chunk_start_offset, limits), path)
             log = _log(path, reader, summary, limits)
         except InputError:
             raise
@@ -50,18 +53,27 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
         yield log
 
 
-def _unpacked(file: BinaryIO, offset: int) -> int:
-    """Bytes that a chunk becomes, as its record and its packed data say themselves."""
+def _unpacked(file: BinaryIO, offset: int, limits: Limits) -> int:
+    """Bytes that a chunk becomes, as its record and its packed data say themselves; LZ4 need not, and is tried."""
     file.seek(offset + 9 + 16)  # behind the opcode, the record's length, and the first and last time
     size, _, length = struct.unpack("<QII", file.read(16))
     kind = file.read(min(length, 16))
-    data = file.read(8 + 32)[8:]
+    (packed,) = struct.unpack("<Q", file.read(8))
+    data = file.read(min(packed, 32))
     said = 0
     if kind == b"zstd":
         said = library("zstandard", "ros").frame_content_size(data)
     elif kind == b"lz4":
         said = library("lz4.frame", "ros").get_frame_info(data)["content_size"]
+        if not said and packed * _LZ4_RATIO > limits.unpacked_mb * 1_000_000:
+            said = _tried(data + file.read(packed - len(data)), limits)
     return max(size, said)
+
+
+def _tried(packed: bytes, limits: Limits) -> int:
+    """Bytes that LZ4 unpacks to, counted up to the limit."""
+    unpacking = library("lz4.frame", "ros").LZ4FrameDecompressor()
+    return len(unpacking.decompress(packed, max_length=limits.unpacked_mb * 1_000_000 + 1))
 
 
 def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> MessageLog:

@@ -1,6 +1,7 @@
 """ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags: no ROS needed."""
 
-from collections.abc import Collection, Generator, Iterator
+import bz2
+from collections.abc import Callable, Collection, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,12 +42,36 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     try:
         reader = anyreader.AnyReader(paths, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
         reader.open()
+        _bound_chunks(reader, limits, path)
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
     try:
         yield _log(path, reader, limits)
     finally:
         reader.close()
+
+
+def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
+    """Make a ROS 1 bag's chunks unpack to the limit and no farther: nothing tells their size before."""
+    lz4 = library("lz4.frame", "ros")
+    streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
+    for bag in reader.readers:
+        chunks = getattr(bag, "chunks", {})  # a ROS 2 bag has none
+        for place, chunk in chunks.items():
+            if stream := streams.get(chunk.decompressor):
+                chunks[place] = chunk._replace(decompressor=_bounded(stream, limits, path))
+
+
+def _bounded(stream: Callable[[], Any], limits: Limits, path: Path) -> Callable[[bytes], bytes]:
+    def unpack(packed: bytes) -> bytes:
+        unpacking = stream()
+        content = unpacking.decompress(packed, max_length=limits.unpacked_mb * 1_000_000 + 1)
+        limits.check_unpacked(len(content), path)
+        if not unpacking.eof:
+            raise EOFError("a chunk ends too early")
+        return content
+
+    return unpack
 
 
 def _log(path: Path, reader: Any, limits: Limits) -> MessageLog:
