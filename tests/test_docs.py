@@ -72,3 +72,15 @@ def test_every_page_is_in_the_readme_and_leads_on():
     for page in PAGES:
         others = {p.values[1].partition("#")[0] for p in links() if p.values[0] == page} - {"", page.name}
         assert len(others) > 1, f"{page.name} leads nowhere"
+
+
+def held():
+    """The tests that docs/promises.md names."""
+    text = (ROOT / "docs" / "promises.md").read_text()
+    return sorted(set(re.findall(r"`(tests/[\w/]+\.py(?:::\w+)?)`", text)))
+
+
+@pytest.mark.parametrize("named", held())
+def test_every_promise_is_held_by_a_test(named):
+    path, _, name = named.partition("::")
+    assert f"def {name or 'test_'}" in (ROOT / path).read_text()
