@@ -1,5 +1,6 @@
 """The `sigmaswarm` command: its subcommands, and how errors are told."""
 
+import logging
 import sys
 import traceback
 import warnings
@@ -58,6 +59,7 @@ def main() -> NoReturn:
     0: done. 1: the doctor is alarmed. 2: the user's mistake. 3: something unforeseen. 130: interrupted.
     """
     warnings.showwarning = _show_warning
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it would tell where its cache is
     terminal.prepare()
     code = _run()
     try:
