@@ -76,6 +76,13 @@ def test_a_constant_error_is_its_own_rmse():
     assert score.heading_rmse == pytest.approx(0.25)
 
 
+def test_biases_behind_the_pose_change_nothing():
+    truth = moving_east(10.0)
+    plain = estimate_of(truth, east=-3.0, heading=0.25)
+    larger = replace(plain, mean=np.hstack([plain.mean, np.ones((len(plain.mean), 3))]))
+    assert score_estimate(drive_with(truth), larger).position_rmse == pytest.approx(3.0)
+
+
 def test_heading_does_not_count_at_walking_pace():
     truth = moving_east(2.0)
     assert math.isnan(score_estimate(drive_with(truth), estimate_of(truth, heading=1.0)).heading_rmse)

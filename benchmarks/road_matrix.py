@@ -1,0 +1,79 @@
+"""Every real drive as training, every other one as test: is a filter ever worse than the fixes that it is given?
+
+    python benchmarks/road_matrix.py ../shared/drives --use lateral standstill robust accuracy
+
+Tuned without truth on one drive, tested on each drive that has truth. `accuracy` is used where both state one. Prints a
+Markdown table for the position RMSE over that of the raw fixes, and one for the heading error in degrees: rows are
+training drives, columns test drives, medians over the seeds. A cell that is worse than the fixes by more than 10%, or
+has lost the heading by more than 30 degrees, is bold.
+"""
+
+import argparse
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, run_filter, tune
+from sigmaswarm.scoring.score import score_estimate, score_raw_gps
+
+RAW_SHARE, LOST = 1.1, 30.0
+LEFT_OUT = ("dresden-as-recorded",)  # its signs and units are wrong on purpose
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--objective", default="innovation-t")
+    parser.add_argument("--model", default="planar8")
+    parser.add_argument("--use", nargs="*", default=[])
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    folders = sorted(
+        f for f in options.drives.iterdir() if (f / "imu.csv").exists() and f.name not in LEFT_OUT
+    )
+    drives = [read_drive(folder) for folder in folders]
+    tests = [drive for drive in drives if drive.truth is not None]
+    with ThreadPoolExecutor() as pool:
+        found = np.array(
+            [[row(drive, tests, options, seed, pool) for drive in drives] for seed in range(options.seeds)]
+        )
+    share, heading = np.median(found, axis=0).transpose(2, 0, 1)  # each (training drives, test drives)
+    show("position RMSE / raw fixes'", drives, tests, share, RAW_SHARE)
+    show("heading error, deg", drives, tests, heading, LOST)
+    bad = (share > RAW_SHARE) | (heading > LOST)
+    print(f"{bad.sum()} of {bad.size} cells are worse than the fixes by over 10%, or have lost the heading.")
+
+
+def row(
+    training: Drive, tests: list[Drive], options: argparse.Namespace, seed: int, pool: ThreadPoolExecutor
+):
+    """Share of the raw fixes' RMSE, and heading error in degrees, on each test drive."""
+    filters: dict[bool, FilterParameters] = {}
+    found: list[tuple[float, float]] = []
+    for test in tests:
+        stated = training.gps.std_x is not None and test.gps.std_x is not None
+        if stated not in filters:
+            use = [option for option in options.use if option != "accuracy" or stated]
+            asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
+            filters[stated] = tune([training], executor=pool, **asked).parameters
+        estimate = run_filter(test, filters[stated])
+        score, raw = score_estimate(test, estimate), score_raw_gps(test, estimate.initial)
+        found.append((score.position_rmse / raw.position_rmse, float(np.degrees(score.heading_rmse))))
+    return found
+
+
+def show(title: str, drives: list[Drive], tests: list[Drive], values: np.ndarray, limit: float) -> None:
+    print(f"\n| {title}: tuned on | " + " | ".join(test.name for test in tests) + " |")
+    print("|---" * (len(tests) + 1) + "|")
+    for drive, cells in zip(drives, values, strict=True):
+        shown = (f"**{v:.2f}**" if not v <= limit else f"{v:.2f}" for v in cells)
+        print(f"| {drive.name} | " + " | ".join(shown) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
