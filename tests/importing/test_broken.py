@@ -2,6 +2,7 @@
 
 import json
 import struct
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -389,6 +390,33 @@ def test_kitti_beyond_what_ns_can_count(tmp_path: Path):
     times = log / "oxts" / "timestamps.txt"
     times.write_text(times.read_text().replace("2023-", "1500-"))
     refused("beyond what ns can count", lambda: imported(log))
+
+
+def test_kitti_with_a_time_zone(tmp_path: Path):
+    log = write_kitti(tmp_path, make_drive(duration=12.0, imu_rate=10.0))
+    times = log / "oxts" / "timestamps.txt"
+    first, *rest = times.read_text().splitlines()
+    times.write_text("\n".join([f"{first[:19]}Z", *rest]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        refused("timezone", lambda: imported(log))
+
+
+def test_a_stamp_years_before_all_others_costs_them_no_digit(tmp_path: Path):
+    """The clock begins with the log, as if that fix were not there."""
+    epoch, time = 1_683_000_000, np.arange(0, 30, 0.01)
+    zero = 0 * time
+    ns = np.int64(epoch) * 10**9 + np.round(time * 1e9).astype(np.int64)
+    imu = pl.DataFrame({"stamp": ns, "ax": zero, "ay": zero, "gz": zero})
+    gps = pl.DataFrame({"stamp": ns[::20], "x": 10 * time[::20], "y": zero[::20]})
+    (tmp_path / "log").mkdir()
+    imu.write_csv(tmp_path / "log" / "imu.csv")
+    stamps = np.where(np.arange(len(gps)) == 3, 17_000_000, gps["stamp"])
+    gps.with_columns(stamp=stamps).write_csv(tmp_path / "log" / "gps.csv")
+    options = {"form": "csv", "time": "stamp*1e-9"}
+    drive = imported(tmp_path / "log", **options).drive
+    np.testing.assert_allclose(drive.imu.time, time, rtol=0, atol=1e-12)
+    assert len(drive.gps) == len(gps)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])

@@ -96,9 +96,14 @@ def _seconds(
     moved: dict[Role, Nanoseconds] = {
         role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
     }
-    begin = min(int(time[0]) for role, time in moved.items() if role != "truth" or "gps" not in moved)
+    begin = min(_begin(time) for role, time in moved.items() if role != "truth" or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
+
+
+def _begin(time: Nanoseconds) -> int:
+    """When a table begins; a stamp years before all others is broken, and would cost them their last digits."""
+    return int(time[np.searchsorted(time, time[len(time) // 2] - LONG_AGO)])
 
 
 def _fixes(

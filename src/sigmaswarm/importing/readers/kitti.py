@@ -5,6 +5,7 @@ One text of 30 numbers a sample and a file of times; meaning, units and signs fr
 """
 
 import re
+import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,9 +81,11 @@ def _stamps(path: Path) -> np.ndarray:
     lines = path.read_text("utf-8", "replace").splitlines()
     try:
         said = [line.strip() or "NaT" for line in lines]
-        times = np.array(said, dtype="datetime64[ns]")
-        days = np.array([text[:10] for text in said], dtype="datetime64[D]")
-    except ValueError as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # a time zone, which NumPy would drop
+            times = np.array(said, dtype="datetime64[ns]")
+            days = np.array([text[:10] for text in said], dtype="datetime64[D]")
+    except (ValueError, UserWarning) as error:
         raise InputError(f"{path}: {shown(error, 160)}; unpack the drive again") from None
     if not len(times):
         raise InputError(f"{path} is empty; unpack the drive again")
