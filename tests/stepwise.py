@@ -148,7 +148,8 @@ class Stepwise:
     ``shrunk`` says by how much a step's fix divided a variance, at most; 1 where there was no fix. A covariance
     kept in doubles can't come out of such a fix with more than eps x shrunk: that much is rounded off before.
     ``turn`` is the standard deviation of the heading (rad) before anything is absorbed; inf where a lane has failed.
-    ``absorbed`` (steps,) says where there was a fix; ``sums`` and ``noise`` (the adapted Q and R) have those only.
+    ``absorbed`` (steps,) says where there was a fix; ``sums``, ``noise`` (the adapted Q and R), ``weight`` and
+    ``recovered`` (the oracle's, of robust filters) have those only.
     """
 
     mean: np.ndarray
@@ -158,6 +159,8 @@ class Stepwise:
     absorbed: np.ndarray | None = None
     sums: np.ndarray | None = None
     noise: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    recovered: np.ndarray | None = None
 
     @property
     def known(self) -> np.ndarray:
@@ -242,6 +245,8 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
         if oracle.kind == "adaptive-ukf":
             noise = np.concatenate([oracle.q, oracle.r], axis=1)
             errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
+        if oracle.robust:
+            errors |= {"weight": oracle.weight.astype(float), "recovered": oracle.lost}
         # A residual is known to within the rounding of a position, whatever its size.
         wrong = np.abs(compiled.sums[: len(true)] - true) / np.maximum(1, np.abs(true))
         errors["sums"] = np.max(wrong, axis=0).astype(float)
@@ -305,11 +310,13 @@ def simulated() -> Drive:
 
 
 def equipped(drive: Drive) -> Drive:
-    """The drive with an antenna away from the IMU, and velocities of the fixes, as far as they tell them."""
+    """The drive with an antenna away from the IMU; velocities, as the fixes tell them, and accuracies."""
     gps = drive.gps
     if gps.speed is None:
         vx, vy = np.gradient(gps.x, gps.time), np.gradient(gps.y, gps.time)
         gps = replace(gps, speed=np.hypot(vx, vy), course=np.arctan2(vy, vx))
+    if gps.std_x is None:
+        gps = replace(gps, std_x=1 + 0.8 * np.sin(gps.time), std_y=1 + 0.8 * np.cos(gps.time))
     return replace(drive, gps=gps, metadata={**drive.metadata, "gps_lever_arm_m": [1.0, -0.5, 0.3]})
 
 

@@ -104,6 +104,7 @@ class ExtendedCar:
     q, r : (s, n), (s, 2), the diagonals of Q and R; an adaptive filter changes them
     recent : (s,), strong tracking's recent size of the innovations; NaN before the first
     rejected : (s,), how many fixes in a row the gate has turned away
+    lost : (s,), whether the last fix ended a run of outliers so long that the filter recovers
     outliers, span : (s,), how many fixes in a row had a small weight, and Q's scale from the first to the last of them
     since : Q's scale since the last fix
     nis, log_determinant, squared_residual, weight : (s,), of the last fix
@@ -127,6 +128,7 @@ class ExtendedCar:
         self.recent = np.full(len(sets), np.nan, dtype=Extended)
         self.rejected = np.zeros(len(sets), dtype=int)
         self.accuracy, self.dof = column("accuracy_scale", 0.0), column("robust_dof", np.inf)
+        self.robust = bool(np.isfinite(self.dof).any())
         self.outliers = np.zeros(len(sets), dtype=int)
         self.span = np.zeros(len(sets), dtype=Extended)
         self.patience = (5 - Extended("1e-6")) / nominal
@@ -168,7 +170,7 @@ class ExtendedCar:
         self.rejected = np.where(used, 0, self.rejected + 1)
         if self.kind == "strong-tracking-ukf":
             self._fade(seen, used)
-        if np.isfinite(self.dof).any():
+        if self.robust:
             r = self._weigh(seen)
         # Of z itself: M = S - R is what the filter knew, so M S^-1 nu is what it learns.
         m = seen.s - r
@@ -198,7 +200,7 @@ class ExtendedCar:
         far = weight < 0.25
         self.span = np.where(far & (self.outliers > 0), self.span + self.since, 0)
         self.outliers = np.where(far, self.outliers + 1, 0)
-        lost = (self.outliers >= 3) & (self.span >= self.patience)
+        lost = self.lost = (self.outliers >= 3) & (self.span >= self.patience)
         self.outliers, self.span = np.where(lost, 0, self.outliers), np.where(lost, 0, self.span)
         self.weight = np.where(lost, 1, weight)
         heavy = r / self.weight[:, None, None]
