@@ -16,6 +16,11 @@ FILTERS = {
     "planar8 ukf": ("planar8", "ukf", ()),
     "planar8 ukf, lateral": ("planar8", "ukf", ("lateral",)),
     "planar8 ukf, lateral and standstill": ("planar8", "ukf", ("lateral", "standstill")),
+    "planar8 ukf, lateral, standstill, accuracy and robust": (
+        "planar8",
+        "ukf",
+        ("lateral", "standstill", "accuracy", "robust"),
+    ),
 }
 
 

@@ -20,6 +20,15 @@ OPTIONS = {
             "standstill_noise": 1e-3},
 }  # fmt: skip
 
+WEIGHED = {
+    "accuracy": {"accuracy_scale": 0.4},
+    "robust": {"robust_dof": 4.0},
+    "both": {**OPTIONS["all"], "gate": None, "accuracy_scale": 0.4, "robust_dof": 2.0},
+}
+"""Options that weigh fixes, which do not go with every kind."""
+WEIGHED_CASES = [(kind, option) for kind in ("ukf", "ekf") for option in WEIGHED]
+WEIGHED_CASES += [("strong-tracking-ukf", "accuracy")]
+
 
 def parameters(model: str, **more) -> FilterParameters:
     if more.get("kind") == "strong-tracking-ukf":
@@ -38,6 +47,18 @@ def equipped(duration: float = 24.0) -> Drive:
     course = np.interp(t, truth.time, np.unwrap(np.arctan2(truth.vy, truth.vx)))
     gps = replace(drive.gps, speed=speed, course=course)
     return replace(drive, gps=gps, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})
+
+
+@cache
+def straying() -> Drive:
+    """The drive with stated accuracies, a burst of outliers, and a jump after 14 s that lasts: a filter recovers."""
+    drive, rng = equipped(), np.random.default_rng(2)
+    gps, n = drive.gps, len(drive.gps)
+    x, late = gps.x.copy(), gps.time > gps.time[0] + 14.0
+    x[40:43] += 15.0
+    x[late] += 40.0
+    std_x, std_y = rng.uniform(0.2, 2.0, (2, n))
+    return replace(drive, gps=replace(gps, x=x, std_x=std_x, std_y=std_y))
 
 
 @cache

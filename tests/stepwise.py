@@ -77,7 +77,9 @@ class CompiledCars:
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
         assert len(sets) % lanes.LANES == 0
         self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
-        self.remembers = sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf")
+        self.remembers = (
+            sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf") or sets[0].robust_dof is not None
+        )
         self.parts = [slice(a, a + lanes.LANES) for a in range(0, len(sets), lanes.LANES)]
         self.rows = np.zeros((len(sets), layout.N_ROWS))
         for part in self.parts:
@@ -86,7 +88,7 @@ class CompiledCars:
             self.rows[part, : layout.N_KEPT] = start.T
 
     def step(self, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
-        self.rows[:, [R.NIS, R.SQ_FIX, R.LOG_DET]], self.rows[:, R.DET] = 0.0, 1.0
+        self.rows[:, [R.NIS, R.SQ_FIX, R.LOG_DET, R.LOG_TAIL]], self.rows[:, [R.DET, R.TAIL]] = 0.0, 1.0
         if not self.remembers:
             self.rows[:, R.REJECTED] = 0.0
         for part in self.parts:
@@ -96,12 +98,12 @@ class CompiledCars:
         t = self.line
         rows = self.rows[part, : layout.N_KEPT].T.copy()
         rows[layout.SUM_ROWS] = 0.0
-        rows[[R.DET, R.OK]], rows[R.RECENT] = 1.0, -1.0
+        rows[[R.DET, R.TAIL, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
             self.model,
             np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
             np.array([happens]),
-            np.empty((0, 4)) if fix is None else fix[None].copy(),
+            np.empty((0, 6)) if fix is None else fix[None].copy(),
             t.lever,
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
@@ -115,7 +117,7 @@ class CompiledCars:
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t, step = self.line, live_step
-        z = (0.0, 0.0, 0.0, 0.0) if fix is None else tuple(fix.tolist())
+        z = (0.0,) * 6 if fix is None else tuple(fix.tolist())
         for row in self.rows[part]:
             step(row, self.n, t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i], happens, *z, *t.lever, since)
 
@@ -146,7 +148,8 @@ class Stepwise:
     ``shrunk`` says by how much a step's fix divided a variance, at most; 1 where there was no fix. A covariance
     kept in doubles can't come out of such a fix with more than eps x shrunk: that much is rounded off before.
     ``turn`` is the standard deviation of the heading (rad) before anything is absorbed; inf where a lane has failed.
-    ``absorbed`` (steps,) says where there was a fix; ``sums`` and ``noise`` (the adapted Q and R) have those only.
+    ``absorbed`` (steps,) says where there was a fix; ``sums``, ``noise`` (the adapted Q and R), ``weight`` and
+    ``recovered`` (the oracle's, of robust filters) have those only.
     """
 
     mean: np.ndarray
@@ -156,6 +159,8 @@ class Stepwise:
     absorbed: np.ndarray | None = None
     sums: np.ndarray | None = None
     noise: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    recovered: np.ndarray | None = None
 
     @property
     def known(self) -> np.ndarray:
@@ -214,6 +219,8 @@ def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
         oracle.q, oracle.r = noise[:, :n], noise[:, n:]
         oracle.recent = np.where(recent < 0, np.nan, recent)
     oracle.rejected = compiled.rows[:, R.REJECTED].astype(int) if compiled.remembers else 0 * oracle.rejected
+    oracle.outliers = compiled.rows[:, R.OUTLIERS].astype(int)
+    oracle.span = compiled.rows[:, R.SPAN].astype(extended)
     oracle.since = extended(since)
 
 
@@ -233,9 +240,13 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
             true.append(np.where(np.isnan(oracle.recent), -1, oracle.recent))
             decided = (compiled.rows[:, R.REJECTED] == oracle.rejected) | ~np.isfinite(errors["turn"])
             assert decided.all(), "the gates disagree"
+            decided = (compiled.rows[:, R.OUTLIERS] == oracle.outliers) | ~np.isfinite(errors["turn"])
+            assert decided.all(), "the weights disagree"
         if oracle.kind == "adaptive-ukf":
             noise = np.concatenate([oracle.q, oracle.r], axis=1)
             errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
+        if oracle.robust:
+            errors |= {"weight": oracle.weight.astype(float), "recovered": oracle.lost}
         # A residual is known to within the rounding of a position, whatever its size.
         wrong = np.abs(compiled.sums[: len(true)] - true) / np.maximum(1, np.abs(true))
         errors["sums"] = np.max(wrong, axis=0).astype(float)
@@ -299,11 +310,13 @@ def simulated() -> Drive:
 
 
 def equipped(drive: Drive) -> Drive:
-    """The drive with an antenna away from the IMU, and velocities of the fixes, as far as they tell them."""
+    """The drive with an antenna away from the IMU; velocities, as the fixes tell them, and accuracies."""
     gps = drive.gps
     if gps.speed is None:
         vx, vy = np.gradient(gps.x, gps.time), np.gradient(gps.y, gps.time)
         gps = replace(gps, speed=np.hypot(vx, vy), course=np.arctan2(vy, vx))
+    if gps.std_x is None:
+        gps = replace(gps, std_x=1 + 0.8 * np.sin(gps.time), std_y=1 + 0.8 * np.cos(gps.time))
     return replace(drive, gps=gps, metadata={**drive.metadata, "gps_lever_arm_m": [1.0, -0.5, 0.3]})
 
 

@@ -284,6 +284,14 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert "tuned on" not in sigmaswarm("evaluate", "t", second, "--json").err
 
 
+def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):
+    write_drive(make_drive(duration=20.0), here / "plain")
+    ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "accuracy")
+    assert ended.code == 2
+    assert "no std_x and std_y, which --use accuracy needs; leave accuracy out" in ended.err
+    assert not (here / "t").exists()
+
+
 def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
     write_drive(make_drive(duration=30), here / "plain")
     ended = sigmaswarm("tune", "plain", "--out", "t", "--use", "velocity")

@@ -1,5 +1,6 @@
 """The exported C library: the library's numbers, no warning, and nothing that a sanitizer finds."""
 
+import re
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
-from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
+from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying, two_receivers
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
@@ -21,6 +22,7 @@ from support import DRIVES, needs_shared
 CASES = [(model, kind, "all") for model in ("planar5", "planar8") for kind in KINDS]
 CASES += [("planar5", "ukf", option) for option in OPTIONS if option != "all"]
 CASES += [("planar8", "ekf", "lateral"), ("planar8", "adaptive-ukf", "plain")]
+WEIGHED_TOO = [*CASES, *(("planar8", kind, option) for kind, option in WEIGHED_CASES)]
 
 REAL = {
     "kitti-09-30-0033": (0.0, 45.0),
@@ -31,7 +33,7 @@ REAL = {
 
 
 def given(model: str, kind: str, option: str) -> FilterParameters:
-    return parameters(model, kind=kind, nominal_interval=0.01, **OPTIONS[option])
+    return parameters(model, kind=kind, nominal_interval=0.01, **(OPTIONS | WEIGHED)[option])
 
 
 @cache
@@ -48,6 +50,29 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str, option: str):
     np.testing.assert_array_equal(theirs.time, ours.time)
     assert distance(theirs.mean, ours.mean) < 1e-11
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+@needs_gcc
+@pytest.mark.parametrize(("kind", "option"), WEIGHED_CASES)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, model: str, kind: str, option: str):
+    p = given(model, kind, option)
+    ours = run_filter(straying(), p)
+    theirs = replay(build(tmp_path, p), straying())
+    assert distance(theirs.mean, ours.mean) < 1e-10
+    np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+@needs_gcc
+def test_a_fix_without_the_accuracy_that_the_filter_goes_by_is_named(tmp_path: Path):
+    program = build(tmp_path, given("planar5", "ukf", "accuracy"))
+    done = subprocess.run(
+        [program], input=replay_rows(equipped()), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(
+        "replay: a fix states no accuracy, std_x,std_y, which this filter goes by: fix,"
+    )
 
 
 @needs_shared
@@ -130,7 +155,7 @@ def _last_row(program: Path, rows: list[str]) -> np.ndarray:
     "flags", [(), ("-DINS_GPS_FLOAT",), ("-DINS_GPS_HISTORY=0", "-DINS_GPS_FLOAT")], ids=str
 )
 def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
-    for model, kind, option in CASES:
+    for model, kind, option in WEIGHED_TOO:
         export_filter(given(model, kind, option), "c99", tmp_path)
         command = ["clang", *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -140,7 +165,7 @@ def test_clang_has_nothing_to_say(tmp_path: Path, flags: tuple[str, ...]):
 @needs_gcc
 @pytest.mark.parametrize("flags", [("-DINS_GPS_FLOAT",), ("-DINS_GPS_HISTORY=0",)], ids=str)
 def test_gcc_has_nothing_to_say_of_any_filter(tmp_path: Path, flags: tuple[str, ...]):
-    for model, kind, option in CASES:
+    for model, kind, option in WEIGHED_TOO:
         export_filter(given(model, kind, option), "c99", tmp_path)
         command = ["gcc", *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -239,8 +264,23 @@ NO_TRAP = ("-fno-sanitize=float-divide-by-zero",)  # IEEE's inf is meant: all_fi
 
 @needs_gcc
 @pytest.mark.parametrize("flags", [(), ("-DINS_GPS_HISTORY=0",)], ids=str)
-@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf", "strong-tracking-ukf"])
-def test_hostile_input_does_no_harm(tmp_path: Path, kind: str, flags: tuple[str, ...]):
-    program = build(tmp_path, given("planar8", kind, "all"), *SANITIZERS, *NO_TRAP, *flags, main=HOSTILE)
+@pytest.mark.parametrize(
+    ("kind", "option"),
+    [
+        ("ukf", "all"),
+        ("adaptive-ukf", "all"),
+        ("strong-tracking-ukf", "all"),
+        ("ukf", "both"),
+        ("ekf", "both"),
+    ],
+)
+def test_hostile_input_does_no_harm(tmp_path: Path, kind: str, option: str, flags: tuple[str, ...]):
+    main = HOSTILE
+    if option == "both":  # each fix states its accuracy
+        main = re.sub(r"(ins_gps_update\(&f, [^;|]*?)\)(?=;| \||\n)", r"\1, stated)", HOSTILE)
+        main = main.replace(
+            "int main(void)", "static const ins_gps_real stated[2] = {1, 2};\n\nint main(void)"
+        )
+    program = build(tmp_path, given("planar8", kind, option), *SANITIZERS, *NO_TRAP, *flags, main=main)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from exported import distance, jumping, run_script, tuned, twin
-from filter_cases import KINDS, OPTIONS, equipped, parameters
+from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
@@ -37,6 +37,14 @@ def test_it_is_the_run(tmp_path: Path, model: str, kind: str):
     ours = run_filter(drive, p)
     theirs = run_script(tmp_path, p, drive)
     np.testing.assert_array_equal(theirs.time, ours.time)
+    assert distance(theirs.mean, ours.mean) < 1e-10
+    np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("kind", "option"), WEIGHED_CASES)
+def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str):
+    p = parameters("planar8", kind=kind, nominal_interval=0.01, **WEIGHED[option])
+    ours, theirs = run_filter(straying(), p), run_script(tmp_path, p, straying())
     assert distance(theirs.mean, ours.mean) < 1e-10
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
 

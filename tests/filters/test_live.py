@@ -9,11 +9,12 @@ import numba
 import numpy as np
 import pytest
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
+from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying, two_receivers
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.live import take_fix, take_sample
 from sigmaswarm.filters.live import MOST_WAITING, LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
@@ -45,7 +46,8 @@ def live(drive: Drive, p: FilterParameters, initial: InitialState, late: float =
             velocity = None
             if gps.speed is not None and gps.course is not None:
                 velocity = (gps.speed[i] * math.cos(gps.course[i]), gps.speed[i] * math.sin(gps.course[i]))
-            filter.update(gps.time[i], (gps.x[i], gps.y[i]), velocity)
+            std = None if gps.std_x is None or gps.std_y is None else (gps.std_x[i], gps.std_y[i])
+            filter.update(gps.time[i], (gps.x[i], gps.y[i]), velocity, std)
     return np.array(means), np.array(covariances), filter
 
 
@@ -58,6 +60,28 @@ def test_live_is_the_run(model: str, kind: str, option: str):
     means, covariances, _ = live(equipped(), p, start())
     np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
     np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.31])
+@pytest.mark.parametrize(("kind", "option"), WEIGHED_CASES)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_live_weighs_fixes_as_the_run_does(model: str, kind: str, option: str, late: float):
+    p = parameters(model, kind=kind, **WEIGHED[option])
+    run = run_filter(straying(), p, initial=start())
+    means, covariances, filter = live(straying(), p, start(), late)
+    if not late:
+        np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-11)
+    assert filter.too_late == 0
+
+
+@pytest.mark.parametrize("std", [None, (1.0, math.nan), (-1.0, 1.0), (math.inf, 1.0)])
+def test_a_filter_that_goes_by_accuracy_needs_it(std: tuple[float, float] | None):
+    filter = LiveFilter(parameters("planar5", accuracy_scale=0.4), start(), nominal_interval=0.01)
+    with pytest.raises(InputError, match="give two standard deviations in m"):
+        filter.update(start().time + 0.1, (0.0, 0.0), std=std)
+    assert filter.update(start().time + 0.1, (0.0, 0.0), std=(1.0, 2.0))
 
 
 @pytest.mark.parametrize("late", [0.003, 0.05, 0.31])

@@ -69,6 +69,65 @@ def test_the_file_states_units_and_every_key(tmp_path: Path):
     assert table["units"]["measurement_noise"] == ["m2", "m2"]
 
 
+def test_options_that_exclude_each_other_are_named_with_their_file(tmp_path: Path):
+    (tmp_path / "p.toml").write_text(TOML + "gate = 9.2\nrobust_dof = 4\n")
+    with pytest.raises(InputError) as refusal:
+        FilterParameters.load(tmp_path / "p.toml")
+    assert str(refusal.value).startswith(f"{tmp_path / 'p.toml'}: filter: ")
+    assert "robust and gate exclude each other" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_filter_that_goes_by_accuracy_refuses_a_drive_that_states_none():
+    drive, p = make_drive(duration=20.0), replace(GOOD, accuracy_scale=1.0)
+    for run in (run_filter, run_textbook):
+        with pytest.raises(
+            InputError, match=r"synthetic: the filter weighs .* no std_x and std_y for all fixes; take"
+        ):
+            run(drive, p)
+    n = len(drive.gps)
+    stated = replace(drive, gps=replace(drive.gps, std_x=np.ones(n), std_y=np.r_[np.nan, np.ones(n - 1)]))
+    assert run_filter(stated, p).failure is None  # the first fix lies before the start
+    gap = replace(drive, gps=replace(drive.gps, std_x=np.ones(n), std_y=np.r_[np.ones(n - 1), np.nan]))
+    with pytest.raises(InputError, match="for all fixes"):
+        run_filter(gap, p)
+    assert run_filter(gap, GOOD).mean.tobytes() == run_filter(drive, GOOD).mean.tobytes()
+
+
+def test_a_stated_accuracy_is_the_r_of_a_fix():
+    drive = make_drive(duration=20.0)
+    n = len(drive.gps)
+    stated = replace(drive, gps=replace(drive.gps, std_x=np.full(n, 2.0), std_y=np.full(n, 3.0)))
+    by_hand = replace(GOOD, measurement_noise=(6.0 + 0.5 * 4.0, 7.0 + 0.5 * 9.0))
+    assert (
+        run_filter(stated, replace(GOOD, accuracy_scale=0.5)).mean.tobytes()
+        == run_filter(drive, by_hand).mean.tobytes()
+    )
+
+
+def test_a_robust_filter_bears_outliers_and_follows_a_jump():
+    drive = make_drive(duration=40.0, gps_std=0.5)
+    p = replace(GOOD, process_noise=(1e-4, 1e-4, 1e-3, 1e-3, 1e-6), measurement_noise=(0.25, 0.25))
+    time = drive.gps.time
+    assert drive.truth is not None
+
+    def error(x: np.ndarray, p: FilterParameters) -> np.ndarray:
+        estimate = run_filter(replace(drive, gps=replace(drive.gps, x=x)), p)
+        assert estimate.failure is None
+        truth = np.interp(estimate.time, drive.truth.time, drive.truth.x)
+        return np.abs(estimate.mean[:, 0] - truth)[estimate.time > 15.0]
+
+    robust = replace(p, robust_dof=4.0)
+    burst = drive.gps.x + 20.0 * ((time > 20.0) & (time < 21.0))
+    assert error(burst, robust).max() < 2.0 < 5.0 < error(burst, p).max()
+    # a jump that lasts is borne for 5 s, then followed
+    jumped = drive.gps.x + 200.0 * (time > 20.0)
+    estimate = run_filter(replace(drive, gps=replace(drive.gps, x=jumped)), robust)
+    off = estimate.mean[:, 0] - run_filter(drive, robust).mean[:, 0]
+    assert np.all(np.abs(off[estimate.time < 24.9]) < 5.0)
+    assert np.interp(25.3, estimate.time, off) == pytest.approx(200.0, abs=15.0)
+
+
 def test_a_hand_written_file_loads(tmp_path: Path):
     (tmp_path / "p.toml").write_text(TOML)
     assert FilterParameters.load(tmp_path / "p.toml") == GOOD
@@ -108,6 +167,11 @@ def test_a_record_can_not_be_changed():
         ({"gate": 0.0}, "gate"),
         ({"bias_std": (0.1,)}, "bias_std"),
         ({"nominal_interval": 0.0}, "nominal_interval"),
+        ({"accuracy_scale": 0.0}, "accuracy_scale"),
+        ({"robust_dof": -1.0}, "robust_dof"),
+        ({"robust_dof": 4.0, "gate": 9.2}, "robust and gate exclude each other"),
+        ({"robust_dof": 4.0, "kind": "strong-tracking-ukf"}, "robust does not go with strong-tracking-ukf"),
+        ({"accuracy_scale": 1.0, "kind": "adaptive-ukf"}, "accuracy does not go with adaptive-ukf"),
     ],
     ids=str,
 )

@@ -14,7 +14,7 @@ from filterpy.kalman import KalmanFilter
 
 from filter_cases import KINDS
 from free_running import compiled_run, free_run
-from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table
+from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table, weighed
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
@@ -111,6 +111,36 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     # Where a heading is lost altogether the arithmetic is as lost as the car, but no further.
     lost = ~known & np.isfinite(errors.turn)
     assert np.quantile(errors.covariance[lost], 0.9) < 1e-8
+
+
+@EACH_STOP
+@pytest.mark.parametrize("kind", ["ukf", "ekf"])
+@EACH_MODEL
+def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, name: str):
+    timeline, initial = ready(name)
+    timeline = replace(timeline, fixes=straying(timeline))
+    sets = weighed(box_sets(model, kind, 32))
+    steps = some_steps(timeline, sets, 30) | set(np.flatnonzero(timeline.absorbs).tolist())
+    errors = compiled_against_extended(timeline, initial, sets, steps)
+    known = errors.known
+    assert known.mean() > 0.4
+    assert np.isfinite(errors.turn).all()
+    assert errors.mean[known].max() < 1e-9
+    assert errors.beyond(1e-9, margin=1)[known].max() < 1
+    assert np.quantile(errors.covariance[known], 0.99) < 1e-10
+    assert errors.sums is not None and errors.weight is not None
+    assert errors.sums[known[errors.absorbed]].max() < 1e-9
+    weight = errors.weight[known[errors.absorbed]]
+    assert min(np.mean(weight < 0.25), np.mean(weight > 0.9)) > 0.1
+    assert errors.recovered is not None and errors.recovered.any()
+
+
+def straying(timeline: Timeline) -> np.ndarray:
+    """The time line's fixes with outliers of all sizes, and a jump that lasts to its end: some filters recover."""
+    fixes, n = timeline.fixes.copy(), len(timeline.fixes)
+    fixes[::5, 0] += 60.0 * np.sin(np.arange(0, n, 5))
+    fixes[timeline.fix_time > timeline.end[-1] - 8.0, 1] += 200.0
+    return fixes
 
 
 # --- FilterPy, step by step --------------------------------------------------------------------------------

@@ -111,6 +111,22 @@ def test_guesses_by_names(tmp_path: Path, names: tuple[str, str, str], scale: tu
     assert_close(got.drive.gps, gps, "time lat lon", 1e-9)
 
 
+@pytest.mark.parametrize(
+    ("east", "north"),
+    [("lon_stdev", "lat_stdev"), ("longitude_std_dev", "latitude_std_dev"), ("LonSigma", "LatSigma"),
+     ("std_lon", "std_lat"), ("easting_std", "northing_std"), ("sdE", "sdN")],
+)  # fmt: skip
+def test_guesses_stated_deviations(tmp_path: Path, east: str, north: str):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    table = {"t": imu.time, "ax": imu.ax, "ay": imu.ay, "gz": imu.gz}
+    pl.DataFrame(table).write_csv(tmp_path / "imu.csv")
+    table = {"t": gps.time, "lat": gps.lat, "lon": gps.lon, north: 0.5 * gps.std_y, east: gps.std_x}
+    pl.DataFrame(table).write_csv(tmp_path / "gps.csv")
+    got = imported(tmp_path).drive.gps
+    np.testing.assert_allclose(got.std_x, gps.std_x, rtol=1e-9)
+    np.testing.assert_allclose(got.std_y, 0.5 * gps.std_y, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("s", 1), ("ms", 10**3), ("us", 10**6), ("ns", 10**9)])
 @pytest.mark.parametrize("begin", [0, EPOCH])
 def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin: int):

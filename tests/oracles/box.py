@@ -1,5 +1,7 @@
 """Parameter sets of the boxes that a tuning searches, written down a second time: corners, and random sets inside."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sigmaswarm.filters.parameters import FilterParameters
@@ -56,6 +58,14 @@ def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParamet
         high = np.array([*UPPER[:8], *[1e-4] * 3, *UPPER[8:]])
     low, high = np.concatenate([low, _MORE[0]]), np.concatenate([high, _MORE[1]])
     return [_equipped(_draw(rng, low, high, corner=i % 2 == 1), states, model, kind) for i in range(n)]
+
+
+def weighed(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameters]:
+    """The sets with Student's t and stated accuracies in place of the gate."""
+    rng = np.random.default_rng(seed)
+    scale, dof = 10.0 ** rng.uniform(-3, 1, len(sets)), 30.0 ** rng.uniform(0, 1, len(sets))
+    each = zip(sets, scale.tolist(), dof.tolist(), strict=True)
+    return [replace(p, gate=None, accuracy_scale=s, robust_dof=d) for p, s, d in each]
 
 
 def _equipped(row: np.ndarray, states: int, model: str, kind: str) -> FilterParameters:

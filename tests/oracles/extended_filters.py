@@ -104,8 +104,10 @@ class ExtendedCar:
     q, r : (s, n), (s, 2), the diagonals of Q and R; an adaptive filter changes them
     recent : (s,), strong tracking's recent size of the innovations; NaN before the first
     rejected : (s,), how many fixes in a row the gate has turned away
+    lost : (s,), whether the last fix ended a run of outliers so long that the filter recovers
+    outliers, span : (s,), how many fixes in a row had a small weight, and Q's scale from the first to the last of them
     since : Q's scale since the last fix
-    nis, log_determinant, squared_residual : (s,), of the last fix
+    nis, log_determinant, squared_residual, weight : (s,), of the last fix
     """
 
     def __init__(self, timeline: Timeline, sets: Sequence[FilterParameters]) -> None:
@@ -125,6 +127,11 @@ class ExtendedCar:
         self.forgetting = column("forgetting")
         self.recent = np.full(len(sets), np.nan, dtype=Extended)
         self.rejected = np.zeros(len(sets), dtype=int)
+        self.accuracy, self.dof = column("accuracy_scale", 0.0), column("robust_dof", np.inf)
+        self.robust = bool(np.isfinite(self.dof).any())
+        self.outliers = np.zeros(len(sets), dtype=int)
+        self.span = np.zeros(len(sets), dtype=Extended)
+        self.patience = (5 - Extended("1e-6")) / nominal
         self.since = Extended(0)
 
     def step(self, i: int, happens: int, z: np.ndarray | None) -> None:
@@ -137,10 +144,10 @@ class ExtendedCar:
         self.prior = self.covariance
         self.since += scale
         if happens & FIX and z is not None:
-            self._absorb_fix(fix(z[:2], line.lever, self.latency))
+            self._absorb_fix(fix(z[:2], line.lever, self.latency), z[4:].astype(Extended))
             self.since = Extended(0)
             if happens & VELOCITY:
-                self._absorb(linear(z[2:], [2, 3]), self.velocity_noise)
+                self._absorb(linear(z[2:4], [2, 3]), self.velocity_noise)
         if happens & LATERAL:
             self._absorb(lateral(line.gz[i], self.axle), self.lateral_noise)
         if happens & STANDSTILL:
@@ -154,15 +161,17 @@ class ExtendedCar:
         seen = self.form.measure(self.mean, self.covariance, z, r)
         self.mean, self.covariance = self.form.absorb(self.mean, self.covariance, seen, z)
 
-    def _absorb_fix(self, z: Measurement) -> None:
-        r = np.eye(2, dtype=Extended) * self.r[:, None]
+    def _absorb_fix(self, z: Measurement, stated: np.ndarray) -> None:
+        r = np.eye(2, dtype=Extended) * (self.r + self.accuracy[:, None] * stated)[:, None]
         seen = self.form.measure(self.mean, self.covariance, z, r)
         self.nis = _nis(seen)  # before S is stretched: a forecast must not know what it forecasts
         self.log_determinant = np.log(seen.s[:, 0, 0] * seen.s[:, 1, 1] - seen.s[:, 0, 1] * seen.s[:, 1, 0])
         used = (self.nis <= self.gate) | (self.rejected >= MOST_REJECTED)
         self.rejected = np.where(used, 0, self.rejected + 1)
         if self.kind == "strong-tracking-ukf":
-            self._stretch(seen, used)
+            self._fade(seen, used)
+        if self.robust:
+            r = self._weigh(seen)
         # Of z itself: M = S - R is what the filter knew, so M S^-1 nu is what it learns.
         m = seen.s - r
         known, nu = whiten(seen.s, m), whiten(seen.s, seen.nu[..., None])
@@ -174,14 +183,43 @@ class ExtendedCar:
         self.mean = np.where(used[:, None], mean, self.mean)
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 
-    def _stretch(self, seen: Innovation, used: np.ndarray) -> None:
-        """Strong tracking: P + (factor - 1) C (H P H^T)^-1 C^T with H = C^T P^-1, factor from the traces."""
+    def _weigh(self, seen: Innovation) -> np.ndarray:
+        """Piche, Sarkka and Hartikainen's weights, or recovery; gives the R that is absorbed with."""
+        r, m = seen.r, seen.s - seen.r
+        inverse = np.eye(2, dtype=Extended) / diagonal(r)[..., None]
+        weight = np.ones(len(r), dtype=Extended)
+        for _ in range(3):
+            heavy = r / weight[:, None, None]
+            gain, e = whiten(m + heavy, heavy), whiten(m + heavy, seen.nu[..., None])
+            residual = transposed(gain) @ e
+            left = heavy - transposed(gain) @ gain
+            gamma = (transposed(residual) @ inverse @ residual)[:, 0, 0] + diagonal(inverse @ left).sum(
+                axis=1
+            )
+            weight = np.where(np.isinf(self.dof), 1, (self.dof + 2) / (self.dof + gamma))
+        far = weight < 0.25
+        self.span = np.where(far & (self.outliers > 0), self.span + self.since, 0)
+        self.outliers = np.where(far, self.outliers + 1, 0)
+        lost = self.lost = (self.outliers >= 3) & (self.span >= self.patience)
+        self.outliers, self.span = np.where(lost, 0, self.outliers), np.where(lost, 0, self.span)
+        self.weight = np.where(lost, 1, weight)
+        heavy = r / self.weight[:, None, None]
+        seen.s, seen.r = m + heavy, heavy
+        self._stretch(seen, lost, np.sum(seen.nu**2, axis=1))
+        return heavy
+
+    def _fade(self, seen: Innovation, used: np.ndarray) -> None:
+        """Strong tracking."""
         size, rho = np.sum(seen.nu**2, axis=1), self.forgetting
         recent = np.where(np.isnan(self.recent), size, rho * self.recent + (1 - rho) * size)
         self.recent = np.where(used, recent, self.recent)
+        self._stretch(seen, used, recent)
+
+    def _stretch(self, seen: Innovation, used: np.ndarray, size: np.ndarray) -> None:
+        """P + (factor - 1) C (H P H^T)^-1 C^T with H = C^T P^-1, factor from the traces."""
         root = whiten(self.covariance, seen.c)
         hph = transposed(root) @ root
-        factor = (recent - diagonal(seen.r).sum(axis=1)) / diagonal(hph).sum(axis=1)
+        factor = (size - diagonal(seen.r).sum(axis=1)) / diagonal(hph).sum(axis=1)
         factor = np.where(used, np.maximum(factor, 1), 1)[:, None, None]
         part = whiten(hph, transposed(seen.c))
         self.covariance = self.covariance + (factor - 1) * transposed(part) @ part

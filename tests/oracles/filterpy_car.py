@@ -91,7 +91,7 @@ class FilterPyCar:
             by_hand = fix(z, line.lever, np.array([p.latency]))
             self._update(z[:2], self._antenna, by_hand, np.diag(p.measurement_noise))
             if happens & VELOCITY:
-                self._update(z[2:], _velocity, linear(none, [2, 3]), p.velocity_noise * np.eye(2))
+                self._update(z[2:4], _velocity, linear(none, [2, 3]), p.velocity_noise * np.eye(2))
         if happens & LATERAL:
             by_hand = lateral(gz, np.array([p.rear_axle]))
             self._update(none[:1], lambda s: self._sideways(s, gz), by_hand, p.lateral_noise * np.eye(1))

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
+from scipy.optimize import brentq, minimize_scalar
+from scipy.special import exp1
+from scipy.stats import multivariate_normal, multivariate_t
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
@@ -15,11 +17,13 @@ from sigmaswarm.drives.outages import balanced_windows, hidden_fixes
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters import student
 from sigmaswarm.filters.models import gps_position
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.score import negative_log_t
 from sigmaswarm.scoring.targets import forecast_replay
 from support import make_drive
 
@@ -35,7 +39,8 @@ PLANAR8 = FilterParameters(
 )
 ADAPTIVE = replace(PLANAR5, kind="adaptive-ukf")
 STRONG = replace(PLANAR5, kind="strong-tracking-ukf", forgetting=0.95)
-SETS = {"planar5": PLANAR5, "planar8": PLANAR8, "adaptive": ADAPTIVE, "strong": STRONG}
+ROBUST = replace(PLANAR8, gate=None, robust_dof=3.0)
+SETS = {"planar5": PLANAR5, "planar8": PLANAR8, "adaptive": ADAPTIVE, "strong": STRONG, "robust": ROBUST}
 DRIVE = replace(make_drive(duration=40.0, jitter=0.3, seed=2), metadata={"gps_lever_arm_m": [1.0, 0.4]})
 
 
@@ -56,10 +61,57 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
             innovation = car.filter.measure(z, np.diag(car.noise.measurement_noise), h)
             found.append((innovation.nu, innovation.variance, bool(line.hides[i])))
             if absorbed:
-                car._absorb_fix(z)
+                car._absorb_fix(z, np.zeros(2), float(line.end[i]))
         line.absorbs[i], car.flags[i] = absorbed, fix_flag
     nu, s, hides = zip(*found, strict=True)
     return np.array(nu), np.array(s), np.array(hides)
+
+
+def scale_of(dof: float) -> float:
+    """c = 2 x with x e^x E1(x) = v / (v + 2)."""
+    return 2 * brentq(lambda x: x * np.exp(x) * exp1(x) - dof / (dof + 2), 1e-3, 1e2, xtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("dof", "scale", "rounded"),
+    [
+        (student.INNOVATION_DOF, student.INNOVATION_SCALE, 2.907),
+        (student.FORECAST_DOF, student.FORECAST_SCALE, 6.610),
+    ],
+)
+def test_gaussian_innovations_keep_their_nis_under_students_t(dof: float, scale: float, rounded: float):
+    assert scale == pytest.approx(scale_of(dof), rel=1e-12)
+    assert scale == pytest.approx(rounded, abs=5e-4)
+    # by chance, too: of all S = k I the one that is least unlikely has k = 1; with c = v it is too small
+    nu = np.random.default_rng(0).standard_normal((200_000, 2))
+
+    def best(c: float) -> float:
+        return minimize_scalar(
+            lambda k: negative_log_t(nu, np.tile(k * np.eye(2), (len(nu), 1, 1)), dof, c).mean(),
+            bounds=(0.5, 1.5),
+            method="bounded",
+        ).x
+
+    assert 2 / best(scale) == pytest.approx(2.0, abs=0.02)
+    assert 2 / best(dof) == pytest.approx({4: 2.752, 8: 2.421}[int(dof)], abs=0.02)
+
+
+def test_with_its_own_scale_it_is_students_density():
+    nu, s = np.array([[3.0, -1.0], [0.0, 0.5]]), np.array([[[2.0, 0.3], [0.3, 1.0]]] * 2)
+    ours = negative_log_t(nu, s, 5.0, 5.0)
+    np.testing.assert_allclose(ours, [-multivariate_t(shape=s[0], df=5).logpdf(v) for v in nu], rtol=1e-12)
+
+
+def test_fixes_however_far_off_have_a_finite_cost():
+    gps = DRIVE.gps
+    place = np.arange(len(gps))
+    for size, off in ((1e100, place % 30 == 29), (1e5, place > 100)):
+        x = gps.x + size * off
+        score = Replayer([replace(DRIVE, gps=replace(gps, x=x))], outages=False, forecasts=True).scores(
+            [ROBUST]
+        )
+        assert not score.failed.any()
+        assert np.isfinite([score.innovation_t, score.forecast_t]).all()
 
 
 @pytest.mark.parametrize("kind", SETS)
@@ -77,6 +129,7 @@ def test_innovations_and_their_likelihood_are_the_textbooks(kind: str):
     assert score.innovation_nll == pytest.approx(-np.mean(likelihood), rel=1e-6)
     nis = [v @ np.linalg.solve(c, v) for v, c in zip(nu, s, strict=True)]
     assert score.mean_nis == pytest.approx(np.mean(nis), rel=1e-6)
+    assert score.innovation_t == pytest.approx(negative_log_t(nu, s, 4.0, scale_of(4)).mean(), rel=1e-6)
     np.testing.assert_allclose(found.nis, nis, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(np.square(found.normalized).sum(axis=1), nis, rtol=1e-5, atol=1e-9)
 
@@ -87,10 +140,12 @@ def test_forecasts_are_the_textbooks_without_the_hidden_fixes(kind: str):
     replay = forecast_replay(prepared(DRIVE), seed=5)
     hidden = np.isin(DRIVE.gps.time, replay.timeline.end[replay.timeline.hides])
     assert 20 < hidden.sum() < len(DRIVE.gps) / 2
-    nu, _, hides = by_textbook(DRIVE, parameters, hidden)
+    nu, s, hides = by_textbook(DRIVE, parameters, hidden)
     expected = math.sqrt(np.square(nu[hides]).sum(axis=1).mean())
     score = Replayer([DRIVE], outages=False, forecasts=True, outage_seed=5).scores([parameters])[0, 0]
     assert score.forecast_rmse == pytest.approx(expected, rel=1e-6)
+    by_hand = negative_log_t(nu[hides], s[hides], 8.0, scale_of(8)).mean()
+    assert score.forecast_t == pytest.approx(by_hand, rel=1e-6)
     # hiding fixes changes nothing of the scores with all of them
     assert score.innovation_nll == Replayer([DRIVE], outages=False).scores([parameters])[0, 0].innovation_nll
 

@@ -23,6 +23,8 @@ def scores(**given) -> Scores:
         "fix_rmse": [[0.1, 0.2], [0.3, 0.4]],
         "forecast_rmse": [[5.0, 7.0], [1.0, 2.0]],
         "innovation_nll": [[3.0, 4.0], [-1.0, -2.0]],
+        "innovation_t": [[2.0, 4.0], [1.0, -2.0]],
+        "forecast_t": [[1.0, 2.0], [3.0, 5.0]],
         "mean_nis": [[2.0, 4.0], [1.0, 2.0]],
         "mean_nees": [[20.0, 2.0], [2.0, 2.0]],
     }
@@ -53,6 +55,9 @@ def test_the_three_objectives_are_there():
         ("truth-pose", [((1 + 1 + 0.4) + (3 + 2 + 0.8)) / 2, ((2 + 0.5 + 0.1) + (2.5 + 0.1 + 0.2)) / 2]),
         ("gps-rmse", [0.15, 0.35]),
         ("innovation-nll", [3.5, -1.5]),
+        ("innovation-t", [3.0, -0.5]),
+        ("forecast-t", [1.5, 4.0]),
+        ("0.5 innovation-t + 0.5 forecast-t", [2.25, 1.75]),
         ("outage-rmse", [6.0, 1.5]),
         ("nis", [math.log(2) / 2, math.log(2) / 2]),
         ("nees", [math.log(10) / 2, 0.0]),
@@ -151,6 +156,11 @@ def test_a_rise_of_a_likelihood_is_one_of_errors():
     for weight in ("0.01", "100"):
         part = objective_named(f"{weight} innovation-nll")
         assert part.rise(5.0 + 2 * float(weight) * math.log(1.1), 5.0) == pytest.approx(0.1)
+    halves = objective_named("0.5 innovation-t + 0.5 forecast-t")
+    assert halves.needs_forecasts and not halves.needs_truth
+    assert halves.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
+    with_rmse = objective_named("innovation-t + truth-rmse")  # counted as if all were nats
+    assert with_rmse.rise(-3.0 + 2 * math.log(1.1), -3.0) == pytest.approx(0.1)
     assert nll.rise(3 * math.log(1.1), 0.0, elements=3) == pytest.approx(0.1)
     assert objective_named("nis + nees").rise(0.001 + 4 * math.log(1.1), 0.001) == pytest.approx(0.1)
     assert objective_named("truth-pose + 0.2 nees").rise(2.2, 2.0) == pytest.approx(0.1)

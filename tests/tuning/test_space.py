@@ -109,6 +109,45 @@ def test_noise_does_not_know_the_compass(model, use, seed: int):
     assert not {"q_x", "q_vy", "r_y"} & set(space.names)
 
 
+@pytest.mark.parametrize("scale", ["log10", "linear"])
+def test_fixes_of_cities_have_room(scale: str):
+    def box(model: str, *use: str) -> dict[str, tuple[float, float]]:
+        space = search_space(model, scale, use=use)
+        return dict(
+            zip(space.names, zip(space.lowest.tolist(), space.highest.tolist(), strict=True), strict=True)
+        )
+
+    assert box("planar5", "lateral")["r_xy"] == (1e-5, 10.0)  # the paper's
+    assert box("planar8")["r_xy"] == (1e-5, 1e3)
+    for model, name in (("planar5", "r_y"), ("planar8", "r_xy")):
+        found = box(model, "accuracy", "robust")
+        assert found[name] == (1e-4, 1e3)
+        assert found["accuracy_scale"] == (1e-3, 10.0)
+        assert found["robust_dof"] == (1.0, 30.0)
+
+
+def test_stated_accuracy_is_among_the_noises_that_scale_together():
+    space = search_space("planar8", "log10", use=("accuracy", "robust"))
+    noises = np.array(space.names)[space.noises]
+    assert {"accuracy_scale", "r_xy"} <= set(noises)
+    assert "robust_dof" not in noises
+
+
+@pytest.mark.parametrize(
+    ("kind", "use", "said"),
+    [
+        ("ukf", ("gate", "robust"), "robust and gate exclude each other"),
+        ("adaptive-ukf", ("robust",), "robust does not go with adaptive-ukf"),
+        ("strong-tracking-ukf", ("robust",), "robust does not go with strong-tracking-ukf"),
+        ("adaptive-ukf", ("accuracy",), "accuracy does not go with adaptive-ukf"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(kind, use, said: str):
+    with pytest.raises(InputError, match=said) as refusal:
+        search_space("planar8", "log10", kind=kind, use=use)
+    assert "\n" not in str(refusal.value) and "leave" in str(refusal.value)
+
+
 def test_the_interval_is_passed_on():
     space = search_space("planar5", "log10", 0.02)
     assert space.decode(space.low[None])[0].nominal_interval == 0.02

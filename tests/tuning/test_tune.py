@@ -32,6 +32,13 @@ def bits(tuning: Tuning) -> list[bytes]:
     return [a.tobytes() for a in arrays] + [repr((tuning.parameters, tuning.cost)).encode()]
 
 
+def test_auto_takes_a_likelihood_of_the_filters_kind():
+    blind = [replace(d, truth=None) for d in DRIVES]
+    assert tune(DRIVES, use=["robust"], **SMALL).config.objective == "truth-rmse"
+    assert tune(blind, **SMALL).config.objective == "innovation-nll"
+    assert tune(blind, use=["robust"], **SMALL).config.objective == "innovation-t"
+
+
 def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():
     # more particles than lanes, so that there is work to share
     options = {"particles": 40, "generations": 4, "objective": "truth-pose", "trials": 2, "seed": 5}

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.standstill import standing
 
 CORNERING = 4.0
@@ -33,10 +33,11 @@ class Timeline:
     absorbs : (k,) bool: a fix is absorbed at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
-    fixes : (f, 4) m east, north, and m/s east, north (0 where the log has no velocity), in the order in which steps
-        meet them, hidden ones included
+    fixes : (f, 6) m east, north; m/s east, north (0 where the log has no velocity); m2 east, north, as the receiver
+        states it (0 where it does not); in the order in which steps meet them, hidden ones included
     fix_time : (f,) s
     has_velocity : bool
+    states_accuracy : bool: the receiver states the accuracy of each fix
     lever : (2,) m forward and left from the IMU to the antenna
     cornering : (k,) bool: lateral acceleration so high that tires slip
     sample : (k,) int: the number of the sample that drives each step
@@ -55,6 +56,7 @@ class Timeline:
     fixes: Array
     fix_time: Array
     has_velocity: bool
+    states_accuracy: bool
     lever: Array
     cornering: NDArray[np.bool_]
     sample: NDArray[np.intp]
@@ -121,6 +123,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     velocity = np.zeros((2, len(drive.gps)))
     if drive.gps.speed is not None and drive.gps.course is not None:
         velocity = drive.gps.speed * np.array([np.cos(drive.gps.course), np.sin(drive.gps.course)])
+    variance, stated = _stated_variance(drive.gps.select(usable))
     return Timeline(
         start=start,
         end=ends,
@@ -128,9 +131,10 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
-        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable]]),
+        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable], *variance]),
         fix_time=fix_time,
         has_velocity=has_velocity,
+        states_accuracy=stated,
         lever=drive.lever_arm,
         cornering=np.abs(imu.ay[sample]) > CORNERING,
         sample=sample,
@@ -138,6 +142,15 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         imu_time=imu_time,
         nominal_interval=nominal,
     )
+
+
+def _stated_variance(gps: Gps) -> tuple[Array, bool]:
+    """What the receiver states of each fix, (2, f) m2 east and north, and whether it does of all of them."""
+    if gps.std_x is None or gps.std_y is None:
+        return np.zeros((2, len(gps))), False
+    variance = np.square([gps.std_x, gps.std_y])
+    known = np.isfinite(variance).all()
+    return (variance if known else np.zeros_like(variance)), bool(known)
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:

@@ -58,10 +58,14 @@ def replay_rows(drive: Drive) -> str:
 
 
 def _fixes(gps: Gps) -> list[list[float]]:
-    """Time and position (s, m), and the velocity (m/s east and north) where the log has it."""
+    """Time and position (s, m); velocity (m/s) and stated deviations (m), east and north, where the log has them."""
     columns = [gps.time, gps.x, gps.y]
     if gps.speed is not None and gps.course is not None:
         columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
+    elif gps.std_x is not None:
+        columns += [np.full(len(gps), np.nan)] * 2
+    if gps.std_x is not None and gps.std_y is not None:
+        columns += [gps.std_x, gps.std_y]
     return np.column_stack(columns).tolist()
 
 
@@ -80,7 +84,7 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 def _fits_float(p: FilterParameters) -> bool:
     """Whether C's float holds all numbers of a filter."""
-    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.gate]
+    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.gate, p.accuracy_scale, p.robust_dof]
     numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
     low, high = _FLOAT_RANGE

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from sigmaswarm.drives import timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import schedule
+from sigmaswarm.filters import schedule, student
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -24,7 +24,10 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "STRONG_TRACKING": tracking,
         "FORGETTING": adaptive or tracking,
         "GATE": gate,
-        "GATE_OR_STRONG_TRACKING": gate or tracking,
+        "GATE_OR_STRETCH": gate or tracking or p.robust_dof is not None,
+        "ACCURACY": p.accuracy_scale is not None,
+        "ROBUST": p.robust_dof is not None,
+        "STRETCH": tracking or p.robust_dof is not None,
         "VELOCITY": velocity,
         "LATERAL": lateral,
         "STANDSTILL": stands,
@@ -47,6 +50,10 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "GYRO_BIAS_STD": p.bias_std[1],
         "FORGETTING": p.forgetting,
         "GATE": p.gate,
+        "ACCURACY_SCALE": p.accuracy_scale,
+        "ROBUST_DOF": p.robust_dof,
+        "OUTLYING": student.OUTLYING,
+        "OUTLIERS_SPAN": student.OUTLIERS_SPAN,
         "VELOCITY_NOISE": p.velocity_noise,
         "LATERAL_NOISE": p.lateral_noise,
         "REAR_AXLE": p.rear_axle,
@@ -61,6 +68,8 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "DESCRIPTION": f"{p.model}, {p.kind}",
         "MODEL": p.model,
         "MOST_REJECTED": str(schedule.MOST_REJECTED),
+        "ITERATIONS": str(student.ITERATIONS),
+        "OUTLIERS": str(student.OUTLIERS),
     }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT
 from sigmaswarm.filters.models import THETA
@@ -91,6 +92,7 @@ class LiveFilter:
         self._n = p.n_states
         self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
+        self._takes_accuracy = p.accuracy_scale is not None
         # More than the history takes: an IMU may run faster than it says.
         samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
         in_window = live.samples_in_window(live.fastest_rate(nominal_interval))
@@ -117,18 +119,33 @@ class LiveFilter:
         ax, ay, gz = imu
         _take_sample(*self._memory, t, ax, ay, gz)
 
-    def update(self, t: float, fix: Sequence[float], velocity: Sequence[float] | None = None) -> bool:
+    def update(
+        self,
+        t: float,
+        fix: Sequence[float],
+        velocity: Sequence[float] | None = None,
+        std: Sequence[float] | None = None,
+    ) -> bool:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
+
+        ``std``: the standard deviation that the receiver states, m east and north; a filter with ``accuracy_scale``
+        needs it.
 
         Returns
         -------
         bool
             False if it was left out (it lies before the start, came too late, or was there already) or is held back.
+
+        Raises
+        ------
+        InputError
+            If the filter needs ``std`` and does not get it.
         """
+        var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
         if velocity is None or not self._takes_velocity:
-            kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0)
+            kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
         else:
-            kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0)
+            kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0, var_x, var_y)
         return kept == live.TAKEN
 
     @property
@@ -160,6 +177,16 @@ class LiveFilter:
 _take_sample: Any = live.take_sample
 _take_fix: Any = live.take_fix
 _read_state: Any = live.read_state
+
+
+def _squared(std: Sequence[float] | None) -> tuple[float, float]:
+    """The stated variances of a fix, m2."""
+    if std is None or not (0 <= std[0] < np.inf and 0 <= std[1] < np.inf):
+        raise InputError(
+            f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
+            "give two standard deviations in m, or take a filter that was tuned without accuracy"
+        )
+    return float(std[0]) ** 2, float(std[1]) ** 2
 
 
 def _believe(

@@ -80,6 +80,8 @@ VARIANCE = (1e-5, 10.0)
 """The paper's box for all variances, Q per nominal IMU step."""
 SMALL_VARIANCE = (1e-12, 10.0)
 """For position, velocity, heading: the paper's lowest heading variance, 1e-3 rad2/s, would drown the gyro."""
+CITY_VARIANCE = (1e-5, 1e3)
+"""For R: between high buildings fixes are off by tens of metres."""
 BIAS_WALK = (1e-16, 1e-4)
 """For the random walks of the biases."""
 
@@ -139,12 +141,15 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
+    fix_variance : (lowest, highest)
+        m2: box of R, the variance of a fix per axis.
     blind : bool
         It does not know the compass: noise to the east and to the north is searched as one.
     """
 
     states: tuple[State, ...]
     process: Callable[[Array, float, Array], Array]
+    fix_variance: tuple[float, float]
     imu: tuple[str, ...] = ("ax", "ay", "gz")
     blind: bool = True
 
@@ -180,7 +185,7 @@ _BIASES = tuple(
 )
 
 MODELS: dict[str, CarModel] = {
-    "planar5": CarModel(_plane(VARIANCE), planar5, blind=False),
-    "planar8": CarModel((*_plane(SMALL_VARIANCE), *_BIASES), planar8),
+    "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, blind=False),
+    "planar8": CarModel((*_plane(SMALL_VARIANCE), *_BIASES), planar8, CITY_VARIANCE),
 }
 """By name. planar5 is the paper's, with the paper's box."""

@@ -18,6 +18,7 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, converted, starts_of, switches
+from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 N_SUMS = R.LOG_DET - R.SQ_POSITION + 1
 """Sums that are shown: those of `replay.Sums`, in its order."""
@@ -36,6 +37,11 @@ class Chunk:
         if nominal_interval not in self._constants:
             self._constants[nominal_interval] = pack_constants(self.sets, nominal_interval)
         return self._constants[nominal_interval]
+
+    @cached_property
+    def takes_accuracy(self) -> bool:
+        """Whether any of the sets looks at what the receiver states of its fixes."""
+        return any(p.accuracy_scale is not None for p in self.sets)
 
     @cached_property
     def plausible(self) -> NDArray[np.bool_]:
@@ -104,6 +110,10 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
             "GATE": np.inf if p.gate is None else p.gate,
             "FORGETTING": p.forgetting if p.kind == "adaptive-ukf" else 1.0,
             "FADING": p.forgetting if p.kind == "strong-tracking-ukf" else -1.0,
+            "ACCURACY": p.accuracy_scale or 0.0,
+            "DOF": p.robust_dof or 0.0,
+            "PATIENCE": (OUTLIERS_SPAN - 1e-6)
+            / nominal_interval,  # whatever rounding does to times since 1970
         }
     )
     return [values[name] for name in CONSTANTS]
@@ -116,7 +126,7 @@ def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[floa
     for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
         each[:N_STATE] = pack_states(*starts_of(start, model, bias_std))
         each[CONSTANT_ROWS] = chunk.constants(interval)
-    rows[:, [R.DET, R.OK]] = 1.0
+    rows[:, [R.DET, R.TAIL, R.OK]] = 1.0
     rows[:, R.RECENT] = -1.0
     return rows
 
@@ -149,7 +159,7 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
-    """The columns of `Sums`, (7, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
+    """The columns of `Sums`, (9, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
     n_sets = len(chunk.sets)
     sound = _sound(rows, chunk.sets[0].n_states)[:, :n_sets] & chunk.plausible
     return np.where(sound, rows[:, _SHOWN, :n_sets].swapaxes(0, 1), np.nan), ~sound

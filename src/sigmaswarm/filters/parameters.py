@@ -1,6 +1,7 @@
 """FilterParameters: everything that a filter can be tuned by, as one frozen record."""
 
 import tomllib
+from collections.abc import Collection
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -69,6 +70,13 @@ class FilterParameters:
         (chi-square, two degrees of freedom). None: every fix is absorbed.
     latency : float
         s: how much older than its time stamp a fix is.
+    accuracy_scale : float or None
+        s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
+        states of it. None: ``measurement_noise`` alone.
+    robust_dof : float or None
+        Degrees of freedom of Student's t, which the errors of fixes then have: one that lies far off hardly counts (R.
+        Piche, S. Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; the smaller, the more outliers. None:
+        Gaussian errors.
 
     Notes
     -----
@@ -91,6 +99,8 @@ class FilterParameters:
     standstill_noise: Positive | None = _option(None)
     gate: Positive | None = _option(None)
     latency: Real = _option(0.0)
+    accuracy_scale: Positive | None = _option(None)
+    robust_dof: Positive | None = _option(None)
 
     def __post_init__(self) -> None:
         n = self.n_states
@@ -102,6 +112,9 @@ class FilterParameters:
             raise ValueError(f"measurement_noise needs 2 variances, got {len(self.measurement_noise)}")
         if n + self.kappa <= 0:
             raise ValueError(f"kappa must be greater than {-n} for {n} states, got {self.kappa}")
+        used = [option for option, name in _EXCLUSIVE.items() if getattr(self, name) is not None]
+        if reason := clash(self.kind, used):
+            raise ValueError(reason)
 
     @property
     def n_states(self) -> int:
@@ -173,6 +186,23 @@ class FilterParameters:
         return parameters
 
 
+_EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
+"""Options that do not go with all others, and the fields that switch them on."""
+
+
+def clash(kind: str, use: Collection[str]) -> str | None:
+    """What a kind of filter can't be used with, or two options with each other; None where all go together."""
+    if "robust" in use and "gate" in use:
+        return (
+            "robust and gate exclude each other: robust weighs the fixes that gate turns away; leave one out"
+        )
+    if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf"):
+        return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
+    if "accuracy" in use and kind == "adaptive-ukf":
+        return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
+    return None
+
+
 _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise", "model")
 
 
@@ -190,6 +220,8 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "standstill_noise": "m2/s2",
         "gate": "NIS, dimensionless",
         "latency": "s",
+        "accuracy_scale": "dimensionless",
+        "robust_dof": "dimensionless",
     }
     stated = parameters.to_dict()
     return {k: v for k, v in known.items() if k in stated} | {"states": [s.name for s in states]}

@@ -13,7 +13,7 @@ from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import flags_of, switches
+from sigmaswarm.filters.schedule import flags_of, require_accuracy, switches
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +88,8 @@ class Sums:
     squared_fix : m2, residuals of the fixes after they were absorbed
     squared_forecast : m2, innovations of the hidden fixes
     nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
+    log_tail : sum of ln(1 + NIS / c) over the fixes, hidden ones included, with c of `innovation-t`
+    forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
     log_determinant : sum of ln det S over the fixes, hidden ones included
     failed : bool: the covariance lost its definiteness, or something became NaN
     """
@@ -98,6 +100,8 @@ class Sums:
     squared_fix: Array
     squared_forecast: Array
     nis: Array
+    log_tail: Array
+    forecast_t: Array
     log_determinant: Array
     failed: NDArray[np.bool_]
 
@@ -131,6 +135,8 @@ def run_steps(
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
     """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    if chunk.takes_accuracy:
+        require_accuracy(replay.timeline)
     arrays = replay.arrays(*switches(chunk.sets[0]))
     run.run_lanes(chunk.sets[0].model, *arrays, rows, place, stop, record, innovations)
 

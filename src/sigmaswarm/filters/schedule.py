@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, SENSORS, CarModel
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -31,6 +32,21 @@ recovers."""
 def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
     """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
     return p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None
+
+
+def require_accuracy(line: Timeline) -> None:
+    """Refuse a drive for a filter that weighs fixes by their stated accuracy, where not all of them state one.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and the remedy.
+    """
+    if not line.states_accuracy:
+        raise InputError(
+            f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
+            "and gps.csv has no std_x and std_y for all fixes; take a filter that was tuned without accuracy"
+        )
 
 
 def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ _TIME = (
 )
 _ACCELERATION = "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|f"
 _RATE = "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate"
+_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
 _NAMES: tuple[tuple[str, str], ...] = (
     ("t", _TIME),
     *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
@@ -27,8 +28,8 @@ _NAMES: tuple[tuple[str, str], ...] = (
     ("y", "y|north|northing|n|pos(?:ition)?_?y"),
     ("vx", "vx|ve|v_?east|east_?vel(?:ocity)?|vel(?:ocity)?_?e(?:ast)?"),
     ("vy", "vy|vn|v_?north|north_?vel(?:ocity)?|vel(?:ocity)?_?n(?:orth)?"),
-    ("std_x", "std_?x|sigma_?x|std_?e(?:ast)?|sd_?e"),
-    ("std_y", "std_?y|sigma_?y|std_?n(?:orth)?|sd_?n"),
+    ("std_x", f"std_?x|sigma_?x|std_?e(?:ast)?|sd_?e|std_?lon|(?:lon(?:gitude)?|east(?:ing)?)_?{_STD}"),
+    ("std_y", f"std_?y|sigma_?y|std_?n(?:orth)?|sd_?n|std_?lat|(?:lat(?:itude)?|north(?:ing)?)_?{_STD}"),
     ("speed", "speed|(?:ground_?)?speed|velocity|vel|v"),
     ("course", "course"),
     ("bearing", "bearing|track|heading|cog"),

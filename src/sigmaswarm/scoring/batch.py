@@ -16,6 +16,7 @@ from sigmaswarm.filters.compiled.lanes import LANES
 from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
+from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
@@ -33,6 +34,8 @@ class Scores:
     fix_rmse: Array
     forecast_rmse: Array
     innovation_nll: Array
+    innovation_t: Array
+    forecast_t: Array
     mean_nis: Array
     mean_nees: Array
     failed: NDArray[np.bool_]
@@ -178,6 +181,8 @@ def _tracking_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
         "heading_rmse": np.sqrt(sums.squared_heading / n_headings),
         "fix_rmse": np.sqrt(sums.squared_fix / n_fixes),
         "innovation_nll": (sums.nis + sums.log_determinant) / n_fixes / 2 + math.log(2 * math.pi),
+        "innovation_t": (sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail) / n_fixes / 2
+        + math.log(2 * math.pi),
         "mean_nis": sums.nis / n_fixes,
         "mean_nees": sums.nees / n_positions,
     }
@@ -190,7 +195,10 @@ def _outage_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
 
 def _forecast_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
     hidden = _counts(replay.n_hidden for replay in replays)
-    return {"forecast_rmse": np.sqrt(sums.squared_forecast / hidden)}
+    return {
+        "forecast_rmse": np.sqrt(sums.squared_forecast / hidden),
+        "forecast_t": sums.forecast_t / hidden + math.log(2 * math.pi),
+    }
 
 
 _SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts": _forecast_scores}

@@ -32,10 +32,11 @@ class Objective:
     per_drive : callable
         Scores to costs of shape (n_sets, n_drives); lower wins.
     needs_truth, needs_outages, needs_forecasts : bool
+    likelihood : bool
+        In a sum with one the other terms are counted as if they were nats, too.
     nats : float
         Weight of the terms that are logarithms: errors larger by 1% on each element of a measurement cost 0.01 of
-        them an element. In a sum with innovation-nll the other terms are counted as if they were nats, too. 0: the
-        cost is positive, and 1% is 1% of it.
+        them an element. 0: the cost is positive, and 1% is 1% of it.
     warning : str or None
         What a user should know before trusting the result.
     """
@@ -46,6 +47,7 @@ class Objective:
     needs_truth: bool = False
     needs_outages: bool = False
     needs_forecasts: bool = False
+    likelihood: bool = False
     nats: float = 0.0
     warning: str | None = None
 
@@ -127,6 +129,22 @@ OBJECTIVES = {
             "innovation-nll",
             "mean negative log-likelihood of each fix before it is absorbed, nats",
             lambda scores: scores.innovation_nll,
+            likelihood=True,
+            nats=1.0,
+        ),
+        Objective(
+            "innovation-t",
+            "mean negative log-likelihood of each fix under Student's t before it is absorbed, nats",
+            lambda scores: scores.innovation_t,
+            likelihood=True,
+            nats=1.0,
+        ),
+        Objective(
+            "forecast-t",
+            "mean negative log-likelihood under Student's t of the forecasts of fixes hidden for 3 to 5 s, nats",
+            lambda scores: scores.forecast_t,
+            needs_forecasts=True,
+            likelihood=True,
             nats=1.0,
         ),
         Objective(
@@ -176,7 +194,7 @@ def objective_named(name: str) -> Objective:
     if len(terms) == 1 and terms[0][0] == 1.0:
         return terms[0][1]
     warnings = [o.warning for _, o in terms if o.warning]
-    in_nats = all(o.nats for _, o in terms) or any(o.name == "innovation-nll" for _, o in terms)
+    in_nats = all(o.nats for _, o in terms) or any(o.likelihood for _, o in terms)
     return Objective(
         name=" + ".join(o.name if w == 1.0 else f"{w:g} {o.name}" for w, o in terms),
         summary=" + ".join(f"{w:g} x {o.summary}" for w, o in terms),
@@ -184,6 +202,7 @@ def objective_named(name: str) -> Objective:
         needs_truth=any(o.needs_truth for _, o in terms),
         needs_outages=any(o.needs_outages for _, o in terms),
         needs_forecasts=any(o.needs_forecasts for _, o in terms),
+        likelihood=any(o.likelihood for _, o in terms),
         nats=sum(w * o.nats for w, o in terms) if in_nats else 0.0,
         warning=warnings[0] if warnings else None,
     )

@@ -13,7 +13,7 @@ from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
-Option = Literal["velocity", "lateral", "standstill", "gate", "latency"]
+Option = Literal["velocity", "lateral", "standstill", "gate", "latency", "accuracy", "robust"]
 
 INERTIA = 0.7298
 """w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
@@ -31,9 +31,11 @@ class SharedOptions(TypedDict, total=False):
         Doc(
             "truth-rmse: position error. truth-pose: position, heading and outage drift together. innovation-nll: how "
             "likely each fix is before it is absorbed; needs no truth, and makes the filter honest about its errors. "
+            "innovation-t: the same where some fixes lie far off; for filters that use robust. forecast-t: the same of "
+            "hidden fixes. "
             "outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency, to be added to others. "
             "gps-rmse: the paper's, which rewards copying the GPS. Sums like `truth-pose + 0.2 nees` are objectives, "
-            "too. auto: truth-rmse where all drives have truth, else innovation-nll."
+            "too. auto: truth-rmse where all drives have truth, else innovation-nll, or innovation-t with robust."
         ),
     ]
     worst: Annotated[
@@ -94,7 +96,8 @@ class FilterOptions(TypedDict, total=False):
         Doc(
             "What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the "
             "receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when "
-            "it stands. gate: turn outlying fixes away. latency: fixes may be older than they say."
+            "it stands. gate: turn outlying fixes away. latency: fixes may be older than they say. accuracy: what the "
+            "receiver states of each fix. robust: outlying fixes count less, by Student's t; in place of gate."
         ),
     ]
     outage_seed: Annotated[int, Doc("Places the outages of objectives that have some.")]

@@ -155,6 +155,11 @@ def usual_interval(drives: Sequence[Drive]) -> float:
 
 
 def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
+    silent = [d.name for d in drives if d.gps.std_x is None or d.gps.std_y is None]
+    if "accuracy" in config.use and silent:
+        raise InputError(
+            f"{silent[0]}: its gps.csv has no std_x and std_y, which --use accuracy needs; leave accuracy out"
+        )
     lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
     if "velocity" in config.use and lacking:
         raise InputError(

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.models import MODELS, SENSORS, VARIANCE
+from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
@@ -51,8 +51,15 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
+    "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
+    "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
 }
-NOISES = ("process_noise", "measurement_noise", "velocity_noise", "lateral_noise", "standstill_noise")
+ACCURACY_FLOOR = (1e-4, 1e3)
+"""m2: R beside what the receiver states of each fix."""
+NOISES = (
+    *("process_noise", "measurement_noise", "accuracy_scale"),
+    *("velocity_noise", "lateral_noise", "standstill_noise"),
+)
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 
 
@@ -105,13 +112,15 @@ def search_space(
     Raises
     ------
     InputError
-        If the scale or an option is unknown.
+        If the scale or an option is unknown, or the kind of filter or another option does not go with one.
     """
     if scale not in ("log10", "linear"):
         raise InputError(f"scale must be log10 or linear, not {scale!r}")
     unknown = [option for option in use if option not in OPTIONS]
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
+    if reason := clash(kind, use):
+        raise InputError(reason)
     dimensions = tuple(_dimensions(model, kind, use))
     logarithmic = np.array([d.spread and scale == "log10" for d in dimensions])
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
@@ -141,8 +150,9 @@ def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> It
     for name, states in groupby(described.states, lambda state: state.shared if blind else state.name):
         alike = list(states)
         yield Dimension(f"q_{name}", "process_noise", len(alike), *alike[0].variance)
+    fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
-        yield Dimension(f"r_{name}", "measurement_noise", entries, *VARIANCE)
+        yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     for sensor in described.sensors:
         yield Dimension(f"{sensor}_bias_std", "bias_std", 1, *SENSORS[sensor].start_std)
     if kind in ("adaptive-ukf", "strong-tracking-ukf"):

@@ -160,21 +160,24 @@ def _problem(
 
 def _settled(config: C, data: Sequence[Drive | Log]) -> C:
     """The configuration with the objective that ``auto`` stands for on this data."""
-    return config.model_copy(update={"objective": objective_for(data, config.objective)})
+    return config.model_copy(
+        update={"objective": objective_for(data, config.objective, getattr(config, "use", ()))}
+    )
 
 
-def objective_for(data: Sequence[Drive | Log], asked: str) -> str:
-    """The objective that is asked for; for ``auto`` the one that suits the data."""
+def objective_for(data: Sequence[Drive | Log], asked: str, use: Sequence[str] = ()) -> str:
+    """The objective that is asked for; for ``auto`` the one that suits the data, and a filter that uses ``use``."""
     if asked != "auto":
         return asked
+    likelihood = "innovation-t" if "robust" in use else "innovation-nll"
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so all are tuned with innovation-nll; leave it out, or say --objective",
+            f"{blind[0]} has no truth, so all are tuned with {likelihood}; leave it out, or say --objective",
             SigmaswarmWarning,
             stacklevel=5,
         )
-    return "innovation-nll" if blind else "truth-rmse"
+    return likelihood if blind else "truth-rmse"
 
 
 def _check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:

@@ -83,7 +83,7 @@ def compare(
     for name in ("seed", "optimizer", "scale"):
         if name in config:
             raise InputError(f"{name}: is what is compared; use {name}s instead")
-    objective = objective_for([*drives, *held_out], config.get("objective", "auto"))
+    objective = objective_for([*drives, *held_out], config.get("objective", "auto"), config.get("use", ()))
     rivals = contenders(optimizers, scales, {**config, "objective": objective})
     problem = car_problem(drives, rivals[0].config)
     beside = problem.on(held_out) if held_out else None

@@ -25,20 +25,25 @@ CONSTANTS = (
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
+    "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off
+    "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
 )  # fmt: skip
 """Of a parameter set."""
 SUMS = (
-    "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_DET",
-    "DET", "OK", "REJECTED", "RECENT",
+    "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
+    "DET", "TAIL", "OK", "REJECTED", "RECENT",
+    "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
 )  # fmt: skip
-"""What a run adds up and remembers; the first seven are those of `replay.Sums`, in its order."""
+"""What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for two components of z
     "S11", "S12", "S22",  # H P H^T
+    "R1", "R2",  # the diagonal of R of a fix
     "V11", "V12", "V22",  # S = H P H^T + R of a fix
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
+    "WEIGHT", "FACTOR",  # of a fix under Student's t, and by which P is stretched
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it

@@ -6,7 +6,7 @@ set of kernels would. The memory is five arrays, so that each call takes the sam
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
     window  (2 w, 4) the last IMU samples, to tell calm: t, ax, ay, gz; at least the last w
-    fixes   (f, 6) by time; those of one time in the order in which they came
+    fixes   (f, 8) by time; those of one time in the order in which they came
     history (h, N_BELIEF + 5) a ring: the last samples, and the belief before each of them
 """
 
@@ -39,8 +39,8 @@ NOMINAL, START, LEVER_X, LEVER_Y, LATERAL_INTERVAL, STANDSTILL_INTERVAL, LAST_SA
     N_BELIEF, N_BELIEF + 7
 )
 FLOOR = slice(N_BELIEF + 7, N_BELIEF + 10)  # how restless the car is when it is calm
-FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, HAS_VELOCITY = range(6)
-N_FIX = 6
+FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, HAS_VELOCITY, FIX_VAR_X, FIX_VAR_Y = range(8)
+N_FIX = 8
 # The last sample and fix that lay too far ahead to be taken at once.
 SAMPLE_AHEAD = slice(FLOOR.stop, FLOOR.stop + 4)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
@@ -80,7 +80,9 @@ _cached_plain = partial(cached_by_sources, fastmath=False)
 
 @cached_by_sources
 def live_step(sources):
-    def step(v, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since):
+    def step(
+        v, n, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since
+    ):  # fmt: skip
         """One step of one filter; v (N_FILTER or more,) is its state before and after."""
         if sources == "":  # never; so the name is closed over
             return
@@ -89,9 +91,13 @@ def live_step(sources):
             for l in range(LANES):
                 w[r, l] = v[r]
         if n == 5:
-            step5(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            step5(
+                w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since
+            )  # fmt: skip
         else:
-            step8(w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since)
+            step8(
+                w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since
+            )  # fmt: skip
         for r in range(N_FILTER):
             v[r] = w[r, 0]
 
@@ -99,12 +105,14 @@ def live_step(sources):
 
 
 @_plain
-def _step_to(v, n, to, ax, ay, gz, happens, zx, zy, zu, zv):
+def _step_to(v, n, to, ax, ay, gz, happens, zx, zy, zu, zv, var_x, var_y):
     """From where the belief is to a moment."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
-    live_step(v, n, dt, ax, ay, gz, scale, happens, zx, zy, zu, zv, v[LEVER_X], v[LEVER_Y], v[SINCE])
+    live_step(
+        v, n, dt, ax, ay, gz, scale, happens, zx, zy, zu, zv, var_x, var_y, v[LEVER_X], v[LEVER_Y], v[SINCE]
+    )  # fmt: skip
     v[TIME] = to
 
 
@@ -126,7 +134,10 @@ def _take(v, counts, fixes, t, ax, ay, gz, calm):
     for f in range(first, end):
         z = fixes[f]
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
-        _step_to(v, n, z[FIX_TIME], ax, ay, gz, happens, z[FIX_X], z[FIX_Y], z[FIX_U], z[FIX_V])
+        _step_to(
+            v, n, z[FIX_TIME], ax, ay, gz, happens,
+            z[FIX_X], z[FIX_Y], z[FIX_U], z[FIX_V], z[FIX_VAR_X], z[FIX_VAR_Y],
+        )  # fmt: skip
         v[SINCE] = 0.0
     happens = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(ay) <= CORNERING:
@@ -140,7 +151,7 @@ def _take(v, counts, fixes, t, ax, ay, gz, calm):
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
-        _step_to(v, n, t, ax, ay, gz, happens, 0.0, 0.0, 0.0, 0.0)
+        _step_to(v, n, t, ax, ay, gz, happens, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @_plain
@@ -296,12 +307,12 @@ def take_sample(sources):
 
 @_cached_plain
 def take_fix(sources):
-    def fix(v, counts, window, fixes, history, t, x, y, vx, vy, has_velocity):
+    def fix(v, counts, window, fixes, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
-        z = np.array([t, x, y, vx, vy, has_velocity])
+        z = np.array([t, x, y, vx, vy, has_velocity, var_x, var_y])
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
@@ -348,7 +359,7 @@ def ready():
     """Compile now what a live filter calls, and once: numbers of other types are converted, not compiled for again."""
     signatures = {
         take_sample: (*_MEMORY, *(float64,) * 4),
-        take_fix: (*_MEMORY, *(float64,) * 6),
+        take_fix: (*_MEMORY, *(float64,) * 8),
         read_state: (float64[::1], float64[::1], float64[:, ::1]),
     }
     for function, signature in signatures.items():

@@ -17,6 +17,15 @@ from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sinco
 from sigmaswarm.filters.compiled.layout import C1, C2, P0, Q0, R
 from sigmaswarm.filters.models import CarModel
 from sigmaswarm.filters.schedule import MOST_REJECTED
+from sigmaswarm.filters.student import (
+    FORECAST_DOF,
+    FORECAST_SCALE,
+    INNOVATION_SCALE,
+    ITERATIONS,
+    LARGEST_TAIL,
+    OUTLIERS,
+    OUTLYING,
+)
 
 
 def at(i, j):
@@ -25,24 +34,28 @@ def at(i, j):
     return P0 + high * (high + 1) // 2 + low
 
 
-def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
-    """A position fix of the antenna; ``since`` is Q's scale since the last fix.
+def absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since, *, n):
+    """A position fix of the antenna with its stated variances; ``since`` is Q's scale since the last fix.
 
     What no lane needs is left out; what other lanes need does not change a bit.
     """
-    fading, adapting = 0, 0
+    fading, adapting, robust = 0, 0, 0
     for l in range(LANES):
         fading += w[R.FADING, l] >= 0.0
         adapting += w[R.FORGETTING, l] < 1.0
-    _measure_fix(w, zx, zy, lever_x, lever_y)
+        robust += w[R.DOF, l] > 0.0
+        w[R.WEIGHT, l] = 1.0
+    _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
     for l in range(LANES):
         inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
         w[R.USE, l] = 1.0 if inside else 0.0
         w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
     if fading > 0:
         _fade(w)
+    if robust > 0:
+        _weigh(w, since)
     for l in range(LANES):
-        rx, ry, use = w[R.RX, l], w[R.RY, l], w[R.USE, l]
+        rx, ry, use = w[R.R1, l] / w[R.WEIGHT, l], w[R.R2, l] / w[R.WEIGHT, l], w[R.USE, l]
         s11, s12, s22 = w[R.S11, l] + rx, w[R.S12, l], w[R.S22, l] + ry
         det = s11 * s22 - s12 * s12
         g11, g12, g22 = s22 / det, -s12 / det, s11 / det
@@ -61,18 +74,21 @@ def absorb_fix(w, zx, zy, lever_x, lever_y, since, *, n):
     _keep_digits(w)
 
 
-def forecast_fix(w, zx, zy, lever_x, lever_y, *, n):
+def forecast_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, *, n):
     """A fix that the filter does not get to see: only its forecast is scored."""
-    _measure_fix(w, zx, zy, lever_x, lever_y)
+    _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
     for l in range(LANES):
-        _look(w, l)
+        nis = _look(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
+        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
+        tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
+        w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
 
 
 @kernel
 def _look(w, l):
     """Add what a fix says of the filter's own S, before it is absorbed; gives its NIS."""
-    s11, s12, s22 = w[R.S11, l] + w[R.RX, l], w[R.S12, l], w[R.S22, l] + w[R.RY, l]
+    s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
     det = s11 * s22 - s12 * s12
     n1, n2 = w[R.N1, l], w[R.N2, l]
     nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
@@ -80,15 +96,19 @@ def _look(w, l):
     w[R.NU1, l], w[R.NU2, l] = n1, n2
     w[R.NIS, l] += nis
     w[R.DET, l] *= det
+    tail = 1.0 + nis * (1.0 / INNOVATION_SCALE)
+    w[R.TAIL, l] *= tail if tail < LARGEST_TAIL else LARGEST_TAIL
     return nis
 
 
-def _measure_fix(w, zx, zy, lever_x, lever_y, *, n):
-    """z = p + R(theta) lever - latency v: nu, H P H^T and C.
+def _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, *, n):
+    """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
 
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
     """
     for l in range(LANES):
+        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
+        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
         for row in (R.EAST, R.NORTH, R.JEAST, R.JNORTH, R.E):
             w[row, l] = 0.0
     if lever_x != 0.0 or lever_y != 0.0:
@@ -165,19 +185,67 @@ def _fade(w, *, n):
             w[R.S12, l] - w[R.GEN, l],
             w[R.S22, l] - w[R.GNN, l],
         )  # H P H^T
-        wanted = (recent - w[R.RX, l] - w[R.RY, l]) / (s11 + s22)
-        factor = wanted if used & (wanted > 1.0) else 1.0
-        more = (factor - 1.0) / (s11 * s22 - s12 * s12) if factor > 1.0 else 0.0
-        for j in range(n):
-            c1, c2 = w[C1 + j, l], w[C2 + j, l]
-            gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)
-            for i in range(j + 1):
-                w[at(i, j), l] += gain_1 * w[C1 + i, l] + gain_2 * w[C2 + i, l]
-        w[R.S11, l] += (factor - 1.0) * s11
-        w[R.S12, l] += (factor - 1.0) * s12
-        w[R.S22, l] += (factor - 1.0) * s22
-        for row in (*range(C1, C1 + n), *range(C2, C2 + n)):
-            w[row, l] *= factor
+        wanted = (recent - w[R.R1, l] - w[R.R2, l]) / (s11 + s22)
+        _stretch(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
+
+
+def _stretch(w, l, s11, s12, s22, factor, *, n):
+    """P + (factor - 1) C (H P H^T)^-1 C^T in one lane, and S and C with it; a factor of 1 changes no bit.
+
+    ``s11``, ``s12`` and ``s22`` are H P H^T.
+    """
+    more = (factor - 1.0) / (s11 * s22 - s12 * s12) if factor > 1.0 else 0.0
+    for j in range(n):
+        c1, c2 = w[C1 + j, l], w[C2 + j, l]
+        gain_1, gain_2 = more * (s22 * c1 - s12 * c2), more * (s11 * c2 - s12 * c1)
+        for i in range(j + 1):
+            w[at(i, j), l] += gain_1 * w[C1 + i, l] + gain_2 * w[C2 + i, l]
+    w[R.S11, l] += (factor - 1.0) * s11
+    w[R.S12, l] += (factor - 1.0) * s12
+    w[R.S22, l] += (factor - 1.0) * s22
+    for row in (*range(C1, C1 + n), *range(C2, C2 + n)):
+        w[row, l] *= factor
+
+
+def _weigh(w, since):
+    """Student's t: the weight of a fix, whose R is divided by it (DOF = 0: off).
+
+    R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
+    the multivariate Student-t distribution, MLSP 2012: with S = H P H^T + R / w and e = S^-1 nu, the residual after the
+    update is r = R / w e, its covariance A = R / w - R / w S^-1 R / w, and w = (dof + 2) / (dof + r^T R^-1 r +
+    tr R^-1 A), three times from w = 1.
+
+    A filter that is wrong takes all fixes for outliers. So the fix that ends a run of them, long enough, has weight 1,
+    and what it sees of P is stretched as far as its innovation asks for.
+    """
+    recovering = 0
+    for l in range(LANES):
+        dof, rx, ry = w[R.DOF, l], w[R.R1, l], w[R.R2, l]
+        s11, s12, s22 = w[R.S11, l], w[R.S12, l], w[R.S22, l]
+        n1, n2 = w[R.N1, l], w[R.N2, l]
+        weight = 1.0
+        for k in range(ITERATIONS):  # noqa: B007 (by this name it is written out)
+            a, b = rx / weight, ry / weight
+            det = (s11 + a) * (s22 + b) - s12 * s12
+            g11, g12, g22 = (s22 + b) / det, -s12 / det, (s11 + a) / det
+            e1, e2 = g11 * n1 + g12 * n2, g12 * n1 + g22 * n2
+            gamma = (2.0 + a * (e1 * e1 - g11) + b * (e2 * e2 - g22)) / weight
+            weight = (dof + 2.0) / (dof + gamma)
+        used = dof > 0.0
+        count = w[R.OUTLIERS, l] + 1.0 if used & (weight < OUTLYING) else 0.0
+        span = w[R.SPAN, l] + since if count > 1.0 else 0.0
+        recovers = (count >= OUTLIERS) & (span >= w[R.PATIENCE, l])
+        seen = (s11 - w[R.GEE, l]) + (s22 - w[R.GNN, l])  # tr H P H^T
+        wanted = (n1 * n1 + n2 * n2 - rx - ry) / seen
+        w[R.FACTOR, l] = wanted if recovers & (wanted > 1.0) else 1.0
+        w[R.WEIGHT, l] = weight if used & (not recovers) else 1.0
+        w[R.OUTLIERS, l] = 0.0 if recovers else count
+        w[R.SPAN, l] = 0.0 if recovers else span
+        recovering += recovers
+    if recovering > 0:
+        for l in range(LANES):
+            s11, s12, s22 = w[R.S11, l] - w[R.GEE, l], w[R.S12, l] - w[R.GEN, l], w[R.S22, l] - w[R.GNN, l]
+            _stretch(w, l, s11, s12, s22, w[R.FACTOR, l])
 
 
 def _adapt(w, since, *, n):
@@ -300,7 +368,18 @@ def _absorb_two(w, *, n):
 def absorbers(model: CarModel):
     """`forecast_fix` and the four `absorb_...` functions, compiled for a model."""
     ready = {"n": len(model.states), "gyro_bias": -1 if model.gyro_bias is None else model.gyro_bias}
-    for function in (_absorb_one, _absorb_two, _keep_digits, _measure_fix, _take_velocity, _fade, _adapt):
+    parts = (
+        _absorb_one,
+        _absorb_two,
+        _keep_digits,
+        _measure_fix,
+        _take_velocity,
+        _stretch,
+        _fade,
+        _weigh,
+        _adapt,
+    )
+    for function in parts:
         ready[function.__name__] = kernel(function, **ready)
     public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill, absorb_lateral)
     return {function.__name__: kernel(function, **ready) for function in public}

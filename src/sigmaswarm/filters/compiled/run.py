@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives import standstill, timeline
-from sigmaswarm.filters import models, schedule
+from sigmaswarm.filters import models, schedule, student
 from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, N_STATE, R
 from sigmaswarm.filters.compiled.rows import new_rows
@@ -43,10 +43,11 @@ _DETERMINANTS_PER_LOG = 8  # their product stays far inside the range of a doubl
 
 @kernel
 def _take_logarithm(w):
-    """Move the product of the last det S into the sum of their logarithms (a slow call: once in a while)."""
+    """Move the products of the last fixes into the sums of their logarithms (a slow call: once in a while)."""
     for l in range(LANES):
         w[R.LOG_DET, l] += math.log(w[R.DET, l])
-        w[R.DET, l] = 1.0
+        w[R.LOG_TAIL, l] += math.log(w[R.TAIL, l])
+        w[R.DET, l], w[R.TAIL, l] = 1.0, 1.0
 
 
 @kernel
@@ -84,12 +85,12 @@ def _run(w, steps, flags, fixes, lever, targets, target_end, place, stop, record
         u = steps[s]
         happens = flags[s]
         since += u[Q_SCALE]
-        zx, zy, zu, zv = 0.0, 0.0, 0.0, 0.0
+        zx, zy, zu, zv, var_x, var_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if happens & (FIX | HIDDEN):
             z = fixes[n_fixes]
-            zx, zy, zu, zv = z[0], z[1], z[2], z[3]
+            zx, zy, zu, zv, var_x, var_y = z[0], z[1], z[2], z[3], z[4], z[5]
         step(
-            w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE], happens, zx, zy, zu, zv, lever[0], lever[1], since
+            w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE], happens, zx, zy, zu, zv, var_x, var_y, lever[0], lever[1], since
         )  # fmt: skip
         if happens & FIX:
             since = 0.0
@@ -142,7 +143,7 @@ def cached_by_sources(make, **options):
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
-    frozen = standstill, timeline, models, schedule  # what kernels take from elsewhere
+    frozen = standstill, timeline, models, schedule, student  # what kernels take from elsewhere
     files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(str(module.__file__)) for module in frozen)]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     return cached(make(digest), **(OPTIONS | options))
@@ -201,7 +202,8 @@ def run_lanes(
     model : its name
     steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
     flags : (k,) bits of each step: see `schedule`
-    fixes : (f, 4) m east, north, m/s east, north, in the order in which steps absorb them
+    fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
+        steps absorb them
     lever : (2,) m forward and left from the IMU to the antenna
     targets : (m, 5) see WEIGHT ... SCORES_HEADING
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)

@@ -11,18 +11,18 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, LATERAL, STANDSTILL, VELOCI
 
 
 def _step(
-    w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, lever_x, lever_y, since,
+    w, dt, ax, ay, gz, q_scale, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since,
     *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
-    """``happens`` are the bits of `schedule`; zx, zy, zu, zv a fix; ``since`` is Q's scale since the last one."""
+    """``happens`` are the bits of `schedule`; zx, ..., var_y a fix; ``since`` is Q's scale since the last one."""
     if dt > 0.0:
         predict(w, dt, ax, ay, gz, q_scale)
     if happens & FIX:
-        absorb_fix(w, zx, zy, lever_x, lever_y, since)
+        absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since)
         if happens & VELOCITY:
             absorb_velocity(w, zu, zv)
     if happens & HIDDEN:
-        forecast_fix(w, zx, zy, lever_x, lever_y)
+        forecast_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
     if happens & LATERAL:
         absorb_lateral(w, gz)
     if happens & STANDSTILL:

@@ -1,9 +1,10 @@
-"""Filters that change themselves: Sage-Husa's adapted noise, and strong tracking's fading factor."""
+"""Filters that change themselves: adapted noise, the fading factor of strong tracking, weights of Student's t."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLIERS_SPAN, OUTLYING
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation
 
 
@@ -68,9 +69,62 @@ class StrongTracking:
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
-        cross, covariance = innovation.cross, filter.covariance
-        seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
-        factor = max(1.0, (self.recent - np.trace(innovation.noise)) / np.trace(seen))
-        filter.covariance = covariance + (factor - 1) * cross @ np.linalg.solve(seen, cross.T)
-        variance = innovation.variance + (factor - 1) * seen
-        return Innovation(innovation.nu, variance, factor * cross, innovation.noise)
+        return stretched(filter, innovation, self.recent)
+
+
+@dataclass
+class StudentT:
+    """Weigh fixes whose errors have Student's t: the R of each is divided by its weight.
+
+    R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
+    the multivariate Student-t distribution, MLSP 2012. What is not theirs: a filter that is wrong takes all fixes for
+    outliers; so the fix that ends a run of them, long enough, has weight 1, and P is stretched before it.
+
+    Attributes
+    ----------
+    dof : float
+        Degrees of freedom.
+    outliers : int
+        How many of the last fixes, in a row, have been outliers.
+    since : float
+        s, the time of the first of them.
+    """
+
+    dof: float
+    outliers: int = 0
+    since: float = 0.0
+
+    def weigh(self, filter: GaussianFilter, innovation: Innovation, time: float) -> Innovation:
+        """The innovation of a fix of ``time`` (s) as the filter takes it."""
+        weight = self.weight(innovation)
+        if not weight < OUTLYING:
+            self.outliers = 0
+        else:
+            self.since = self.since if self.outliers else time
+            self.outliers += 1
+            if self.outliers >= OUTLIERS and time - self.since >= OUTLIERS_SPAN - 1e-6:
+                self.outliers = 0
+                return stretched(filter, innovation, float(innovation.nu @ innovation.nu))
+        noise = innovation.noise / weight
+        return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
+
+    def weight(self, innovation: Innovation) -> float:
+        """The mean of the fix's weight, given the fix: state and weight fitted to each other in turn."""
+        weight, r, nu = 1.0, innovation.noise, innovation.nu
+        for _ in range(ITERATIONS):
+            variance = innovation.variance - r + r / weight
+            residual = r / weight @ np.linalg.solve(variance, nu)  # after the update
+            left = r / weight - r / weight @ np.linalg.solve(variance, r / weight)  # its covariance
+            gamma = residual @ np.linalg.solve(r, residual) + np.trace(np.linalg.solve(r, left))
+            weight = (self.dof + len(nu)) / (self.dof + gamma)
+        return float(weight)
+
+
+def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
+    """The innovation after what the fix sees of P is stretched so far that ``size`` (m2), nu^T nu, is explained."""
+    cross, covariance = innovation.cross, filter.covariance
+    seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
+    factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))
+    filter.covariance = covariance + (factor - 1) * cross @ np.linalg.solve(seen, cross.T)
+    variance = innovation.variance + (factor - 1) * seen
+    return Innovation(innovation.nu, variance, factor * cross, innovation.noise)

@@ -18,11 +18,12 @@ from sigmaswarm.filters.schedule import (
     VELOCITY,
     converted,
     flags_of,
+    require_accuracy,
     start_of,
     switches,
 )
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.filters.textbook.adaptive import SageHusa, StrongTracking
+from sigmaswarm.filters.textbook.adaptive import SageHusa, StrongTracking, StudentT
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter
 
 
@@ -77,6 +78,9 @@ class TextbookCar:
         q = converted(p, timeline.nominal_interval)
         self.noise = SageHusa(q, np.array(p.measurement_noise), p.forgetting)
         self.tracking = StrongTracking(p.forgetting)
+        self.robust = None if p.robust_dof is None else StudentT(p.robust_dof)
+        if p.accuracy_scale is not None:
+            require_accuracy(timeline)
         self._imu = np.column_stack([getattr(timeline, axis) for axis in self.model.imu])
         self.flags = flags_of(timeline, *switches(p))
         self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
@@ -91,9 +95,9 @@ class TextbookCar:
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]
-            self._absorb_fix(fix[:2])
+            self._absorb_fix(fix[:2], fix[4:], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
-                self.filter.update(fix[2:], p.velocity_noise * np.eye(2), velocity)
+                self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
             self.filter.update(
                 np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(yaw_rate, p.rear_axle)
@@ -103,13 +107,16 @@ class TextbookCar:
             if self.model.gyro_bias is not None:
                 self.filter.update(np.array([yaw_rate]), np.array([[STANDSTILL_RATE_NOISE]]), gyro_bias)
 
-    def _absorb_fix(self, fix: Array) -> None:
-        innovation = self.filter.measure(fix, np.diag(self.noise.measurement_noise))
+    def _absorb_fix(self, fix: Array, stated: Array, time: float) -> None:
+        noise = self.noise.measurement_noise + (self.parameters.accuracy_scale or 0.0) * stated
+        innovation = self.filter.measure(fix, np.diag(noise))
         gate = self.parameters.gate
         if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
             self._rejected = 0
             if self.parameters.kind == "strong-tracking-ukf":
                 innovation = self.tracking.stretch(self.filter, innovation)
+            if self.robust:
+                innovation = self.robust.weigh(self.filter, innovation, time)
             if self.parameters.kind == "adaptive-ukf":
                 self.noise.adapt(innovation, self._since)
             self.filter.absorb(innovation)
