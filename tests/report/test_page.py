@@ -224,7 +224,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
     (scores,) = report.sections[0].tables
-    assert [c.title for c in scores.columns] == ["drive", "method", "outage drift"]
+    assert [c.title for c in scores.columns] == ["drive", "method", "5 s outage drift"]
     assert [row[1] for row in scores.rows] == [
         "tuned UKF",
         "manual: defaults",
