@@ -364,7 +364,7 @@ def opened(pages: dict[tuple[str, int], Opened]) -> Iterator[Callable[..., Opene
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize(("name", "plots"), [("tuning", 1), ("evaluation", 6)])
+@pytest.mark.parametrize(("name", "plots"), [("tuning", 1), ("evaluation", 8)])
 def test_every_plot_is_drawn_and_fits_the_screen(opened, name: str, plots: int, width: int):
     page = opened(name, width)
     assert len(page.drawn()) == plots
@@ -426,8 +426,8 @@ def test_zooming_in_time_moves_all_panels_and_the_track(opened):
 def test_tables_sort_by_number_and_back(opened):
     page = opened("evaluation")
     table = page.page.locator("table.sortable").nth(1)
-    head = table.locator("th").nth(3)
-    column = "(t) => [...t.tBodies[0].rows].map((r) => r.cells[3].dataset.value ?? null)"
+    head = table.locator("th").nth(5)
+    column = "(t) => [...t.tBodies[0].rows].map((r) => r.cells[5].dataset.value ?? null)"
     head.locator("button").click()
     values = table.evaluate(column)
     known = [float(v) for v in values if v is not None]

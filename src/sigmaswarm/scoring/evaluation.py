@@ -17,7 +17,7 @@ from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import joined, run_replays
 from sigmaswarm.filters.run import Estimate, Innovations
-from sigmaswarm.scoring.batch import Scores, scores_of
+from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
@@ -306,7 +306,7 @@ def _evaluated(
     del recorded, tracking  # the next pass has steps and targets of its own
     drifts = [_drifts(ready, list(filters.values()), each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
     each = {
-        method: _joined(whole[i, 0], drifts[0][i, 0], drifts[1][i, 0], tracker.quantiles[method])
+        method: _joined(whole[i, 0], *(drift[i] for drift in drifts), tracker.quantiles[method])
         for i, method in enumerate(filters)
     }
     others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
@@ -321,13 +321,17 @@ def _evaluated(
     )
 
 
-def _drifts(ready: PreparedDrive, filters: Sequence[FilterParameters], length: float, seed: int) -> Scores:
-    """What outages of a length (s) make of filters; the steps are let go of before and after."""
+def _drifts(
+    ready: PreparedDrive, filters: Sequence[FilterParameters], length: float, seed: int
+) -> list[Score]:
+    """What outages of a length (s) make of filters; nothing is known where none fits. No steps are kept."""
+    if not len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)):
+        return [Score()] * len(filters)
     ready.forget()
     outages = outage_replay(ready, length=length, seed=seed)
     scores = scores_of({"outages": [outages]}, {"outages": run_replays([outages], filters)})
     ready.forget()
-    return scores
+    return [scores[i, 0] for i in range(len(filters))]
 
 
 def _joined(whole: Score, outages: Score, long_outages: Score, quantiles: tuple[float, float]) -> Score:
