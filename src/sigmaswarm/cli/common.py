@@ -167,7 +167,7 @@ def print_evaluation(
                 f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
                 f"than {evaluation.names[over]}."
             )
-    for said in evaluation.worse_than_raw:
+    for said in (*evaluation.worse_than_raw, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 
 

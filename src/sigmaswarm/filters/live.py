@@ -10,13 +10,16 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.layout import N_KEPT
+from sigmaswarm.filters.compiled.layout import N_KEPT, R
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import Chunk, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recovery import LATEST_LOOK, Lately, Recovery, Seen, at_fix, slot_of
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
+MOST_RESTARTS = 1000
+"""Whose times a live filter keeps."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
 
@@ -31,12 +34,14 @@ class LiveState:
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
     failed : bool: the covariance lost its definiteness, or something became NaN
+    lost : bool: the filter is lost and can't yet start anew; the position is that of the last fix
     """
 
     time: float
     mean: Array
     covariance: Array
     failed: bool
+    lost: bool = False
 
 
 class LiveFilter:
@@ -50,6 +55,9 @@ class LiveFilter:
     One stamp alone is not believed if it lies more than 10 s ahead: such a sample is held back until a second one,
     within a second of it, says the same; then both are taken, as after a silence. Else it is dropped and counted. So
     are fixes, of which samples that have got there also say the same.
+
+    It is watched as a run is: once a second it is held against the fixes of the last seconds, and if it is lost it
+    starts anew (`recovery`). From then on a fix from before that moment comes too late.
 
     What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
     filter of a process loads or compiles that; no sample waits for it.
@@ -65,9 +73,13 @@ class LiveFilter:
         m forward and left from the IMU to the antenna.
     history : float
         s that are kept for late fixes.
+    recover : bool
+        Start anew where the filter is lost.
 
     Attributes
     ----------
+    restarts : list of float
+        s: when it did; the last `MOST_RESTARTS`.
     too_late : int
         Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
     time_jumps : int
@@ -85,6 +97,7 @@ class LiveFilter:
         nominal_interval: float,
         lever_arm: Sequence[float] = (0.0, 0.0),
         history: float = 1.0,
+        recover: bool = True,
     ) -> None:
         p = parameters
         self.parameters = p
@@ -105,6 +118,10 @@ class LiveFilter:
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
             np.zeros((samples, live.N_RECORD)),
         )
+        self._initial_interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
+        self._recovery = Recovery() if recover else None
+        self._lately = Lately(lever_arm)
+        self._looked = -1.0  # the interval between looks in which the last one was
         live.ready()
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
@@ -115,7 +132,15 @@ class LiveFilter:
         Samples before the start only teach the filter what calm is, for the standstill.
         """
         ax, ay, gz = imu
+        before = float(self._belief[live.LAST_SAMPLE])
         _take_sample(*self._memory, t, ax, ay, gz)
+        if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
+            held = self._belief[live.SAMPLE_AHEAD]
+            if before < held[0] < t:  # it had waited for this one
+                self._lately.sample(*held.tolist())
+            self._lately.sample(t, ax, ay, gz)
+            if t > self._belief[live.START]:
+                self._watch(self._recovery, before, t, np.array([ax, ay, gz], dtype=np.float64))
 
     def update(self, t: float, fix: Sequence[float], velocity: Sequence[float] | None = None) -> bool:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
@@ -129,7 +154,56 @@ class LiveFilter:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0)
         else:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0)
+        if self._recovery is not None and (kept == live.TAKEN or t <= self._belief[live.START]):
+            self._lately.fix(t, fix[0], fix[1])
         return kept == live.TAKEN
+
+    def _watch(self, recovery: Recovery, before: float, now: float, imu: Array) -> None:
+        """Look at the filter after a sample, if it is time and a fix came since the one before."""
+        fix = self._lately.last_fix(now)
+        if fix is None:
+            return
+        slot = float(slot_of(np.float64(now), float(self._belief[live.START])))
+        fresh = fix[0] > max(before, float(self._belief[live.START]))
+        if fresh and now - fix[0] <= LATEST_LOOK and slot != self._looked:
+            self._looked = slot
+            start = recovery.look(self._seen(now, fix, imu))
+            if start is not None:
+                self._start_anew(start)
+        if recovery.lost:
+            variance = self._belief[[R.RX, R.RY]]
+            theta = float(self._belief[THETA])
+            self._start_anew(at_fix(now, np.array(fix[1:]), variance, theta, self._lever))
+
+    def _seen(self, now: float, fix: tuple[float, ...], imu: Array) -> Seen:
+        alignments = self._lately.alignments
+        mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
+        _read_state(self._belief, mean, covariance)
+        return Seen(
+            time=now,
+            mean=mean,
+            covariance=covariance,
+            fix_time=fix[0],
+            fix=np.array(fix[1:]),
+            fix_variance=self._belief[[R.RX, R.RY]],
+            lever=self._lever,
+            latency=self.parameters.latency,
+            imu=imu,
+            course=float(alignments.course[-1]) if len(alignments.time) else np.nan,
+            align=lambda: alignments.at(len(alignments.time) - 1) if len(alignments.time) else None,
+        )
+
+    def _start_anew(self, start: InitialState) -> None:
+        """The filter as at a start; what is kept for late fixes is of the one that was lost."""
+        rows = start_rows([start], [self._initial_interval], Chunk((self.parameters,)))
+        self._belief[:N_KEPT] = rows[0, :, 0]
+        counts = self._memory[1]
+        counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+
+    @property
+    def restarts(self) -> list[float]:
+        """See the class."""
+        return [] if self._recovery is None else self._recovery.restarts[-MOST_RESTARTS:]
 
     @property
     def too_late(self) -> int:
@@ -153,7 +227,8 @@ class LiveFilter:
         sound = _read_state(self._belief, mean, covariance) and self._plausible
         if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
             mean[THETA] = wrap_angle(float(mean[THETA]))
-        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound)
+        lost = self._recovery is not None and self._recovery.lost
+        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound, lost)
 
 
 # Numba's types say nothing of what they call.

@@ -15,7 +15,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import joined, run_replays
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
@@ -94,6 +95,17 @@ POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "pos
 """Those in which a filter is held against the raw fixes, and what a sentence calls them."""
 
 
+def restarted(scores: ScoresRecord) -> tuple[str, ...]:
+    """A sentence for each drive on which the tuned filter lost its way."""
+    said: list[str] = []
+    for drive, found in scores.restarts.items():
+        if times := found.get("tuned"):
+            at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
+            often = f"{len(times)} times" if len(times) > 1 else "once"
+            said.append(f"on {drive} the tuned filter lost its way and started anew {often}, at t = {at} s")
+    return tuple(said)
+
+
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     """A sentence for each drive on which the tuned filter's position is worse than the fixes that it was given."""
     said: list[str] = []
@@ -129,6 +141,8 @@ class Evaluated:
         The same, fine enough for paper.
     data : mapping
         What identifies the drive.
+    restarts : mapping of method to tuple of float
+        s: when a filter was lost and started anew, see `filters.recovery`.
     """
 
     scores: Mapping[str, Score]
@@ -137,6 +151,7 @@ class Evaluated:
     tracks: Tracks | None = None
     picture: Picture | None = None
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +205,11 @@ class Evaluation:
         return measures(self.outage_length)
 
     @property
+    def restarted(self) -> tuple[str, ...]:
+        """See the function of that name."""
+        return restarted(self.record)
+
+    @property
     def worse_than_raw(self) -> tuple[str, ...]:
         """See the function of that name."""
         return worse_than_raw(self.record)
@@ -205,6 +225,10 @@ class Evaluation:
             },
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
             consistency=told,
+            restarts={
+                drive: {m: list(found.restarts.get(m, ())) for m in METHODS if m in found.restarts}
+                for drive, found in self.drives.items()
+            },
             improvement_percent={
                 over: {k: self.improvement(over, k) for k in MEASURES} for over in ("defaults", "datasheet")
             },
@@ -299,8 +323,9 @@ def _evaluated(
     dead_reckoning = score_imu_only(drive, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
-    recorded = [tracker.record(method, tracking, p) for method, p in filters.items()]
+    recorded = [tracker.record(method, tracking, p, recover=True) for method, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
+    restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
     del recorded, tracking  # the next pass has steps and targets of its own
@@ -318,6 +343,7 @@ def _evaluated(
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
         data=described(drive),
+        restarts=restarts,
     )
 
 
@@ -329,7 +355,9 @@ def _drifts(
         return [Score()] * len(filters)
     ready.forget()
     outages = outage_replay(ready, length=length, seed=seed)
-    scores = scores_of({"outages": [outages]}, {"outages": run_replays([outages], filters)})
+    recordings = [Recording(outages, p, recover=True) for p in filters]
+    sums = joined([recording.finished().sums for recording in recordings], axis=1)
+    scores = scores_of({"outages": [outages]}, {"outages": sums})
     ready.forget()
     return [scores[i, 0] for i in range(len(filters))]
 

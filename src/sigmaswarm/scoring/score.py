@@ -105,7 +105,7 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
         return Score(failed=estimate.failure is not None)
     truth = scored_truth(drive.truth, estimate.initial.time, estimate.time[-1])
     time = np.concatenate([[estimate.initial.time], estimate.time])
-    mean = np.vstack([estimate.initial.mean, estimate.mean])
+    mean = np.vstack([estimate.initial.mean[: THETA + 1], estimate.mean[:, : THETA + 1]])
     x, y, theta = (
         np.interp(truth.time, time, column) for column in (mean[:, 0], mean[:, 1], np.unwrap(mean[:, THETA]))
     )

@@ -115,9 +115,11 @@ class Tracker:
         if truth is not None:
             self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
 
-    def record(self, series: str, replay: Replay, parameters: FilterParameters) -> Recording:
+    def record(
+        self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
+    ) -> Recording:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
-        recording = Recording(replay, parameters)
+        recording = Recording(replay, parameters, recover=recover)
         truth = self._ready.drive.truth
         errors = None if truth is None else PositionErrors(truth, replay.initial)
 

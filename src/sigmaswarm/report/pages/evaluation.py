@@ -19,7 +19,7 @@ from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import verdicts
-from sigmaswarm.scoring.evaluation import METHODS, Measure, measures, method_names, worse_than_raw
+from sigmaswarm.scoring.evaluation import METHODS, Measure, measures, method_names, restarted, worse_than_raw
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
@@ -89,7 +89,7 @@ def _remarks(scores: ScoresRecord, held_out: list[bool]) -> list[str]:
         [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
     )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
-    said += worse_than_raw(scores)
+    said += [*worse_than_raw(scores), *restarted(scores)]
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
 
 
