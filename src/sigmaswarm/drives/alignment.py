@@ -107,7 +107,7 @@ class Alignments:
         self._drive = drive
         if fixes is None:
             inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
-            fixes = np.flatnonzero(inside)
+            fixes = np.flatnonzero(inside & np.isfinite(drive.gps.x + drive.gps.y))
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
         # The fixes of the last seconds before each.

@@ -57,7 +57,8 @@ class LiveFilter:
     are fixes, of which samples that have got there also say the same.
 
     It is watched as a run is: once a second it is held against the fixes of the last seconds, and if it is lost it
-    starts anew (`recovery`). From then on a fix from before that moment comes too late.
+    starts anew (`recovery`): later than a run does by as much as fixes come late. From then on a fix from before that
+    moment comes too late.
 
     What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
     filter of a process loads or compiles that; no sample waits for it.
@@ -118,9 +119,11 @@ class LiveFilter:
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
             np.zeros((samples, live.N_RECORD)),
         )
-        self._initial_interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
+        self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._recovery = Recovery() if recover else None
         self._lately = Lately(lever_arm)
+        self._history = history
+        self._last_fix, self._came_late = -np.inf, False
         self._looked = -1.0  # the interval between looks in which the last one was
         live.ready()
 
@@ -136,11 +139,12 @@ class LiveFilter:
         _take_sample(*self._memory, t, ax, ay, gz)
         if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
             held = self._belief[live.SAMPLE_AHEAD]
-            if before < held[0] < t:  # it had waited for this one
+            if t - before > live.LEAP and before < held[0] < t:  # it had waited for this one
                 self._lately.sample(*held.tolist())
+                self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
             self._lately.sample(t, ax, ay, gz)
             if t > self._belief[live.START]:
-                self._watch(self._recovery, before, t, np.array([ax, ay, gz], dtype=np.float64))
+                self._watch(self._recovery, t)
 
     def update(self, t: float, fix: Sequence[float], velocity: Sequence[float] | None = None) -> bool:
         """Take a fix: x, y (m), and perhaps its velocity, m/s east and north.
@@ -154,20 +158,24 @@ class LiveFilter:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0)
         else:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0)
-        if self._recovery is not None and (kept == live.TAKEN or t <= self._belief[live.START]):
+        begun = t > self._belief[live.START]
+        if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
+            self._came_late = begun and t <= self._belief[live.TIME]
             self._lately.fix(t, fix[0], fix[1])
         return kept == live.TAKEN
 
-    def _watch(self, recovery: Recovery, before: float, now: float, imu: Array) -> None:
-        """Look at the filter after a sample, if it is time and a fix came since the one before."""
+    def _watch(self, recovery: Recovery, now: float) -> None:
+        """Look at the filter after a sample, if it is time and a fix has come since the last look."""
         fix = self._lately.last_fix(now)
         if fix is None:
             return
+        fresh = fix[0] > max(self._last_fix, float(self._belief[live.START]))
+        soon = now - fix[0] <= LATEST_LOOK + (self._history if self._came_late else 0.0)
+        self._last_fix = fix[0]
         slot = float(slot_of(np.float64(now), float(self._belief[live.START])))
-        fresh = fix[0] > max(before, float(self._belief[live.START]))
-        if fresh and now - fix[0] <= LATEST_LOOK and slot != self._looked:
+        if fresh and soon and slot != self._looked:
             self._looked = slot
-            start = recovery.look(self._seen(now, fix, imu))
+            start = recovery.look(self._seen(now, fix))
             if start is not None:
                 self._start_anew(start)
         if recovery.lost:
@@ -175,7 +183,7 @@ class LiveFilter:
             theta = float(self._belief[THETA])
             self._start_anew(at_fix(now, np.array(fix[1:]), variance, theta, self._lever))
 
-    def _seen(self, now: float, fix: tuple[float, ...], imu: Array) -> Seen:
+    def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
         alignments = self._lately.alignments
         mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
         _read_state(self._belief, mean, covariance)
@@ -188,14 +196,14 @@ class LiveFilter:
             fix_variance=self._belief[[R.RX, R.RY]],
             lever=self._lever,
             latency=self.parameters.latency,
-            imu=imu,
+            since=self._lately.steps_since(fix[0]),
             course=float(alignments.course[-1]) if len(alignments.time) else np.nan,
             align=lambda: alignments.at(len(alignments.time) - 1) if len(alignments.time) else None,
         )
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
-        rows = start_rows([start], [self._initial_interval], Chunk((self.parameters,)))
+        rows = start_rows([start], [self._interval], Chunk((self.parameters,)))
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory[1]
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0

@@ -184,7 +184,7 @@ class Recording:
             fix_variance=self._rows[0, [R.RX, R.RY], 0],
             lever=line.lever,
             latency=p.latency,
-            imu=line.steps[step, 1:4],
+            since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
             course=float(alignments.course[ends]),
             align=lambda: alignments.at(ends),
         )

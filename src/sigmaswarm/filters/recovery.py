@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.models import THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
@@ -43,6 +44,8 @@ SPEED_STD = 10.0
 """m/s per axis: what is known of the velocity while there is nothing but fixes."""
 _KEPT = MAX_DURATION + 1.0
 """s of samples and fixes that a live filter keeps for it."""
+_MOST_FIXES = 1000
+"""That many of them; more come only while the IMU is silent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +65,16 @@ class Looks:
 
 
 def looks_of(line: Timeline) -> Looks:
-    """At the first IMU sample after new fixes in each `LOOK_INTERVAL`."""
+    """At the first IMU sample after new fixes in each `LOOK_INTERVAL`.
+
+    Not at one that ends a long silence: a live filter takes it only with the next one.
+    """
     sampled, absorbing = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
     before = np.searchsorted(absorbing, sampled, side="right")  # fixes absorbed up to each sample
     fresh = np.flatnonzero(np.diff(before, prepend=0) > 0)
     step, last = sampled[fresh], absorbing[before[fresh] - 1]
-    soon = line.end[step] - line.end[last] <= LATEST_LOOK
+    silence = np.diff(line.end[sampled], prepend=line.start)[fresh]
+    soon = (line.end[step] - line.end[last] <= LATEST_LOOK) & (silence <= LEAP)
     step, last = step[soon], last[soon]
     first = np.unique(slot_of(line.end[step], line.start), return_index=True)[1]
     fix = np.searchsorted(line.fix_time, line.end[last[first]], side="right") - 1
@@ -91,7 +98,7 @@ class Seen:
     fix_variance : (2,) m2
     lever : (2,) m forward and left from the IMU to the antenna
     latency : s
-    imu : (3,) ax, ay (m/s2), gz (rad/s), of the sample
+    since : (k, 4) s, m/s2, m/s2, rad/s: the steps from the fix to the moment, each with its ax, ay, gz
     course : rad, roughly, at the fix; NaN where there is no alignment
     align : function that gives the alignment that ends at the fix, or None; costly
     """
@@ -104,7 +111,7 @@ class Seen:
     fix_variance: Array
     lever: Array
     latency: float
-    imu: Array
+    since: Array
     course: float
     align: Callable[[], InitialState | None]
 
@@ -124,9 +131,10 @@ class Seen:
         theta = self.mean[THETA]
         if np.isnan(self.course):
             return None
-        if abs(wrap_angle(float(self.course - theta))) < SUSPECT:
+        turned = float(self.since[:, 0] @ self.since[:, 3])
+        if abs(wrap_angle(float(self.course + turned - theta))) < SUSPECT:
             return False
-        aligned = self.align()
+        aligned = self.start
         if aligned is None:
             return None
         off = abs(wrap_angle(float(aligned.mean[THETA] - theta)))
@@ -135,11 +143,13 @@ class Seen:
 
     @property
     def start(self) -> InitialState | None:
-        """Where a filter could start anew at this moment."""
+        """Where a filter could start anew at this moment: the alignment, moved on by the steps since the fix."""
         aligned = self.align()
         if aligned is None:
             return None
-        mean = planar5(aligned.mean, self.time - aligned.time, self.imu)
+        mean = aligned.mean
+        for dt, *imu in self.since:
+            mean = planar5(mean, dt, np.array(imu))
         return InitialState(mean, aligned.covariance, self.time)
 
 
@@ -217,16 +227,28 @@ class Lately:
             self._samples.popleft()
 
     def fix(self, time: float, x: float, y: float) -> None:
-        """A fix, in whatever order."""
+        """A fix, in whatever order; it has to be finite."""
         self._fixes.append((time, x, y))
         if len(self._fixes) > 1 and self._fixes[-2][0] > time:
             self._fixes = deque(sorted(self._fixes, key=itemgetter(0)))
-        while self._fixes[0][0] < self._fixes[-1][0] - _KEPT:
+        oldest = self._samples[-1][0] - _KEPT if self._samples else -np.inf
+        while self._fixes and (self._fixes[0][0] < oldest or len(self._fixes) > _MOST_FIXES):
             self._fixes.popleft()
 
     def last_fix(self, until: float) -> tuple[float, ...] | None:
         """Time, x and y of the last fix up to a moment."""
         return next((fix for fix in reversed(self._fixes) if fix[0] <= until), None)
+
+    def steps_since(self, time: float) -> Array:
+        """The steps from a moment to the last sample, (k, 4), as `Seen.since`."""
+        rows: list[tuple[float, ...]] = []
+        for sample in reversed(self._samples):
+            if sample[0] < time:
+                break
+            rows.append(sample)
+        steps = np.array(rows[::-1])
+        steps[:, 0] = np.diff(steps[:, 0], prepend=time)
+        return steps
 
     @property
     def alignments(self) -> Alignments:
