@@ -144,6 +144,31 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
     assert evaluation.improvement("datasheet", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
 
 
+def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
+    assert evaluation.restarted == ()
+    assert evaluation.to_dict()["restarts"] == {
+        d.name: {"tuned": [], "defaults": [], "datasheet": []} for d in DRIVES
+    }
+    drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=120)
+    off = (drive.gps.time > 40) & (drive.gps.time < 90)
+    aside = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 300.0 * off))
+    gated = replace(GOOD, gate=9.2, process_noise=(1e-6, 1e-6, 1e-4, 1e-4, 1e-8))
+    found = evaluate(aside, gated)
+    times = run_filter(aside, gated).restarts
+    assert times
+    assert found.drives[aside.name].restarts["tuned"] == times
+    assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
+    (said,) = found.restarted
+    assert said.startswith(f"on {aside.name} the tuned filter lost its way and started anew")
+    assert f"t = {times[0]:.1f}" in said
+    plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
+    rmse = found.value(aside.name, "tuned", "position_rmse_m")
+    assert rmse == pytest.approx(
+        plain.position_rmse, rel=1e-3
+    )  # the moment itself is still the lost filter's
+    assert found.value(aside.name, "tuned", "position_95_m") == pytest.approx(plain.position_95, rel=1e-9)
+
+
 def test_equation_5_in_round_numbers():
     scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 1.0, 3.0, 9.0], strict=True)}
     evaluation = Evaluation({"d": Evaluated(scores)})
