@@ -254,3 +254,57 @@ def test_too_short_a_drive_is_an_error():
     drive = make_drive(duration=10.0)
     with pytest.raises(sigmaswarm.DriveError, match="too few"):
         sigmaswarm.diagnose(replace(drive, gps=drive.gps.select(slice(0, 5))))
+
+
+def states(drive: Drive, std: np.ndarray) -> Drive:
+    return replace(drive, gps=replace(drive.gps, std_x=std, std_y=std))
+
+
+def found_of(drive: Drive, code: str) -> str:
+    """What the doctor says of a finding; empty where it does not find it."""
+    return next((f.what for f in sigmaswarm.diagnose(drive).findings if f.code == code), "")
+
+
+def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
+    drive = simulated("mpu-6050")  # 1 m of white noise
+    n = len(drive.gps)
+    assert not found_of(drive, "gps-correlated")
+    assert not found_of(states(drive, np.full(n, 2.0)), "gps-correlated")
+    said = found_of(states(drive, np.full(n, 3.0)), "gps-correlated")
+    assert "the receiver states 3 m: their errors last" in said
+    assert found_of(
+        states(drive, np.full(n, 9.0)), "gps-noise"
+    )  # white noise so far below it: it is stated wrong
+    assert not found_of(states(drive, np.full(n, 9.0)), "gps-correlated")
+
+
+def test_the_options_follow_from_the_log():
+    drive = simulated("mpu-6050")
+    n, rng = len(drive.gps), np.random.default_rng(0)
+    assert found_of(drive, "use") == "tune with --use lateral standstill"
+    varied = states(drive, rng.uniform(0.5, 2.0, n))
+    assert found_of(varied, "use").startswith(
+        "tune with --use lateral standstill accuracy: the stated deviations"
+    )
+    velocity = simulated("icm-20602")  # its receiver gives speed and course
+    assert (
+        found_of(velocity, "use")
+        == "tune with --use lateral standstill velocity: the receiver gives speed and course"
+    )
+    assert velocity.gps.speed is not None
+    knots = replace(velocity, gps=replace(velocity.gps, speed=velocity.gps.speed / 0.514444))
+    assert found_of(knots, "use") == "tune with --use lateral standstill"
+    x = drive.gps.x.copy()
+    x[200] += 40.0
+    outlier = replace(drive, gps=replace(drive.gps, x=x))
+    assert (
+        found_of(outlier, "use") == "tune with --use lateral standstill robust: 1 fix lies far off the path"
+    )
+
+
+@needs_shared
+def test_a_city_s_receiver():
+    kingston = recorded("kingston-1")
+    assert found_of(kingston, "use").startswith("tune with --use lateral standstill accuracy robust:")
+    assert "the receiver states 2.3 m" in found_of(kingston, "gps-correlated")
+    assert found_of(kingston, "gps-repeats").startswith("18 fixes")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import MAX_HEADING_STD, Alignments, InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.errors import AlignmentError
@@ -325,3 +325,56 @@ def test_the_start_is_the_imus_place_not_the_antennas():
     start = initial_state(told)
     place = [np.interp(start.time, truth.time, c) for c in (truth.x, truth.y)]
     assert np.hypot(*(start.mean[:2] - place)) < 0.1
+
+
+def test_the_first_alignment_is_the_start_and_all_are_as_good():
+    drive = make_drive(duration=60.0, seed=2)
+    alignments = Alignments(drive)
+    found = [alignments.at(k) for k in range(len(alignments.time))]
+    first = next(one for one in found if one)
+    start = initial_state(drive)
+    np.testing.assert_array_equal(first.mean, start.mean)
+    np.testing.assert_array_equal(first.covariance, start.covariance)
+    known = [one for one in found if one]
+    assert len(known) > 0.9 * (60 - start.time) * 5
+    for k, one in enumerate(found):
+        assert one is None or one.time == alignments.time[k]
+        assert one is alignments.at(k)
+    errors = np.array([error_of(one, drive.truth) for one in known])
+    assert np.quantile(np.abs(errors[:, 4]), 0.95) < 2.5 * MAX_HEADING_STD
+    assert np.quantile(np.hypot(errors[:, 0], errors[:, 1]), 0.95) < 3.0
+
+
+def test_an_alignment_is_of_the_fixes_up_to_it_alone():
+    drive = make_drive(duration=30.0, seed=2)
+    whole, k = Alignments(drive), 80
+    seen = replace(drive, gps=drive.gps.select(drive.gps.time <= whole.time[k]))
+    late = drive.imu.time > whole.time[k]
+    blind = replace(
+        seen,
+        imu=replace(drive.imu, ax=np.where(late, 9.0, drive.imu.ax), gz=np.where(late, 3.0, drive.imu.gz)),
+    )
+    a, b = whole.at(k), Alignments(blind).at(k)
+    assert a is not None
+    assert b is not None
+    np.testing.assert_array_equal(a.mean, b.mean)
+    np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_the_rough_course_is_near_the_alignment_and_there_where_it_is():
+    drive = make_drive(duration=60.0, seed=5, gps_std=0.3)
+    alignments = Alignments(drive)
+    known = [(k, one) for k in range(len(alignments.time)) if (one := alignments.at(k))]
+    off = [wrapped(alignments.course[k] - one.mean[4]) for k, one in known]
+    assert np.max(np.abs(off)) < np.radians(20)
+    assert np.median(np.abs(off)) < np.radians(5)
+    assert np.isnan(alignments.course[:10]).all()
+
+
+def test_a_fix_that_is_no_number_takes_no_part():
+    drive = make_drive(duration=30.0, seed=2)
+    x = drive.gps.x.copy()
+    x[60] = np.nan
+    alignments = Alignments(replace(drive, gps=replace(drive.gps, x=x)))
+    assert len(alignments.time) == len(Alignments(drive).time) - 1
+    assert all(alignments.at(k) for k in range(70, 90))

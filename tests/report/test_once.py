@@ -43,7 +43,7 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     sigmaswarm.write_drive(DRIVE, tmp_path / "monday")
     GOOD.save(tmp_path / "tuning.toml")
     whole = prepared(DRIVE)
-    outages = outage_replay(whole).timeline
+    lengths = [len(outage_replay(whole, length=length).timeline.dt) for length in (5.0, 30.0)]
     aligned, lines, reckoned = (
         count_calls(monkeypatch, f) for f in (initial_state, build_timeline, run_imu_only)
     )
@@ -59,8 +59,8 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     command.evaluate(tmp_path / "tuning.toml", [tmp_path / "monday"], out=tmp_path / "out")
     assert (tmp_path / "out" / "monday-error.png").exists()
     assert (tmp_path / "out" / "monday-consistency.png").exists()
-    assert (len(aligned), len(lines), len(reckoned)) == (1, 2, 1)
-    k, without = len(whole.timeline().dt), len(outages.dt)
-    assert k != without
+    assert (len(aligned), len(lines), len(reckoned)) == (1, 3, 1)
+    k = len(whole.timeline().dt)
+    assert len({k, *lengths}) == 3
     # tuned filter and two manual ones, one after the other; with the outages side by side in one call
-    assert steps == {k: 3 * k, without: without}
+    assert steps == {k: 3 * k} | {n: n for n in lengths}

@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
@@ -20,8 +21,9 @@ from support import make_drive
 GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
-MEASURES = ["position_rmse_m", "heading_rmse_deg", "outage_drift_m"]
-DRIVES = [make_drive(duration=40.0, seed=s, name=f"drive-{s}") for s in range(2)]
+POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
+MEASURES = [*POSITIONS, "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m"]
+DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
         for method, measures in methods.items():
             assert list(measures) == MEASURES
             for measure, value in measures.items():
-                missing = method == "raw_gps" and measure != "position_rmse_m"
+                missing = method == "raw_gps" and measure not in POSITIONS
                 assert (value is None) if missing else (isinstance(value, float) and value > 0), (
                     method,
                     measure,
@@ -68,13 +70,23 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
         start = initial_state(drive)
         sets = [GOOD, DEFAULTS, datasheet(drive)]
         batch = Replayer([drive], outages=True).scores(sets)
+        long = Replayer([drive], outages=True, outage_length=30.0).scores(sets)
         for i, method in enumerate(METHODS[:3]):
+            plain = score_estimate(drive, run_filter(drive, sets[i]))
             assert said[drive.name][method] == {
                 "position_rmse_m": batch.position_rmse[i, 0],
+                "position_median_m": plain.position_median,
+                "position_95_m": plain.position_95,
                 "heading_rmse_deg": np.rad2deg(batch.heading_rmse[i, 0]),
                 "outage_drift_m": batch.outage_drift[i, 0],
+                "long_outage_drift_m": long.outage_drift[i, 0],
             }
-        assert said[drive.name]["raw_gps"]["position_rmse_m"] == score_raw_gps(drive, start).position_rmse
+        raw = score_raw_gps(drive, start)
+        assert [said[drive.name]["raw_gps"][m] for m in POSITIONS] == [
+            raw.position_rmse,
+            raw.position_median,
+            raw.position_95,
+        ]
         imu_only = score_estimate(drive, run_imu_only(drive, initial=start))
         assert said[drive.name]["imu_only"]["position_rmse_m"] == imu_only.position_rmse
         assert said[drive.name]["imu_only"]["heading_rmse_deg"] == np.rad2deg(imu_only.heading_rmse)
@@ -87,8 +99,35 @@ def test_dead_reckoning_drifts_from_the_start_on(evaluation: Evaluation):
     ends = outage_windows(drive, start, length=5.0, seed=0)[:, 1]
     at, true = np.searchsorted(estimate.time, ends), np.searchsorted(drive.truth.time, ends)
     error = np.hypot(estimate.mean[at, 0] - drive.truth.x[true], estimate.mean[at, 1] - drive.truth.y[true])
-    said = evaluation.to_dict()["drives"]["drive-0"]["imu_only"]["outage_drift_m"]
-    assert said == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+    said = evaluation.to_dict()["drives"]["drive-0"]["imu_only"]
+    assert said["outage_drift_m"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+    ends = outage_windows(drive, start, length=30.0, seed=0)[:, 1]
+    assert len(ends) == 1
+    at, true = np.searchsorted(estimate.time, ends), np.searchsorted(drive.truth.time, ends)
+    error = np.hypot(estimate.mean[at, 0] - drive.truth.x[true], estimate.mean[at, 1] - drive.truth.y[true])
+    assert said["long_outage_drift_m"] == pytest.approx(error[0], rel=1e-9)
+
+
+def test_a_drive_too_short_for_30_s_without_fixes_has_no_such_drift():
+    said = evaluate(make_drive(duration=35.0, seed=0, name="short"), GOOD).to_dict()["mean"]["tuned"]
+    assert said["long_outage_drift_m"] is None
+    assert said["outage_drift_m"] > 0
+
+
+def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(evaluation: Evaluation):
+    assert evaluation.worse_than_raw == ()
+    tuned = Score(position_rmse=3.0, position_median=0.5, position_95=7.25)
+    raw = Score(position_rmse=2.0, position_median=1.0, position_95=4.0)
+    others = dict.fromkeys(METHODS, Score())
+    drives = {
+        "town": Evaluated(others | {"tuned": tuned, "raw_gps": raw}),
+        "field": Evaluated(others | {"tuned": raw, "raw_gps": tuned}),
+        "blind": Evaluated(others),
+    }
+    assert Evaluation(drives).worse_than_raw == (
+        "on town the tuned filter is WORSE than the raw fixes: RMSE 3 m against 2 m, 95% 7.25 m against 4 m",
+        "on field the tuned filter is WORSE than the raw fixes: 50% 1 m against 0.5 m",
+    )
 
 
 def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
@@ -103,6 +142,31 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
     sheet = said["mean"]["datasheet"]["heading_rmse_deg"]
     expected = (sheet - said["mean"]["tuned"]["heading_rmse_deg"]) / sheet * 100
     assert evaluation.improvement("datasheet", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
+    assert evaluation.restarted == ()
+    assert evaluation.to_dict()["restarts"] == {
+        d.name: {"tuned": [], "defaults": [], "datasheet": []} for d in DRIVES
+    }
+    drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=120)
+    off = (drive.gps.time > 40) & (drive.gps.time < 90)
+    aside = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 300.0 * off))
+    gated = replace(GOOD, gate=9.2, process_noise=(1e-6, 1e-6, 1e-4, 1e-4, 1e-8))
+    found = evaluate(aside, gated)
+    times = run_filter(aside, gated).restarts
+    assert times
+    assert found.drives[aside.name].restarts["tuned"] == times
+    assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
+    (said,) = found.restarted
+    assert said.startswith(f"on {aside.name} the tuned filter lost its way and started anew")
+    assert f"t = {times[0]:.1f}" in said
+    plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
+    rmse = found.value(aside.name, "tuned", "position_rmse_m")
+    assert rmse == pytest.approx(
+        plain.position_rmse, rel=1e-3
+    )  # the moment itself is still the lost filter's
+    assert found.value(aside.name, "tuned", "position_95_m") == pytest.approx(plain.position_95, rel=1e-9)
 
 
 def test_equation_5_in_round_numbers():
@@ -129,7 +193,7 @@ def test_without_truth_only_the_drift_can_be_said():
     json.dumps(said, allow_nan=False)
     for method in METHODS:
         scores = said["drives"]["drive-0"][method]
-        assert scores["position_rmse_m"] is None
+        assert [scores[m] for m in POSITIONS] == [None] * 3
         assert scores["heading_rmse_deg"] is None
         assert (scores["outage_drift_m"] is None) == (method == "raw_gps")
         assert said["mean"][method] == scores

@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
-from sigmaswarm.scoring.score import score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import PositionErrors, quantiles_of, score_estimate, score_raw_gps
 from support import make_drive
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
@@ -20,6 +20,21 @@ SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0)
 def turned(a: float, b: float) -> float:
     """From angle a to angle b, the short way."""
     return math.atan2(math.sin(b - a), math.cos(b - a))
+
+
+def distances(truth: Truth, estimate: Estimate) -> list[float]:
+    """How far the estimate lies from each moment of truth, m."""
+    nodes = [(estimate.initial.time, estimate.initial.mean), *zip(estimate.time, estimate.mean, strict=True)]
+    found, at = [], 0
+    for j, t in enumerate(truth.time):
+        if not nodes[0][0] <= t <= nodes[-1][0]:
+            continue
+        while nodes[at + 1][0] < t:
+            at += 1
+        (t0, a), (t1, b) = nodes[at], nodes[at + 1]
+        w = (t - t0) / (t1 - t0)
+        found.append(math.hypot(*((1 - w) * a[i] + w * b[i] - (truth.x, truth.y)[i][j] for i in (0, 1))))
+    return found
 
 
 def by_loop(truth: Truth, estimate: Estimate) -> tuple[float, float]:
@@ -51,6 +66,29 @@ def test_position_and_heading_are_those_of_a_loop(variant: str):
         by_loop(drive.truth, estimate), rel=1e-10
     )
     assert not score.failed
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_quantiles_are_those_of_a_loop(variant: str):
+    drive = VARIANTS[variant]
+    estimate = run_filter(drive, SET)
+    off = sorted(distances(drive.truth, estimate))
+    expected = [
+        off[int(at)] + at % 1 * (off[min(int(at) + 1, len(off) - 1)] - off[int(at)])
+        for at in (0.5 * (len(off) - 1), 0.95 * (len(off) - 1))
+    ]
+    score = score_estimate(drive, estimate)
+    assert [score.position_median, score.position_95] == pytest.approx(expected, rel=1e-9)
+    pieces = PositionErrors(drive.truth, estimate.initial)
+    for first in range(0, len(estimate.time), 777):
+        part = slice(first, first + 777)
+        pieces.add(estimate.time[part], estimate.mean[part])
+    assert pieces.quantiles == (score.position_median, score.position_95)
+
+
+def test_there_are_no_quantiles_of_nothing():
+    assert np.isnan(quantiles_of(np.empty(0))).all()
+    assert np.isnan(quantiles_of(np.array([1.0, np.nan]))).all()
 
 
 def moving_east(speed: float, *, n: int = 11) -> Truth:

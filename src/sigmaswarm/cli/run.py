@@ -1,9 +1,13 @@
 """`sigmaswarm run`."""
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from sigmaswarm import Estimate
 
 
 def run(
@@ -72,14 +76,26 @@ def run(
     began, replay = time_origin_of(read), replay_of(read)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
-    pieces = estimates(replay, parameters)
+    restarts: list[float] = []
+    pieces = _watched(estimates(replay, parameters), restarts)
     write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside)
     if truth and true:
         write_estimate(true, truth, origin=place, time_origin=began)
     if json:
-        print_json({"out": str(out), "estimates": len(time), "start_s": first, "end_s": last})
+        ends = {"start_s": first, "end_s": last}
+        print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts})
     else:
+        if restarts:
+            at = ", ".join(f"{t:.2f}" for t in restarts)
+            stdout().print(f"the filter lost its way and started anew at t = {at} s")
         stdout().print(f"wrote {len(time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
+
+
+def _watched(pieces: "Iterator[Estimate]", restarts: list[float]) -> "Iterator[Estimate]":
+    """The pieces; when the filter started anew is noted as they pass."""
+    for piece in pieces:
+        restarts.extend(piece.restarts)
+        yield piece
 
 
 def _place(text: str) -> tuple[float, float, float]:

@@ -12,6 +12,7 @@ b what tilt and bias add to it. The unknowns are position p_i, heading theta_i, 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,23 +78,85 @@ def initial_state(drive: Drive) -> InitialState:
     """
     # Later code may start a filter only where IMU samples follow.
     fixes = np.flatnonzero((drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1]))
-    position = drive.gps.x + 1j * drive.gps.y
-    time = drive.gps.time
-    turned, sped = _integrated(drive)
-    for i in fixes:
-        window = fixes[(time[fixes] >= time[i] - MAX_DURATION) & (fixes <= i)]
-        if time[i] - time[window[0]] < MIN_DURATION or len(window) < 4:
-            continue
-        if abs(position[i] - position[window[0]]) < 0.5 * MIN_TRAVEL:  # a cheap look before the fit
-            continue
-        fit = _Fit.of(drive, turned, sped, time[window], position[window])
-        smooth = fit.misfit <= MAX_MISFIT * fit.travel
-        if fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth:
-            return fit.state()
+    alignments = Alignments(drive, fixes)
+    for k in range(len(fixes)):
+        if found := alignments.at(k):
+            return found
     raise AlignmentError(
         f"{drive.name}: never travels {MIN_TRAVEL:g} m within {MAX_DURATION:g} s, so the heading can't be found; "
         "use a longer drive, or one that gets up to speed"
     )
+
+
+class Alignments:
+    """The alignment that ends at each fix, by the log alone; found when it is first asked for, and kept.
+
+    Parameters
+    ----------
+    drive : Drive
+    fixes : ndarray of int, shape (m,), optional
+        The numbers of the fixes that are looked at; by default those after the first IMU sample.
+
+    Attributes
+    ----------
+    time : ndarray, shape (m,)
+        s, of those fixes.
+    """
+
+    def __init__(self, drive: Drive, fixes: NDArray[np.intp] | None = None) -> None:
+        self._drive = drive
+        if fixes is None:
+            inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
+            fixes = np.flatnonzero(inside & np.isfinite(drive.gps.x + drive.gps.y))
+        self.time = drive.gps.time[fixes]
+        self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
+        # The fixes of the last seconds before each.
+        self._first = np.searchsorted(self.time, self.time - MAX_DURATION, side="left")
+        count = np.arange(len(fixes)) - self._first + 1
+        chord = np.abs(self._position - self._position[self._first])
+        # A cheap look before the fit.
+        self._worth = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= 4)
+        self._worth &= chord >= 0.5 * MIN_TRAVEL
+        self._found: dict[int, InitialState | None] = {}
+
+    def at(self, k: int) -> InitialState | None:
+        """The alignment that ends at the k-th of the fixes; None where the car has not travelled enough, or they jump.
+
+        It takes some milliseconds: ask where it matters.
+        """
+        if k not in self._found:
+            self._found[k] = self._fitted(k) if self._worth[k] else None
+        return self._found[k]
+
+    def _fitted(self, k: int) -> InitialState | None:
+        window = slice(self._first[k], k + 1)
+        fit = _Fit.of(self._drive, *self._integrals, self.time[window], self._position[window])
+        smooth = fit.misfit <= MAX_MISFIT * fit.travel
+        usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
+        return fit.state() if usable else None
+
+    @cached_property
+    def _integrals(self) -> tuple[Array, Array]:
+        return _integrated(self._drive)
+
+    @cached_property
+    def course(self) -> Array:
+        """A rough heading at each fix, (m,) rad; NaN where there is no alignment. All of a drive's cost little.
+
+        It is where the fit begins: the chord of the last seconds, with the turns in between taken out. Changes of speed
+        in a turn make it wrong by some degrees.
+        """
+        imu, turned = self._drive.imu, self._integrals[0]
+        direction = np.exp(1j * turned)
+        pieces = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)
+        way = np.concatenate([[0.0], np.cumsum(pieces)])
+        at = np.interp(self.time, imu.time, way)
+        psi = np.interp(self.time, imu.time, turned)
+        first, last = self._first[self._worth], np.flatnonzero(self._worth)
+        course = np.full(len(self.time), np.nan)
+        chord = self._position[last] - self._position[first]
+        course[last] = np.angle(chord * (at[last] - at[first]).conj() * np.exp(1j * psi[last]))
+        return course
 
 
 def _integrated(drive: Drive) -> tuple[Array, Array]:
@@ -124,7 +187,8 @@ class _Fit:
     ) -> "_Fit":
         imu, end = drive.imu, time[-1]
         # The IMU's grid between the first and the last fix, both included.
-        grid = np.concatenate([[time[0]], imu.time[(imu.time > time[0]) & (imu.time < end)], [end]])
+        inside = slice(*np.searchsorted(imu.time, [time[0]], side="right"), *np.searchsorted(imu.time, [end]))
+        grid = np.concatenate([[time[0]], imu.time[inside], [end]])
         psi, gained = np.interp(grid, imu.time, turned), np.interp(grid, imu.time, sped)
         # The last fix comes after the last sample that a filter on board would have: hold that one.
         last = int(np.searchsorted(imu.time, end, side="right")) - 1

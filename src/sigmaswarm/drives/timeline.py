@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.standstill import standing
 
@@ -93,6 +94,11 @@ class Timeline:
     def stands(self) -> NDArray[np.bool_]:
         """Standstill at the step's end, (k,); found out only for a filter that asks."""
         return standing(self.drive)[self.sample]
+
+    @cached_property
+    def alignments(self) -> Alignments:
+        """Of the fixes that a filter sees; only for one that may be lost."""
+        return Alignments(self.drive)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
         """The same steps with fixes that a filter does not get to see; all other arrays are shared.

@@ -11,13 +11,16 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.layout import N_KEPT
+from sigmaswarm.filters.compiled.layout import N_KEPT, R
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import Chunk, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recovery import LATEST_LOOK, Lately, Recovery, Seen, at_fix, slot_of
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
+MOST_RESTARTS = 1000
+"""Whose times a live filter keeps."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
 
@@ -32,12 +35,14 @@ class LiveState:
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
     failed : bool: the covariance lost its definiteness, or something became NaN
+    lost : bool: the filter is lost and can't yet start anew; the position is that of the last fix
     """
 
     time: float
     mean: Array
     covariance: Array
     failed: bool
+    lost: bool = False
 
 
 class LiveFilter:
@@ -51,6 +56,10 @@ class LiveFilter:
     One stamp alone is not believed if it lies more than 10 s ahead: such a sample is held back until a second one,
     within a second of it, says the same; then both are taken, as after a silence. Else it is dropped and counted. So
     are fixes, of which samples that have got there also say the same.
+
+    It is watched as a run is: once a second it is held against the fixes of the last seconds, and if it is lost it
+    starts anew (`recovery`): later than a run does by as much as fixes come late. From then on a fix from before that
+    moment comes too late.
 
     What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
     filter of a process loads or compiles that; no sample waits for it.
@@ -66,9 +75,13 @@ class LiveFilter:
         m forward and left from the IMU to the antenna.
     history : float
         s that are kept for late fixes.
+    recover : bool
+        Start anew where the filter is lost.
 
     Attributes
     ----------
+    restarts : list of float
+        s: when it did; the last `MOST_RESTARTS`.
     too_late : int
         Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
     time_jumps : int
@@ -86,6 +99,7 @@ class LiveFilter:
         nominal_interval: float,
         lever_arm: Sequence[float] = (0.0, 0.0),
         history: float = 1.0,
+        recover: bool = True,
     ) -> None:
         p = parameters
         self.parameters = p
@@ -107,6 +121,12 @@ class LiveFilter:
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
             np.zeros((samples, live.N_RECORD)),
         )
+        self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
+        self._recovery = Recovery() if recover else None
+        self._lately = Lately(lever_arm)
+        self._history = history
+        self._last_fix, self._came_late = -np.inf, False
+        self._looked = -1.0  # the interval between looks in which the last one was
         live.ready()
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
@@ -117,7 +137,16 @@ class LiveFilter:
         Samples before the start only teach the filter what calm is, for the standstill.
         """
         ax, ay, gz = imu
+        before = float(self._belief[live.LAST_SAMPLE])
         _take_sample(*self._memory, t, ax, ay, gz)
+        if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
+            held = self._belief[live.SAMPLE_AHEAD]
+            if t - before > live.LEAP and before < held[0] < t:  # it had waited for this one
+                self._lately.sample(*held.tolist())
+                self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
+            self._lately.sample(t, ax, ay, gz)
+            if t > self._belief[live.START]:
+                self._watch(self._recovery, t)
 
     def update(
         self,
@@ -146,7 +175,60 @@ class LiveFilter:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
         else:
             kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0, var_x, var_y)
+        begun = t > self._belief[live.START]
+        if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
+            self._came_late = begun and t <= self._belief[live.TIME]
+            self._lately.fix(t, fix[0], fix[1])
         return kept == live.TAKEN
+
+    def _watch(self, recovery: Recovery, now: float) -> None:
+        """Look at the filter after a sample, if it is time and a fix has come since the last look."""
+        fix = self._lately.last_fix(now)
+        if fix is None:
+            return
+        fresh = fix[0] > max(self._last_fix, float(self._belief[live.START]))
+        soon = now - fix[0] <= LATEST_LOOK + (self._history if self._came_late else 0.0)
+        self._last_fix = fix[0]
+        slot = float(slot_of(np.float64(now), float(self._belief[live.START])))
+        if fresh and soon and slot != self._looked:
+            self._looked = slot
+            start = recovery.look(self._seen(now, fix))
+            if start is not None:
+                self._start_anew(start)
+        if recovery.lost:
+            variance = self._belief[[R.RX, R.RY]]
+            theta = float(self._belief[THETA])
+            self._start_anew(at_fix(now, np.array(fix[1:]), variance, theta, self._lever))
+
+    def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
+        alignments = self._lately.alignments
+        mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
+        _read_state(self._belief, mean, covariance)
+        return Seen(
+            time=now,
+            mean=mean,
+            covariance=covariance,
+            fix_time=fix[0],
+            fix=np.array(fix[1:]),
+            fix_variance=self._belief[[R.RX, R.RY]],
+            lever=self._lever,
+            latency=self.parameters.latency,
+            since=self._lately.steps_since(fix[0]),
+            course=float(alignments.course[-1]) if len(alignments.time) else np.nan,
+            align=lambda: alignments.at(len(alignments.time) - 1) if len(alignments.time) else None,
+        )
+
+    def _start_anew(self, start: InitialState) -> None:
+        """The filter as at a start; what is kept for late fixes is of the one that was lost."""
+        rows = start_rows([start], [self._interval], Chunk((self.parameters,)))
+        self._belief[:N_KEPT] = rows[0, :, 0]
+        counts = self._memory[1]
+        counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+
+    @property
+    def restarts(self) -> list[float]:
+        """See the class."""
+        return [] if self._recovery is None else self._recovery.restarts[-MOST_RESTARTS:]
 
     @property
     def too_late(self) -> int:
@@ -170,7 +252,8 @@ class LiveFilter:
         sound = _read_state(self._belief, mean, covariance) and self._plausible
         if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
             mean[THETA] = wrap_angle(float(mean[THETA]))
-        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound)
+        lost = self._recovery is not None and self._recovery.lost
+        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound, lost)
 
 
 # Numba's types say nothing of what they call.

@@ -2,17 +2,20 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.compiled.layout import N_STATE
+from sigmaswarm.filters.compiled.layout import N_STATE, R
 from sigmaswarm.filters.compiled.run import new_place
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import Chunk, definite, unpack_states, unpack_sums
+from sigmaswarm.filters.packing import Chunk, definite, start_rows, unpack_states, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
 from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
@@ -32,12 +35,15 @@ class Piece:
         As in `Estimate`: heading wrapped to (-pi, pi]; NaN from a failure on.
     sound : ndarray of bool, shape (r,)
         False from a failure on.
+    lost : ndarray of bool, shape (r,)
+        True where the filter is lost, and the estimate is the last fix: see `recovery`.
     """
 
     time: Array
     mean: Array
     covariance: Array
     sound: NDArray[np.bool_]
+    lost: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +87,31 @@ class Recording:
     parameters : FilterParameters
     samples : int
         IMU samples in a piece; the last one may be shorter.
+    recover : bool
+        Start anew where the filter is lost: see `recovery`.
 
     Attributes
     ----------
+    restarts : list of float
+        s: when it did, in the pieces so far.
     failure : str or None
         What went wrong in the pieces so far, and when.
     """
 
-    def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int = SAMPLES) -> None:
+    def __init__(
+        self,
+        replay: Replay,
+        parameters: FilterParameters,
+        *,
+        samples: int = SAMPLES,
+        recover: bool = False,
+    ) -> None:
         self._replay, self._chunk, self._samples = replay, Chunk((parameters,)), samples
         self._rows, self._place = start_replays([replay], self._chunk), new_place()
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
+        self._looks = looks_of(replay.timeline) if recover else None
+        self._recovery = Recovery()
+        self.restarts = self._recovery.restarts
         self._pieces = self._run()
         self._complete = False
         self.failure: str | None = None
@@ -104,6 +124,12 @@ class Recording:
         pieces = list(self)
         return Piece(*(np.concatenate([getattr(p, f.name) for p in pieces]) for f in fields(Piece)))
 
+    def finished(self) -> Self:
+        """The same, after the last piece; for who needs no estimates."""
+        for _ in self._pieces:
+            pass
+        return self
+
     def _run(self) -> Iterator[Piece]:
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
@@ -111,12 +137,77 @@ class Recording:
         for first in range(0, len(ends), self._samples):
             stops = ends[first : first + self._samples]
             part = record[: len(stops)]
-            stop = int(stops[-1])
-            run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, part, self._innovations)
-            yield self._piece(line.imu_time[first : first + len(stops)], part)
+            lost = self._run_to(stops, part)
+            yield self._piece(line.imu_time[first : first + len(stops)], part, lost)
         self._complete = True
 
-    def _piece(self, time: Array, record: Array) -> Piece:
+    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+        """Run to the last of the stops, (r,), each behind a step that ends at an IMU sample; (r,) where it is lost."""
+        lost = np.zeros(len(stops), dtype=np.bool_)
+        if self._looks is None:
+            self._steps_to(int(stops[-1]), record)
+            return lost
+        due = np.flatnonzero(np.isin(stops - 1, self._looks.step))
+        row = 0
+        while row < len(stops):
+            k = int(np.searchsorted(due, row))
+            looks = k < len(due) and (due[k] == row or not self._recovery.lost)
+            last = int(due[k]) if looks else row if self._recovery.lost else len(stops) - 1
+            step = int(stops[last]) - 1
+            self._steps_to(step + 1, record[row : last + 1])
+            if (looks and self._look(step)) or self._recovery.lost:
+                if self._recovery.lost:
+                    self._hold(step)
+                record[last, :N_STATE, 0] = self._rows[0, :N_STATE, 0]
+            lost[last] = self._recovery.lost
+            row = last + 1
+        return lost
+
+    def _steps_to(self, stop: int, record: Array) -> None:
+        run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, record, self._innovations)
+
+    def _look(self, step: int) -> bool:
+        """Look at the filter after a step; whether it started anew."""
+        line, p = self._replay.timeline, self._chunk.sets[0]
+        assert self._looks is not None
+        fix = int(self._looks.fix[np.searchsorted(self._looks.step, step)])
+        time = float(line.fix_time[fix])
+        alignments = line.alignments
+        ends = int(np.searchsorted(alignments.time, time, side="right")) - 1
+        mean, covariance = unpack_states(self._rows[0, :N_STATE, :1], p.n_states)
+        seen = Seen(
+            time=float(line.end[step]),
+            mean=mean[0],
+            covariance=covariance[0],
+            fix_time=time,
+            fix=line.fixes[fix, :2],
+            fix_variance=self._rows[0, [R.RX, R.RY], 0],
+            lever=line.lever,
+            latency=p.latency,
+            since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
+            course=float(alignments.course[ends]),
+            align=lambda: alignments.at(ends),
+        )
+        start = self._recovery.look(seen)
+        if start is not None:
+            self._start_anew(start)
+        return start is not None
+
+    def _hold(self, step: int) -> None:
+        """Take the last fix for the estimate."""
+        line, time = self._replay.timeline, float(self._replay.timeline.end[step])
+        fix = line.fixes[np.searchsorted(line.fix_time, time, side="right") - 1, :2]
+        variance = self._rows[0, [R.RX, R.RY], 0]
+        self._start_anew(at_fix(time, fix, variance, float(self._rows[0, R.T, 0]), line.lever))
+
+    def _start_anew(self, start: InitialState) -> None:
+        """The filter as at a start; what it has added up stays."""
+        fresh = start_rows([start], [self._replay.timeline.nominal_interval], self._chunk)[0]
+        added_up = slice(R.SQ_POSITION, R.OK + 1)
+        fresh[added_up] = self._rows[0, added_up]
+        self._rows[0] = fresh
+
+    def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
         mean, covariance = unpack_states(record[:, :N_STATE, 0].T, self._chunk.sets[0].n_states)
         sound = (record[:, N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._chunk.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
@@ -124,7 +215,7 @@ class Recording:
         mean[~sound], covariance[~sound] = np.nan, np.nan
         if self.failure is None and not sound.all():
             self.failure = failure_at(self._replay.timeline, time[np.argmin(sound)])
-        return Piece(time, mean, covariance, sound)
+        return Piece(time, mean, covariance, sound, lost)
 
     @property
     def sums(self) -> Sums:

@@ -35,6 +35,11 @@ class Estimate:
         Of ``mean``; empty for dead reckoning, which has none.
     initial : InitialState
         Where the filter started.
+    restarts : tuple of float
+        s: when it was lost and started anew, see `recovery`.
+    lost : ndarray of bool, shape (n,) or None
+        Where it was lost and could not yet start anew: there the estimate is the last fix. None for an estimate that
+        is not watched.
     failure : str or None
         What went wrong and when; None where nothing did.
     """
@@ -44,10 +49,16 @@ class Estimate:
     covariance: Array
     initial: InitialState
     failure: str | None = None
+    restarts: tuple[float, ...] = ()
+    lost: NDArray[np.bool_] | None = None
 
 
 def run_filter(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    recover: bool = True,
 ) -> Estimate:
     """Run the compiled filter over a drive.
 
@@ -58,6 +69,8 @@ def run_filter(
     parameters : FilterParameters
     initial : InitialState, optional
         Where to start; `initial_state(drive)` by default.
+    recover : bool
+        Start anew where the filter is lost: see `recovery`. A tuning's runs never do.
 
     Returns
     -------
@@ -70,9 +83,17 @@ def run_filter(
         If ``initial`` is not given and the drive never moves far enough.
     """
     replay = replay_of(drive, initial)
-    recording = Recording(replay, parameters)
+    recording = Recording(replay, parameters, recover=recover)
     whole = recording.whole()
-    return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
+    return Estimate(
+        whole.time,
+        whole.mean,
+        whole.covariance,
+        replay.initial,
+        recording.failure,
+        tuple(recording.restarts),
+        whole.lost if recover else None,
+    )
 
 
 def run_innovations(
@@ -82,10 +103,7 @@ def run_innovations(
 
     Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
     """
-    recording = Recording(replay_of(drive, initial), parameters)
-    for _ in recording:
-        pass
-    return recording.innovations
+    return Recording(replay_of(drive, initial), parameters).finished().innovations
 
 
 def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None) -> Replay:
@@ -112,11 +130,16 @@ def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate
     SigmaswarmError
         Where the filter fails.
     """
-    recording = Recording(replay, parameters)
+    recording = Recording(replay, parameters, recover=True)
+    told = 0
     for piece in recording:
         if recording.failure:
             raise SigmaswarmError(recording.failure)
-        yield Estimate(piece.time, piece.mean, piece.covariance, replay.initial)
+        restarts = tuple(recording.restarts[told:])
+        told = len(recording.restarts)
+        yield Estimate(
+            piece.time, piece.mean, piece.covariance, replay.initial, restarts=restarts, lost=piece.lost
+        )
 
 
 def run_textbook(

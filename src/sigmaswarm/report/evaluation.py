@@ -76,10 +76,12 @@ def comparison(evaluation: Evaluation) -> Figure:
     """Bars of the mean scores of each method, where there are any: without truth no errors."""
     charts = [
         replace(chart, title=chart.x.title, x=replace(chart.x, title=""))
-        for chart in method_bars(evaluation.record, evaluation.names)
+        for chart in method_bars(evaluation.record, evaluation.names, evaluation.measures)
     ]
     if charts:
-        return figure_of(*charts, size=(11 if len(charts) > 1 else 6.4, 3.4))
+        columns = min(len(charts), 3)
+        rows = -(-len(charts) // columns)
+        return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)
     figure, (ax,) = new_figure(6.4, 3.4)
     ax.set_axis_off()
     ax.text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")

@@ -15,7 +15,8 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import joined, run_replays
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
@@ -27,7 +28,13 @@ from sigmaswarm.scoring.records import (
     ScoresRecord,
 )
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import (
+    LONG_OUTAGE_LENGTH,
+    OUTAGE_LENGTH,
+    outage_replay,
+    outage_windows,
+    tracking_replay,
+)
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.versions import versions
 
@@ -69,12 +76,52 @@ class Measure:
         return f"{self.title}, {self.unit}"
 
 
-MEASURES: dict[str, Measure] = {
-    "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
-    "heading_rmse_deg": Measure("heading error", "deg", lambda s: float(np.degrees(s.heading_rmse))),
-    "outage_drift_m": Measure("outage drift", "m", lambda s: s.outage_drift),
-}
-"""What is compared, in the units in which people read it."""
+def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
+    """What is compared, in the units in which people read it; ``outage_length``, s, is that of the shorter outages."""
+    return {
+        "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
+        "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
+        "position_95_m": Measure("position 95%", "m", lambda s: s.position_95),
+        "heading_rmse_deg": Measure("heading error", "deg", lambda s: float(np.degrees(s.heading_rmse))),
+        "outage_drift_m": Measure(f"{outage_length:g} s outage drift", "m", lambda s: s.outage_drift),
+        "long_outage_drift_m": Measure(
+            f"{LONG_OUTAGE_LENGTH:g} s outage drift", "m", lambda s: s.long_outage_drift
+        ),
+    }
+
+
+MEASURES = measures()
+POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
+"""Those in which a filter is held against the raw fixes, and what a sentence calls them."""
+
+
+def restarted(scores: ScoresRecord) -> tuple[str, ...]:
+    """A sentence for each drive on which the tuned filter lost its way."""
+    said: list[str] = []
+    for drive, found in scores.restarts.items():
+        if times := found.get("tuned"):
+            at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
+            often = f"{len(times)} times" if len(times) > 1 else "once"
+            said.append(f"on {drive} the tuned filter lost its way and started anew {often}, at t = {at} s")
+    return tuple(said)
+
+
+def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
+    """A sentence for each drive on which the tuned filter's position is worse than the fixes that it was given."""
+    said: list[str] = []
+    for drive, found in scores.drives.items():
+        pairs = {
+            what: (found["tuned"].get(measure), found["raw_gps"].get(measure))
+            for measure, what in POSITION_MEASURES.items()
+        }
+        worse = [
+            f"{what} {tuned:.3g} m against {raw:.3g} m"
+            for what, (tuned, raw) in pairs.items()
+            if tuned is not None and raw is not None and tuned > raw
+        ]
+        if worse:
+            said.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
+    return tuple(said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +141,8 @@ class Evaluated:
         The same, fine enough for paper.
     data : mapping
         What identifies the drive.
+    restarts : mapping of method to tuple of float
+        s: when a filter was lost and started anew, see `filters.recovery`.
     """
 
     scores: Mapping[str, Score]
@@ -102,6 +151,7 @@ class Evaluated:
     tracks: Tracks | None = None
     picture: Picture | None = None
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +164,7 @@ class Evaluation:
     names : mapping of method to str
         What people call the methods.
     outage_length, outage_seed : float, int
-        s without fixes, and what placed the outages.
+        s without fixes, beside windows of 30 s, and what placed the outages.
     """
 
     drives: Mapping[str, Evaluated]
@@ -150,6 +200,21 @@ class Evaluation:
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
 
     @property
+    def measures(self) -> Mapping[str, Measure]:
+        """`MEASURES`, called after the length of this evaluation's outages."""
+        return measures(self.outage_length)
+
+    @property
+    def restarted(self) -> tuple[str, ...]:
+        """See the function of that name."""
+        return restarted(self.record)
+
+    @property
+    def worse_than_raw(self) -> tuple[str, ...]:
+        """See the function of that name."""
+        return worse_than_raw(self.record)
+
+    @property
     def record(self) -> ScoresRecord:
         """As scores.json holds it."""
         told = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
@@ -160,6 +225,10 @@ class Evaluation:
             },
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
             consistency=told,
+            restarts={
+                drive: {m: list(found.restarts.get(m, ())) for m in METHODS if m in found.restarts}
+                for drive, found in self.drives.items()
+            },
             improvement_percent={
                 over: {k: self.improvement(over, k) for k in MEASURES} for over in ("defaults", "datasheet")
             },
@@ -218,7 +287,7 @@ def evaluate(
     parameters : FilterParameters
         The tuned ones.
     outage_length : float
-        s without fixes.
+        s without fixes; outages of 30 s are tried beside those.
     outage_seed : int
         Places the outages: the same for every method.
 
@@ -254,16 +323,17 @@ def _evaluated(
     dead_reckoning = score_imu_only(drive, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
-    recorded = [tracker.record(method, tracking, p) for method, p in filters.items()]
+    recorded = [tracker.record(method, tracking, p, recover=True) for method, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
+    restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
     del recorded, tracking  # the next pass has steps and targets of its own
-    ready.forget()
-    outages = outage_replay(ready, length=length, seed=seed)
-    sums = run_replays([outages], list(filters.values()))
-    drift = scores_of({"outages": [outages]}, {"outages": sums})
-    each = {method: _joined(whole[i, 0], drift[i, 0]) for i, method in enumerate(filters)}
+    drifts = [_drifts(ready, list(filters.values()), each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
+    each = {
+        method: _joined(whole[i, 0], *(drift[i] for drift in drifts), tracker.quantiles[method])
+        for i, method in enumerate(filters)
+    }
     others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
@@ -273,20 +343,45 @@ def _evaluated(
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
         data=described(drive),
+        restarts=restarts,
     )
 
 
-def _joined(whole: Score, with_outages: Score) -> Score:
-    """One score of a filter's two passes."""
-    failed = whole.failed or with_outages.failed
-    return replace(whole, outage_drift=with_outages.outage_drift, failed=failed)
+def _drifts(
+    ready: PreparedDrive, filters: Sequence[FilterParameters], length: float, seed: int
+) -> list[Score]:
+    """What outages of a length (s) make of filters; nothing is known where none fits. No steps are kept."""
+    if not len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)):
+        return [Score()] * len(filters)
+    ready.forget()
+    outages = outage_replay(ready, length=length, seed=seed)
+    recordings = [Recording(outages, p, recover=True) for p in filters]
+    sums = joined([recording.finished().sums for recording in recordings], axis=1)
+    scores = scores_of({"outages": [outages]}, {"outages": sums})
+    ready.forget()
+    return [scores[i, 0] for i in range(len(filters))]
+
+
+def _joined(whole: Score, outages: Score, long_outages: Score, quantiles: tuple[float, float]) -> Score:
+    """One score of a filter's passes."""
+    return replace(
+        whole,
+        position_median=quantiles[0],
+        position_95=quantiles[1],
+        outage_drift=outages.outage_drift,
+        long_outage_drift=long_outages.outage_drift,
+        failed=whole.failed or outages.failed or long_outages.failed,
+    )
 
 
 def score_imu_only(drive: Drive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
+    drift, long_drift = (
+        _drift(drive, estimate, outage_windows(drive, estimate.initial, length=each, seed=seed)[:, 1])
+        for each in (length, LONG_OUTAGE_LENGTH)
+    )
     score = score_estimate(drive, estimate)
-    ends = outage_windows(drive, estimate.initial, length=length, seed=seed)[:, 1]
-    return Score(score.position_rmse, score.heading_rmse, _drift(drive, estimate, ends))
+    return replace(score, outage_drift=drift, long_outage_drift=long_drift, failed=False)
 
 
 def _drift(drive: Drive, estimate: Estimate, ends: np.ndarray) -> float:

@@ -52,6 +52,8 @@ class ScoresRecord(BaseModel):
     mean: dict[str, Measured]
     consistency: dict[str, ConsistencyRecord | None] = Field(default_factory=dict)
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
+    restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
+    """By drive and method, s: when a filter was lost and started anew."""
 
     def mean_of(self, method: str, measure: str) -> float | None:
         """Over the drives that have it; None where it can't be said."""

@@ -26,8 +26,10 @@ class Score:
     Attributes
     ----------
     position_rmse : m, sqrt(mean(ex^2 + ey^2)) at truth times
+    position_median, position_95 : m, the 50% and 95% quantiles of sqrt(ex^2 + ey^2) at truth times
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
     outage_drift : m, RMS over windows without fixes of the position error at the window's end
+    long_outage_drift : m, the same over windows of 30 s
     fix_rmse : m, RMS residual of the fixes after they were absorbed (the paper's equation 4)
     forecast_rmse : m, RMS innovation of fixes hidden for 3 to 5 s, forecast through those windows
     innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each is absorbed
@@ -48,6 +50,9 @@ class Score:
     forecast_t: float = float("nan")
     mean_nis: float = float("nan")
     mean_nees: float = float("nan")
+    position_median: float = float("nan")
+    position_95: float = float("nan")
+    long_outage_drift: float = float("nan")
     failed: bool = False
 
 
@@ -76,6 +81,41 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
     return np.asarray(np.log(2 * np.pi) + half_log_det + 0.5 * (dof + 2) * np.log1p(nis / scale))
 
 
+class PositionErrors:
+    """How far estimates that come in pieces lie from the truth, at the moments of truth that are scored.
+
+    Parameters
+    ----------
+    truth : Truth
+    initial : InitialState
+        Where the method started.
+    """
+
+    def __init__(self, truth: Truth, initial: InitialState) -> None:
+        self._truth = truth
+        self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
+        self._time, self._place = initial.time, initial.mean[:2]
+        self._parts: list[Array] = []
+
+    def add(self, time: Array, mean: Array) -> None:
+        """The next estimates: times (r,) in s, and means (r, n), which begin with x and y in m."""
+        stop = int(np.searchsorted(self._truth.time, time[-1], side="right"))
+        at = slice(self._next, stop)
+        nodes = np.concatenate([[self._time], time])
+        off = [
+            np.interp(self._truth.time[at], nodes, np.concatenate([[self._place[i]], mean[:, i]]))
+            - column[at]
+            for i, column in enumerate((self._truth.x, self._truth.y))
+        ]
+        self._parts.append(np.hypot(*off))
+        self._next, self._time, self._place = stop, time[-1], mean[-1, :2].copy()
+
+    @property
+    def quantiles(self) -> tuple[float, float]:
+        """The 50% and 95% quantiles so far, m; NaN where there are none, or an estimate was none."""
+        return quantiles_of(np.concatenate(self._parts)) if self._parts else quantiles_of(np.empty(0))
+
+
 def scored_truth(truth: Truth, start: float, end: float) -> Truth:
     """The rows of truth that are scored, start and end included."""
     return truth.select((truth.time >= start) & (truth.time <= end))
@@ -100,8 +140,12 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
         np.interp(truth.time, time, column) for column in (mean[:, 0], mean[:, 1], np.unwrap(mean[:, THETA]))
     )
     wrong = wrap_angle(theta - truth.theta)[np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE]
+    off = np.hypot(x - truth.x, y - truth.y)
+    median, most = quantiles_of(off)
     return Score(
-        position_rmse=_rms(np.hypot(x - truth.x, y - truth.y)),
+        position_rmse=_rms(off),
+        position_median=median,
+        position_95=most,
         heading_rmse=_rms(wrong),
         failed=estimate.failure is not None,
     )
@@ -114,7 +158,17 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
     x, y = truth_at(drive.truth, gps.time)
     error = np.hypot(gps.x - x, gps.y - y)
-    return Score(position_rmse=_rms(error[np.isfinite(error)]))
+    error = error[np.isfinite(error)]
+    median, most = quantiles_of(error)
+    return Score(position_rmse=_rms(error), position_median=median, position_95=most)
+
+
+def quantiles_of(errors: Array) -> tuple[float, float]:
+    """The 50% and 95% quantiles of errors (m,), linear between ranks; NaN where there are none."""
+    if not errors.size:
+        return float("nan"), float("nan")
+    median, most = np.quantile(errors, [0.5, 0.95])
+    return float(median), float(most)
 
 
 def _rms(values: Array) -> float:

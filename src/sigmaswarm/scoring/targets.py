@@ -13,6 +13,8 @@ from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
 
 OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
+LONG_OUTAGE_LENGTH = 30.0
+"""s: so long that the biases of a filter show."""
 OUTAGE_FIRST_AFTER = 10.0
 """s from the start to the first outage, at least."""
 OUTAGE_APART = 5.0

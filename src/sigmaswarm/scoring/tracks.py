@@ -4,7 +4,7 @@
 ``i/series/column``. Same result, same bytes: nothing in it tells when it was written.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
+from sigmaswarm.scoring.score import PositionErrors
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
 Columns = Mapping[str, NDArray[np.floating[Any]]]
@@ -93,6 +94,11 @@ class Tracker:
         Of a series.
     picture : bool
         Keep what a printed picture shows, too.
+
+    Attributes
+    ----------
+    quantiles : dict of str to (float, float)
+        m, the 50% and 95% quantiles of the position error of each filter that was recorded; NaN without truth.
     """
 
     def __init__(
@@ -103,16 +109,28 @@ class Tracker:
         self._thin: dict[str, Columns] = {}
         self._fine: dict[str, Columns] = {}
         self._close: dict[str, Columns] = {}
+        self.quantiles: dict[str, tuple[float, float]] = {}
         truth = ready.drive.truth
         self._truth = None if truth is None else TrueMotion(truth)
         if truth is not None:
             self._keep("truth", [{"time": truth.time, "x": truth.x, "y": truth.y}], len(truth))
 
-    def record(self, series: str, replay: Replay, parameters: FilterParameters) -> Recording:
+    def record(
+        self, series: str, replay: Replay, parameters: FilterParameters, *, recover: bool = False
+    ) -> Recording:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
-        recording = Recording(replay, parameters)
-        pieces = (columns_of(p.time, p.mean, p.covariance, self._truth) for p in recording)
-        self._keep(series, pieces, len(replay.timeline.imu_time))
+        recording = Recording(replay, parameters, recover=recover)
+        truth = self._ready.drive.truth
+        errors = None if truth is None else PositionErrors(truth, replay.initial)
+
+        def pieces() -> Iterator[Columns]:
+            for piece in recording:
+                if errors:
+                    errors.add(piece.time, piece.mean)
+                yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
+
+        self._keep(series, pieces(), len(replay.timeline.imu_time))
+        self.quantiles[series] = errors.quantiles if errors else (np.nan, np.nan)
         if recording.failure is None:
             found = recording.innovations
             self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))

@@ -1,4 +1,4 @@
-"""The receiver's stated deviation against the fixes' scatter, and outliers."""
+"""The receiver's stated deviation against the fixes' scatter, errors that last, and outliers."""
 
 from collections.abc import Iterator
 
@@ -15,6 +15,8 @@ TOO_LARGE = 6.5
 """Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
 TOO_LARGE_IF_SLOW = 20.0
 """The same where it is not: slow errors are then likely."""
+LASTS = 2.5
+"""The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
 WHITE = 0.7
 """Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
 
@@ -48,6 +50,8 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         how = "larger than"
         confidence = confidence_of(2 * stated / limit / scatter)
     else:
+        if stated > LASTS * max(scatter, LEAST_NOISE):
+            yield _lasting(evidence, stated, scatter, where)
         return
     factor = max(stated / scatter, scatter / stated)
     yield Finding(
@@ -60,6 +64,20 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
         confidence,
         f"state {scatter:.2g} m, or more where slow errors are known, which a log without truth does not show",
         Repair("state-noise", (scatter,)),
+    )
+
+
+def _lasting(evidence: Evidence, stated: float, scatter: float, where: str) -> Finding:
+    return Finding(
+        "gps-correlated",
+        "note",
+        f"the fixes scatter by {scatter:.2g} m per axis about a path of ten seconds, and the receiver states "
+        f"{stated:.2g} m: their errors last, so that many fixes tell hardly more than one, and a filter without truth "
+        "can't know how far off it is",
+        where,
+        evidence.span,
+        confidence_of(stated / scatter),
+        "take what a filter says of its own position for the scatter alone",
     )
 
 
@@ -76,6 +94,6 @@ def _outliers(evidence: Evidence) -> Iterator[Finding]:
         "gps.csv, positions",
         (float(time[0]), float(time[-1])),
         0.99,
-        "leave them out, or let the filter do it: --use gate",
+        "leave them out, or let the filter do it: --use robust",
         Repair("drop-fixes", tuple(time.tolist())),
     )

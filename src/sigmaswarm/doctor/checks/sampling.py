@@ -27,7 +27,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield _rate("gps", gps.time)
     yield from _gaps(
         "imu", imu.time, IMU_GAP,
-        "a filter crosses it in one step driven by the sample at its end; split the drive there if the car maneuvered",
+        "a filter drives on by the mean of the samples around it, and grows unsure of what the car did meanwhile",
     )  # fmt: skip
     yield from _gaps(
         "gps", gps.time, GPS_GAP, "a filter runs on the IMU alone there; nothing to do if it was so meant"
@@ -90,7 +90,7 @@ def _stale(evidence: Evidence) -> Iterator[Finding]:
             "gps.csv, positions",
             _ends(time),
             0.99,
-            "leave them out: they are old positions under a new time",
+            "filters leave them out, as other tools should: they are old positions under a new time",
             Repair("drop-fixes", tuple(time.tolist())),
         )
 

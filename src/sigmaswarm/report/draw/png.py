@@ -58,6 +58,8 @@ def figure_of(
     """
     columns = columns or len(charts)
     figure, axes = new_figure(*size, -(-len(charts) // columns), columns, **shared)
+    for ax in axes[len(charts) :]:
+        ax.remove()
     for ax, chart in zip(axes, charts, strict=False):
         draw(ax, chart)
         if legend == "inside" and ax.get_legend_handles_labels()[0]:

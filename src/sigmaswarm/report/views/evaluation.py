@@ -19,7 +19,7 @@ from sigmaswarm.report.views.charts import (
     Span,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.evaluation import MEASURES, METHODS, Evaluated
+from sigmaswarm.scoring.evaluation import METHODS, Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, Columns, Picture
 
@@ -27,10 +27,12 @@ DRAWN = ("raw_gps", "datasheet", "defaults", "tuned", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 
 
-def method_bars(scores: ScoresRecord, names: Mapping[str, str]) -> tuple[Chart, ...]:
+def method_bars(
+    scores: ScoresRecord, names: Mapping[str, str], measures: Mapping[str, Measure]
+) -> tuple[Chart, ...]:
     """Bars of the means over the drives, a chart for each measure that any method has; logarithmic."""
     charts: list[Chart] = []
-    for name, measure in MEASURES.items():
+    for name, measure in measures.items():
         values = {m: v for m in METHODS if (v := scores.mean_of(m, name))}
         if not values:
             continue
