@@ -99,7 +99,7 @@ class CompiledCars:
         rows[[R.DET, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
             self.model,
-            np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
+            t.steps[i : i + 1].copy(),
             np.array([happens]),
             np.empty((0, 4)) if fix is None else fix[None].copy(),
             t.lever,
@@ -117,7 +117,7 @@ class CompiledCars:
         t, step = self.line, live_step
         z = (0.0, 0.0, 0.0, 0.0) if fix is None else tuple(fix.tolist())
         for row in self.rows[part]:
-            step(row, self.n, t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i], happens, *z, *t.lever, since)
+            step(row, self.n, *t.steps[i], happens, *z, *t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:

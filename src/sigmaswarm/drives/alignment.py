@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -59,7 +60,7 @@ class InitialState:
     time: float
 
 
-def initial_state(drive: Drive) -> InitialState:
+def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """The first moment at which the drive itself tells position, speed and heading.
 
     The start is the first fix with at least 4 s and 20 m of forward travel behind it. It is found from
@@ -69,6 +70,8 @@ def initial_state(drive: Drive) -> InitialState:
     ----------
     drive : Drive
         Its truth, if any, is not looked at.
+    as_recorded : bool
+        Take frozen fixes as positions, too: see `drives.frozen`.
 
     Raises
     ------
@@ -76,7 +79,8 @@ def initial_state(drive: Drive) -> InitialState:
         If the car never travels 20 m within 6 s.
     """
     # Later code may start a filter only where IMU samples follow.
-    fixes = np.flatnonzero((drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1]))
+    usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
+    fixes = np.flatnonzero(usable if as_recorded else usable & ~frozen_fixes(drive.gps))
     position = drive.gps.x + 1j * drive.gps.y
     time = drive.gps.time
     turned, sped = _integrated(drive)

@@ -47,7 +47,11 @@ class Estimate:
 
 
 def run_filter(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    as_recorded: bool = False,
 ) -> Estimate:
     """Run the compiled filter over a drive.
 
@@ -58,6 +62,9 @@ def run_filter(
     parameters : FilterParameters
     initial : InitialState, optional
         Where to start; `initial_state(drive)` by default.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others. A `PreparedDrive` says it
+        itself.
 
     Returns
     -------
@@ -69,26 +76,32 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = replay_of(drive, initial)
+    replay = replay_of(drive, initial, as_recorded=as_recorded)
     recording = Recording(replay, parameters)
     whole = recording.whole()
     return Estimate(whole.time, whole.mean, whole.covariance, replay.initial, recording.failure)
 
 
 def run_innovations(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    as_recorded: bool = False,
 ) -> Innovations:
     """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
 
     Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
     """
-    recording = Recording(replay_of(drive, initial), parameters)
+    recording = Recording(replay_of(drive, initial, as_recorded=as_recorded), parameters)
     for _ in recording:
         pass
     return recording.innovations
 
 
-def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None) -> Replay:
+def replay_of(
+    drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
+) -> Replay:
     """The whole drive, compared with nothing.
 
     Raises
@@ -96,7 +109,7 @@ def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None)
     InputError
         If no IMU sample follows the start.
     """
-    ready = prepared(drive, initial)
+    ready = prepared(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
         name, start = ready.drive.name, ready.initial.time
@@ -120,7 +133,7 @@ def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate
 
 
 def run_textbook(
-    drive: Drive,
+    drive: Drive | PreparedDrive,
     parameters: FilterParameters,
     *,
     initial: InitialState | None = None,
