@@ -27,7 +27,13 @@ from sigmaswarm.scoring.records import (
     ScoresRecord,
 )
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+from sigmaswarm.scoring.targets import (
+    OUTAGE_LENGTH,
+    drift_reference,
+    outage_replay,
+    outage_windows,
+    tracking_replay,
+)
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.versions import versions
 
@@ -94,6 +100,8 @@ class Evaluated:
         The same, fine enough for paper.
     data : mapping
         What identifies the drive.
+    frozen : int
+        Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
     """
 
     scores: Mapping[str, Score]
@@ -102,6 +110,7 @@ class Evaluated:
     tracks: Tracks | None = None
     picture: Picture | None = None
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    frozen: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +216,7 @@ def evaluate(
     *,
     outage_length: float = OUTAGE_LENGTH,
     outage_seed: int = 0,
+    as_recorded: bool = False,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -221,6 +231,8 @@ def evaluate(
         s without fixes.
     outage_seed : int
         Places the outages: the same for every method.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
 
     Raises
     ------
@@ -237,7 +249,8 @@ def evaluate(
     found: dict[str, Evaluated] = {}
     for drive in drives:
         name = _unique(drive.name, found)
-        found[name] = _evaluated(prepared(drive), parameters, name, outage_length, outage_seed)
+        ready = prepared(drive, as_recorded=as_recorded)
+        found[name] = _evaluated(ready, parameters, name, outage_length, outage_seed)
     names = method_names(parameters.kind, parameters.model)
     return Evaluation(found, names, outage_length, outage_seed)
 
@@ -251,7 +264,7 @@ def _evaluated(
     tracker = Tracker(ready, picture=True)
     imu_only = run_imu_only(ready)  # first: it is held whole, and the filters' targets are not yet there
     tracker.keep_estimate("imu_only", imu_only)
-    dead_reckoning = score_imu_only(drive, imu_only, length, seed)
+    dead_reckoning = score_imu_only(ready, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
     recorded = [tracker.record(method, tracking, p) for method, p in filters.items()]
@@ -273,6 +286,7 @@ def _evaluated(
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
         data=described(drive),
+        frozen=int(ready.frozen.sum()),
     )
 
 
@@ -282,18 +296,18 @@ def _joined(whole: Score, with_outages: Score) -> Score:
     return replace(whole, outage_drift=with_outages.outage_drift, failed=failed)
 
 
-def score_imu_only(drive: Drive, estimate: Estimate, length: float, seed: int) -> Score:
+def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
-    score = score_estimate(drive, estimate)
-    ends = outage_windows(drive, estimate.initial, length=length, seed=seed)[:, 1]
-    return Score(score.position_rmse, score.heading_rmse, _drift(drive, estimate, ends))
+    score = score_estimate(ready.drive, estimate)
+    ends = outage_windows(ready.drive, estimate.initial, length=length, seed=seed)[:, 1]
+    return Score(score.position_rmse, score.heading_rmse, _drift(ready, estimate, ends))
 
 
-def _drift(drive: Drive, estimate: Estimate, ends: np.ndarray) -> float:
+def _drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> float:
     """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
     if not len(ends):
         return float("nan")
-    reference = drive.gps if drive.truth is None else drive.truth
+    reference = drift_reference(ready)
     errors = [
         np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
         for i, column in enumerate((reference.x, reference.y))
