@@ -1,6 +1,7 @@
 """Standstills: the detector against one that goes over all samples plainly, and against the truth of real drives."""
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,6 @@ import pytest
 from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.frozen import FROZEN_MOVING, judged
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.standstill import MEANS, fixes_stand, is_calm, new_memory, standing
 from sigmaswarm.simulation.scenarios import simulate
 from support import DRIVES, needs_shared
@@ -19,7 +19,8 @@ class Plain:
     """What the detector is said to do, gone over from the start for each sample."""
 
     def __init__(self, drive: Drive) -> None:
-        imu, self.gps = drive.imu, drive.gps
+        imu = drive.imu
+        self.gps = drive.gps.select(judged(drive.gps) != FROZEN_MOVING)
         self.time, self.values = imu.time, np.array([imu.ax, imu.ay, imu.gz])
         self.block = np.floor(imu.time / 0.05)
         self.floor: list[float | None] = [None] * 3
@@ -50,7 +51,6 @@ class Plain:
 
     def fixes(self, now: float) -> bool:
         seen = (self.gps.time <= now) & (self.gps.time >= now - 3.0)
-        seen &= judged(self.gps) != FROZEN_MOVING
         t = self.gps.time[seen]
         if len(t) < 3 or t[-1] - t[0] < 1.5:
             return False
@@ -75,12 +75,12 @@ def shaken(drive: Drive, seed: int) -> Drive:
     """Samples off their times, and two gaps, one of them within a stop."""
     imu, rng = drive.imu, np.random.default_rng(seed)
     time = imu.time + drive.nominal_interval * rng.uniform(-0.3, 0.3, len(imu))
-    gone = ((time > 12.0) & (time < 13.3)) | ((time > 31.0) & (time < 31.3))
+    gone = ((time > 12.0) & (time < 13.3)) | ((time > 50.9) & (time < 51.15))
     return replace(drive, imu=replace(imu, time=time).select(~gone))
 
 
 def urban(rate: float) -> Drive:
-    return clip(simulate("urban", imu_rate=rate, duration=60.0, seed=4), 0.0, 45.0)
+    return simulate("urban", imu_rate=rate, duration=60.0, seed=4)
 
 
 @pytest.mark.parametrize("jitter", [False, True], ids=["even", "jitter and gaps"])
@@ -132,7 +132,7 @@ def stop(ramp: float) -> Drive:
     return Drive("stop", imu, Gps(fixes, x, 0.3 * rng.standard_normal(len(fixes))))
 
 
-@pytest.mark.parametrize("ramp", [0.1, 0.3, 1.0, 10.0])
+@pytest.mark.parametrize("ramp", [0.2, 0.4, 1.0, 10.0])
 def test_a_departure_is_seen_before_the_car_is_fast(ramp: float):
     drive = stop(ramp)
     stands, time = standing(drive, judged(drive.gps)), drive.imu.time
@@ -153,7 +153,9 @@ def test_frozen_fixes_of_a_driving_car_are_no_evidence():
 @needs_shared
 @pytest.mark.parametrize("name", ["kitti-09-30-0034", "kitti-09-30-0018", "colorado-1", "kingston-1"])
 def test_nothing_that_is_told_to_stand_drives(name: str):
-    drive = read_drive(DRIVES / name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the reader's, about gaps
+        drive = read_drive(DRIVES / name)
     stands = standing(drive, judged(drive.gps))
     assert drive.truth is not None
     speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
