@@ -10,7 +10,15 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from rival_pyswarms import position, process
-from sigmaswarm.drives.standstill import FIX_WINDOW, fixes_stand, is_calm, new_floor
+from sigmaswarm.drives.standstill import (
+    FIX_WINDOW,
+    MEANS,
+    fixes_stand,
+    is_as_it_was,
+    is_calm,
+    new_memory,
+    new_stop,
+)
 from sigmaswarm.drives.timeline import CORNERING
 from sigmaswarm.filters.schedule import (
     LATERAL_INTERVAL,
@@ -52,7 +60,7 @@ class Ukf:
         self.filter.x, self.filter.P = mean, covariance
         self.filter.Q, self.filter.R = np.diag(p.process_noise), np.diag(p.measurement_noise)
         self.p, self.start, self.slots = p, initial.time, [-1, -1]
-        self.samples, self.filled, self.floor = np.empty((4000, 4)), 0, new_floor()
+        self.memory, self.stop = new_memory(), new_stop()
         self.fixes = []
 
     @property
@@ -93,16 +101,12 @@ class Ukf:
         return np.array([left - self.p.rear_axle * (yaw_rate - s[7])])
 
     def _stands(self, t, u):
-        if self.filled == len(self.samples):
-            half = self.filled // 2
-            self.samples[:half] = self.samples[half:]
-            self.filled = half
-        self.samples[self.filled] = (t, *u)
-        self.filled += 1
-        if not is_calm(self.samples, self.filled - 1, self.floor) or not self.fixes:
+        if not is_calm(self.memory, t, *u) or not self.fixes:
             return False
-        recent = [fix for fix in self.fixes if fix[0] >= t - FIX_WINDOW]
-        return fixes_stand(np.array(recent).reshape(-1, 3), t)
+        recent = np.array([fix for fix in self.fixes if fix[0] >= t - FIX_WINDOW]).reshape(-1, 3)
+        return fixes_stand(recent, np.zeros(len(recent)), t) and is_as_it_was(
+            self.stop, t, self.memory[MEANS]
+        )
 
 
 class Ekf:

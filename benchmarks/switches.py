@@ -28,6 +28,7 @@ from sigmaswarm import (
     split_time,
     tune,
 )
+from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.scoring.evaluation import MEASURES
 from sigmaswarm.scoring.score import truth_at
 
@@ -90,10 +91,11 @@ def cases(folder: Path, seeds: int):
     yield "simulated", [split_drives(drives, 0.7, rng=np.random.default_rng(s)) for s in range(seeds)]
 
 
-def errors(drive: Drive, parameters: FilterParameters) -> np.ndarray:
+def errors(drive: Drive | PreparedDrive, parameters: FilterParameters) -> np.ndarray:
     """Position errors at the IMU's times, m."""
-    estimate = run_filter(drive, parameters)
-    x, y = truth_at(drive.truth, estimate.time)
+    ready = prepared(drive)
+    estimate = run_filter(ready, parameters)
+    x, y = truth_at(ready.drive.truth, estimate.time)
     distance = np.hypot(estimate.mean[:, 0] - x, estimate.mean[:, 1] - y)
     return distance[np.isfinite(distance)]
 

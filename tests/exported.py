@@ -63,9 +63,11 @@ def replay(program: Path, drive: Drive) -> Replayed:
     return Replayed(rows[:, 0], rows[:, 1 : n + 1], rows[:, n + 1 :] ** 2)
 
 
-def run_script(folder: Path, parameters: FilterParameters, drive: Drive | Path) -> Replayed:
+def run_script(
+    folder: Path, parameters: FilterParameters, drive: Drive | Path, *, as_recorded: bool = False
+) -> Replayed:
     """Run the FilterPy script over a drive, in a Python that can't find sigmaswarm."""
-    (script,) = export_filter(parameters, "filterpy", folder)
+    (script,) = export_filter(parameters, "filterpy", folder, as_recorded=as_recorded)
     if isinstance(drive, Drive):
         drive = write_drive(drive, folder / "drive")
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}

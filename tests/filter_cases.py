@@ -73,3 +73,15 @@ def two_receivers() -> Drive:
     moved = rng.normal(0.0, 0.5, (2, len(again)))
     more = {"speed": gps.speed[again], "course": gps.course[again]}
     return replace(drive, gps=Gps(time[again], gps.x[again] + moved[0], gps.y[again] + moved[1], **more))
+
+
+@cache
+def rough() -> Drive:
+    """The drive with fixes frozen for a while, one of them repeated once more later, and two gaps in its IMU."""
+    drive = equipped()
+    gps, imu = drive.gps, drive.imu
+    frozen = (gps.time > 12.0) & (gps.time < 13.1)
+    held = int(np.flatnonzero(frozen)[0]) - 1
+    x, y = np.where(frozen, gps.x[held], gps.x), np.where(frozen, gps.y[held], gps.y)
+    silent = ((imu.time > 9.0) & (imu.time < 10.3)) | ((imu.time > 12.4) & (imu.time < 12.5))
+    return replace(drive, gps=replace(gps, x=x, y=y), imu=imu.select(~silent))

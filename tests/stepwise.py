@@ -101,7 +101,7 @@ class CompiledCars:
         rows[[R.DET, R.TAIL, R.OK]], rows[R.RECENT] = 1.0, -1.0
         run.run_lanes(
             self.model,
-            np.array([[t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i]]]),
+            t.steps[i : i + 1].copy(),
             np.array([happens]),
             np.empty((0, 6)) if fix is None else fix[None].copy(),
             t.lever,
@@ -119,7 +119,7 @@ class CompiledCars:
         t, step = self.line, live_step
         z = (0.0,) * 6 if fix is None else tuple(fix.tolist())
         for row in self.rows[part]:
-            step(row, self.n, t.dt[i], t.ax[i], t.ay[i], t.gz[i], t.q_scale[i], happens, *z, *t.lever, since)
+            step(row, self.n, *t.steps[i], happens, *z, *t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:

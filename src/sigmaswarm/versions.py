@@ -1,6 +1,6 @@
 """The library's version, and those that a result depends on."""
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 
 def versions() -> dict[str, str]:

@@ -28,7 +28,9 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
     calls: list[str] = []
     for name in ("initial_state", "build_timeline"):
         own = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *a, own=own, name=name: calls.append(name) or own(*a))
+        monkeypatch.setattr(
+            module, name, lambda *a, own=own, name=name, **k: calls.append(name) or own(*a, **k)
+        )
     ready = prepared(DRIVE)
     assert not calls, "a drive is aligned when its start is asked for"
     for _ in range(2):

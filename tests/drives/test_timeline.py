@@ -1,6 +1,6 @@
 """The merged time line, against a loop that walks through the moments one by one."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -20,26 +20,33 @@ class Naive:
 
     dt: list[float] = field(default_factory=list)
     sample: list[int] = field(default_factory=list)
+    gap: list[float] = field(default_factory=list)
     fix: list[int | None] = field(default_factory=list)
     sampled: list[bool] = field(default_factory=list)
 
 
 def walk(drive: Drive, start: float) -> Naive:
     imu, gps = drive.imu.time.tolist(), drive.gps.time.tolist()
-    steps, now = Naive(), start
+    steps, now, usual = Naive(), start, None
     for k, t_k in enumerate(imu):
+        interval = t_k - imu[k - 1] if k else 0.0
+        gap = interval if usual is not None and interval > max(5 * usual, 0.05) else 0.0
+        if k:
+            usual = interval if usual is None else usual + (min(interval, 3 * usual) - usual) / 32
         if t_k <= start:
             continue
         waiting = [j for j, t in enumerate(gps) if now < t <= t_k]
         for j in waiting:
             steps.dt.append(gps[j] - now)
             steps.sample.append(k)
+            steps.gap.append(gap)
             steps.fix.append(j)
             steps.sampled.append(gps[j] == t_k and j == waiting[-1])
             now = gps[j]
         if now < t_k:
             steps.dt.append(t_k - now)
             steps.sample.append(k)
+            steps.gap.append(gap)
             steps.fix.append(None)
             steps.sampled.append(True)
             now = t_k
@@ -70,9 +77,11 @@ def test_the_steps_are_those_of_a_plain_loop(case: tuple[Drive, float]):
     line, naive = build_timeline(drive, start), walk(drive, start)
     assert line.start == start
     assert line.dt.tolist() == naive.dt
-    assert line.ax.tolist() == [float(k) for k in naive.sample]
-    assert line.ay.tolist() == [1000.0 + k for k in naive.sample]
-    assert line.gz.tolist() == [2000.0 + k for k in naive.sample]
+    driving = [k - 0.5 if gap else float(k) for k, gap in zip(naive.sample, naive.gap, strict=True)]
+    assert line.ax.tolist() == driving
+    assert line.ay.tolist() == [1000.0 + k for k in driving]
+    assert line.gz.tolist() == [2000.0 + k for k in driving]
+    assert line.gap.tolist() == naive.gap
     assert line.absorbs.tolist() == [j is not None for j in naive.fix]
     assert line.sampled.tolist() == naive.sampled
     absorbed = [j for j in naive.fix if j is not None]
@@ -99,7 +108,7 @@ def test_what_holds_for_every_time_line(case: tuple[Drive, float]):
     assert line.sampled.sum() == len(line.imu_time)
     assert line.fix_time.tolist() == [t for t in drive.gps.time if start < t <= end]
     # the time that each sample drives is the time since the one before, however it is split
-    driven = {k: line.dt[line.ax == k].sum() for k in line.ax}
+    driven = {k: line.dt[np.ceil(line.ax) == k].sum() for k in np.ceil(line.ax)}  # a half: the mean of two
     times = drive.imu.time
     assert driven == {
         k: times[k] - max(times[k - 1] if k else start, start) for k in range(len(times)) if times[k] > start
@@ -150,6 +159,31 @@ def test_process_noise_grows_with_a_gap():
     line = build_timeline(drive_of([0, 8, 16, 24, 104, 112], [64]), 0.0)
     assert line.q_scale.tolist() == [1, 1, 1, 5, 5, 1]  # a gap of ten intervals, split by a fix
     assert line.nominal_interval == 8 * TICK
+
+
+def test_a_gap_is_driven_by_the_mean_of_the_samples_around_it():
+    drive = drive_of([0, 8, 16, 24, 104, 112], [64])
+    line = build_timeline(drive, 0.0)
+    assert line.ax.tolist() == [1, 2, 3, 3.5, 3.5, 5]
+    assert (line.gap / TICK).tolist() == [0, 0, 0, 80, 80, 0]
+    plain = build_timeline(drive, 0.0, as_recorded=True)
+    assert plain.ax.tolist() == [1, 2, 3, 4, 4, 5]
+    assert not plain.gap.any()
+
+
+def test_frozen_fixes_are_left_out():
+    drive = make_drive(duration=12.0, gps_rate=5.0, seed=1)
+    gps = drive.gps
+    frozen = np.isin(np.arange(len(gps)), [30, 31, 32])
+    stuck = replace(gps, x=np.where(frozen, gps.x[29], gps.x), y=np.where(frozen, gps.y[29], gps.y))
+    line, without = (build_timeline(replace(drive, gps=fixes), 2.0) for fixes in (stuck, gps.select(~frozen)))
+    assert line.frozen.tolist() == frozen.tolist()
+    for name in ("steps", "absorbs", "fixes", "fix_time", "sampled"):
+        np.testing.assert_array_equal(getattr(line, name), getattr(without, name))
+    hidden = np.isin(np.arange(len(gps)), [28, 31, 40])
+    assert line.hiding(hidden).hides.sum() == 2
+    plain = build_timeline(replace(drive, gps=stuck), 2.0, as_recorded=True)
+    assert len(plain.fixes) == len(line.fixes) + 3
 
 
 @pytest.mark.parametrize("seed", range(3))

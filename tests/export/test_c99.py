@@ -9,11 +9,22 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
-from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying, two_receivers
+from filter_cases import (
+    KINDS,
+    OPTIONS,
+    WEIGHED,
+    WEIGHED_CASES,
+    equipped,
+    parameters,
+    rough,
+    straying,
+    two_receivers,
+)
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.export.c99 import c99, replay_rows
 from sigmaswarm.export.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
@@ -100,6 +111,29 @@ def test_two_fixes_of_one_time_are_both_absorbed(tmp_path: Path, kind: str):
     p = given("planar8", kind, "all")
     theirs = replay(build(tmp_path, p), two_receivers())
     assert distance(theirs.mean, run_filter(two_receivers(), p).mean) < 1e-11
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, model: str, kind: str):
+    p, ready = given(model, kind, "all"), PreparedDrive(rough())
+    assert ready.frozen.sum() == 5
+    assert ready.timeline().gap.any()
+    assert distance(replay(build(tmp_path, p), rough()).mean, run_filter(ready, p).mean) < 1e-11
+    plain = run_filter(PreparedDrive(rough(), ready.initial, as_recorded=True), p).mean
+    as_recorded = replay(build(tmp_path, p, "-DINS_GPS_AS_RECORDED"), rough()).mean
+    assert distance(as_recorded, plain) < 1e-11
+    assert distance(plain, run_filter(ready, p).mean) > 1e-3
+
+
+def test_one_that_was_tuned_as_recorded_says_so_in_its_header():
+    p = given("planar5", "ukf", "plain")
+    wanted = "#define INS_GPS_AS_RECORDED"
+    assert [wanted in c99(p, 0.01, as_recorded)["ins_gps.h"] for as_recorded in (False, True)] == [
+        False,
+        True,
+    ]
 
 
 @needs_gcc

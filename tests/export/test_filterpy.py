@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from exported import distance, jumping, run_script, tuned, twin
-from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying
+from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, rough, straying
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.writer import write_drive
@@ -47,6 +48,23 @@ def test_it_weighs_fixes_as_the_run_does(tmp_path: Path, kind: str, option: str)
     ours, theirs = run_filter(straying(), p), run_script(tmp_path, p, straying())
     assert distance(theirs.mean, ours.mean) < 1e-10
     np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["ukf", "ekf"])
+def test_frozen_fixes_and_gaps_are_those_of_the_run(tmp_path: Path, kind: str):
+    drive = clip(rough(), 4.0, 14.0)
+    ready = PreparedDrive(drive)
+    assert ready.timeline().frozen.sum() == 5
+    assert ready.timeline().gap.any()
+    p = parameters("planar8", kind=kind, nominal_interval=0.01, **OPTIONS["all"])
+    assert distance(run_script(tmp_path, p, drive).mean, run_filter(ready, p).mean) < 1e-10
+
+
+def test_one_that_was_tuned_as_recorded_runs_so(tmp_path: Path):
+    drive = clip(rough(), 4.0, 14.0)
+    p = parameters("planar5", nominal_interval=0.01)
+    theirs = run_script(tmp_path, p, drive, as_recorded=True).mean
+    assert distance(theirs, run_filter(drive, p, as_recorded=True).mean) < 1e-10
 
 
 def test_a_gate_gives_way_where_the_run_does(tmp_path: Path):

@@ -195,8 +195,6 @@ def test_standstill_is_told_from_driving(name: str):
     assert truth is not None
     line = build_timeline(drive, drive.imu.time[0])
     speed = np.interp(line.end, truth.time, np.hypot(truth.vx, truth.vy))
-    # It lags by a moment at a departure, but takes no cruise on a smooth road for a standstill.
-    assert np.all(speed[stands] < 1.2)
-    assert np.sum(stands & (speed > 0.5)) <= 0.005 * len(stands)
+    assert np.all(speed[stands] < 0.3)
     if name in ("colorado-1", "kingston-1"):
         assert np.mean(stands[speed < 0.02]) > 0.3

@@ -9,9 +9,20 @@ import numba
 import numpy as np
 import pytest
 
-from filter_cases import KINDS, OPTIONS, WEIGHED, WEIGHED_CASES, equipped, parameters, straying, two_receivers
+from filter_cases import (
+    KINDS,
+    OPTIONS,
+    WEIGHED,
+    WEIGHED_CASES,
+    equipped,
+    parameters,
+    rough,
+    straying,
+    two_receivers,
+)
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
@@ -110,6 +121,50 @@ def test_two_fixes_of_one_time_are_both_absorbed(model: str, kind: str, late: fl
     assert filter.too_late == 0
     one = run_filter(replace(drive, gps=drive.gps.select(slice(0, None, 2))), p, initial=start())
     assert np.max(np.abs(one.mean - run.mean)) > 1e-3
+
+
+@pytest.mark.parametrize("late", [0.0, 0.05])
+@pytest.mark.parametrize("model", ["planar5", "planar8"])
+def test_frozen_fixes_and_gaps_are_those_of_the_run(model: str, late: float):
+    p, drive = parameters(model, **OPTIONS["all"]), rough()
+    ready = PreparedDrive(drive)
+    line = ready.timeline()
+    assert ready.frozen.sum() == 5
+    assert np.unique(line.gap).size == 3
+    run = run_filter(ready, p)
+    means, covariances, filter = live(drive, p, ready.initial, late)
+    if not late:
+        np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(covariances, run.covariance, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(filter.state.mean, run.mean[-1], rtol=0, atol=1e-12)
+    assert (filter.too_late, filter.frozen) == (0, ready.frozen.sum())
+    as_recorded = run_filter(PreparedDrive(drive, ready.initial, as_recorded=True), p)
+    means, _, plain = live(drive, p, ready.initial, as_recorded=True)
+    np.testing.assert_allclose(means, as_recorded.mean, rtol=0, atol=1e-12)
+    assert np.max(np.abs(as_recorded.mean - run.mean)) > 0.1
+    assert plain.frozen == 0
+
+
+def test_a_late_fix_that_comes_before_others_changes_what_they_are():
+    p = parameters("planar5")
+    t0, north = math.ceil(start().time), 3.0
+    rows = [
+        (t0 + 0.2 * k, 2.0 * k if k < 8 else 14.0) for k in range(1, 11)
+    ]  # those after the seventh are frozen
+    late = rows[6]
+    filters = [LiveFilter(p, start(), nominal_interval=0.01) for _ in range(2)]
+    for k in range(1, 300):
+        t = t0 + 0.01 * k
+        for filter, mine in zip(filters, (rows, [r for r in rows if r is not late]), strict=True):
+            for row in mine:
+                if t - 0.01 < row[0] <= t:
+                    filter.update(row[0], (row[1], north))
+        if k == 190:
+            assert filters[1].update(late[0], (late[1], north))
+        for filter in filters:
+            filter.predict(t, (0.0, 0.0, 0.0))
+    assert filters[0].frozen == 3
+    np.testing.assert_allclose(filters[1].state.mean, filters[0].state.mean, rtol=0, atol=1e-12)
 
 
 def test_the_same_message_again_is_left_out():

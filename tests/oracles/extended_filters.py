@@ -21,6 +21,7 @@ GYRO_AT_REST = (
     Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180
 ) ** 2  # (0.5 deg/s)^2
 MOST_REJECTED = 5
+GAP_TURN, GAP_ACCELERATION = Extended("0.1"), Extended(1)  # rad/s; m/s2
 
 
 @dataclass
@@ -141,6 +142,7 @@ class ExtendedCar:
         imu = np.array([line.ax[i], line.ay[i], line.gz[i]], dtype=Extended)
         q = np.eye(self.n, dtype=Extended) * (self.q * scale)[:, None]
         self.mean, self.covariance = self.form.predict(self.mean, self.covariance, q, dt, imu)
+        self.covariance = self.covariance + self._unseen(dt, Extended(line.gap[i]))
         self.prior = self.covariance
         self.since += scale
         if happens & FIX and z is not None:
@@ -155,6 +157,16 @@ class ExtendedCar:
             if self.n == 8:
                 noise = np.full(len(self.mean), GYRO_AT_REST)
                 self._absorb(linear(np.array([line.gz[i]]), [7]), noise)
+
+    def _unseen(self, dt: Extended, gap: Extended) -> np.ndarray:
+        """What a gap adds: G a G^T + turn, with the acceleration's variance a = (sigma^2 gap / dt) over the step."""
+        g = np.zeros((self.n, 2), dtype=Extended)
+        g[:4] = np.kron(
+            [[dt / 2], [Extended(1)]], np.eye(2, dtype=Extended)
+        )  # of a change of velocity, half moves
+        added = g @ transposed(g) * GAP_ACCELERATION**2 * gap * dt
+        added[4, 4] = GAP_TURN**2 * gap * dt
+        return added
 
     def _absorb(self, z: Measurement, variance: np.ndarray) -> None:
         r = variance[:, None, None] * np.eye(z.jacobian(self.mean).shape[1], dtype=Extended)

@@ -37,6 +37,14 @@ def _newton(s: np.ndarray, dt: float, u: np.ndarray) -> np.ndarray:
     return np.concatenate([s[:2] + s[2:4] * dt + a * dt**2 / 2, s[2:4] + a * dt, [s[4] + u[2] * dt], s[5:]])
 
 
+def _unseen(n: int, dt: float, gap: float) -> np.ndarray:
+    """What nobody saw of the motion in a gap of the IMU's samples: 1 m/s2 per axis and 0.1 rad/s."""
+    added = np.zeros((n, n))
+    added[:4, :4] = np.kron([[dt**2 / 4, dt / 2], [dt / 2, 1.0]], np.eye(2)) * gap * dt
+    added[4, 4] = 0.1**2 * gap * dt
+    return added
+
+
 def _velocity(s: np.ndarray) -> np.ndarray:
     return s[2:4]
 
@@ -113,7 +121,7 @@ class FilterPyCar:
     def _predict(self, i: int) -> None:
         line, ours = self.line, self.filter
         u, dt = np.array([line.ax[i], line.ay[i], line.gz[i]]), line.dt[i]
-        ours.Q = self.q * line.q_scale[i]
+        ours.Q = self.q * line.q_scale[i] + _unseen(len(ours.x), dt, line.gap[i])
         if self.p.kind == "ekf":
             ours.F = newton_jacobian(ours.x[None].astype(Extended), Extended(dt), u)[0].astype(float)
             moved = _newton(ours.x, dt, u)

@@ -25,6 +25,14 @@ def read_drives(paths: Sequence[Path]) -> "list[Drive]":
     return [read_drive(path) for given in paths for path in drive_folders(given)]
 
 
+def tuned_as_recorded(tuning: Path) -> bool:
+    """Whether a filter was tuned with frozen fixes absorbed and gaps in the IMU taken for steps like others."""
+    import tomllib
+
+    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
+    return tomllib.loads(file.read_text()).get("config", {}).get("as_recorded", False) is True
+
+
 def stdout() -> "Console":
     """Where results go."""
     from sigmaswarm.cli.terminal import console
@@ -159,6 +167,12 @@ def print_evaluation(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
             "over outages, against hidden fixes, and the consistency can be told.",
         )
+    for name, found in evaluation.drives.items():
+        if found.frozen:
+            console.print(
+                f"{name}: no filter took {found.frozen} of the fixes for positions: frozen, they repeat an earlier one "
+                "though the car may have moved."
+            )
     _print_consistency(evaluation, console)
     for over in ("defaults", "datasheet", "raw_gps"):
         improvement = evaluation.improvement(over)

@@ -18,6 +18,7 @@ def evaluate(
     out: Path | None = None,
     outage_length: float = 5.0,
     outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
+    as_recorded: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -44,11 +45,14 @@ def evaluate(
         Seconds without fixes, after which the drift is measured.
     outage_seed
         Places the outages.
+    as_recorded
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
+        was tuned so is evaluated so.
     json
         Print the scores for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout
+    from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
     from sigmaswarm.report.evaluation import save_evaluation
 
@@ -56,7 +60,13 @@ def evaluate(
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
-    result = sigmaswarm.evaluate(read, parameters, outage_length=outage_length, outage_seed=outage_seed)
+    result = sigmaswarm.evaluate(
+        read,
+        parameters,
+        outage_length=outage_length,
+        outage_seed=outage_seed,
+        as_recorded=as_recorded or tuned_as_recorded(tuning),
+    )
     _warn_of_training_drives(tuning, result)
     written: list[Path] = []
     if out:

@@ -19,6 +19,7 @@ def run(
     origin: str | None = None,
     truth: Path | None = None,
     beside: Path | None = None,
+    as_recorded: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
@@ -48,11 +49,14 @@ def run(
     beside
         For --out NAME.ros2: the ROS 2 bag that the drive was imported from; its messages are copied into the new bag
         beside the estimate, byte for byte.
+    as_recorded
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
+        was tuned so is run so.
     json
         Print a summary for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.common import print_json, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
     from sigmaswarm.export.trajectory import (
         check_target,
@@ -73,7 +77,8 @@ def run(
     check_target(out, place, beside)
     if truth:
         check_target(truth, place)
-    began, replay = time_origin_of(read), replay_of(read)
+    began = time_origin_of(read)
+    replay = replay_of(read, as_recorded=as_recorded or tuned_as_recorded(tuning))
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []

@@ -60,6 +60,7 @@ def tune(
 
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
+    from sigmaswarm.drives.prepared import PreparedDrive
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
 
@@ -77,7 +78,8 @@ def tune(
             **options,
         )
     filters = compared(read[0], tuning.parameters)
-    pictures = save_tuning_figures(tuning, picture_of(read[0], filters, read[0].name), out)
+    first = PreparedDrive(read[0], as_recorded=tuning.config.model_dump()["as_recorded"])
+    pictures = save_tuning_figures(tuning, picture_of(first, filters, read[0].name), out)
     if json:
         print_json(tuning.to_dict())
         return

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import AccelerationFit, fit_acceleration, heading_of
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps, stale, white_noise
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps, white_noise
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.frozen import frozen_fixes
 
 FEWEST = 20
 """Fixes; with fewer, only what needs no motion is checked."""
@@ -22,7 +23,7 @@ class Evidence:
     Attributes
     ----------
     drive : Drive
-    stale, outlying : (n,) bool: fixes that only repeat the last one; fixes that lie far off the path
+    stale, outlying : (n,) bool: frozen fixes, which only repeat an earlier one; fixes that lie far off the path
     used : (m,) int: the numbers of the fixes that ``course`` is made of
     course : Course or None
     yaw_fit, yaw : the regression of the course on the gyro, and its reading
@@ -58,7 +59,7 @@ class Evidence:
 def gather(drive: Drive) -> Evidence:
     """Fit the gyro to the course and the accelerometers to the path, and read the fits."""
     gps, imu = drive.gps, drive.imu
-    old = stale(gps)
+    old = frozen_fixes(gps)
     inside = ~old & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])
     off = np.zeros(len(gps), dtype=np.bool_)
     off[inside] = jumps(gps.time[inside], (gps.x + 1j * gps.y)[inside])

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.doctor.windows import Complex
-from sigmaswarm.drives.drive import Array, Gps
+from sigmaswarm.drives.drive import Array
 
 Mask = NDArray[np.bool_]
 
@@ -18,8 +18,6 @@ SPAN = (3.0, 6.0)
 """s: the shortest and longest stretch of fixes that one velocity is taken from."""
 SPEED_STD = 0.5
 """m/s: the stretch is chosen so that white noise of the fixes leaves the velocity about that well known."""
-CREEPING = 1.5
-"""m/s: slower, a receiver may well repeat a fix."""
 SLOWEST = 3.0
 """m/s: slower, noise makes the course."""
 
@@ -48,16 +46,6 @@ class Course:
     moving: Mask
     slowest: float
     span: float
-
-
-def stale(gps: Gps) -> Mask:
-    """Fixes, (n,), that repeat the one before to the last digit although the car moves."""
-    same = np.append(False, (np.diff(gps.x) == 0) & (np.diff(gps.y) == 0))
-    fresh = np.flatnonzero(~same)
-    position = gps.x[fresh] + 1j * gps.y[fresh]
-    speed = np.abs(np.diff(position)) / np.maximum(np.diff(gps.time[fresh]), 1e-9)
-    moves = np.append(speed > CREEPING, False)  # from this fresh fix to the next
-    return same & moves[np.cumsum(~same) - 1]
 
 
 def jumps(time: Array, position: Complex) -> Mask:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
@@ -60,7 +61,7 @@ class InitialState:
     time: float
 
 
-def initial_state(drive: Drive) -> InitialState:
+def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """The first moment at which the drive itself tells position, speed and heading.
 
     The start is the first fix with at least 4 s and 20 m of forward travel behind it. It is found from
@@ -70,6 +71,8 @@ def initial_state(drive: Drive) -> InitialState:
     ----------
     drive : Drive
         Its truth, if any, is not looked at.
+    as_recorded : bool
+        Take frozen fixes as positions, too: see `drives.frozen`.
 
     Raises
     ------
@@ -77,9 +80,9 @@ def initial_state(drive: Drive) -> InitialState:
         If the car never travels 20 m within 6 s.
     """
     # Later code may start a filter only where IMU samples follow.
-    fixes = np.flatnonzero((drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1]))
-    alignments = Alignments(drive, fixes)
-    for k in range(len(fixes)):
+    usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
+    alignments = Alignments(drive, usable if as_recorded else usable & ~frozen_fixes(drive.gps))
+    for k in range(len(alignments.time)):
         if found := alignments.at(k):
             return found
     raise AlignmentError(
@@ -94,8 +97,8 @@ class Alignments:
     Parameters
     ----------
     drive : Drive
-    fixes : ndarray of int, shape (m,), optional
-        The numbers of the fixes that are looked at; by default those after the first IMU sample.
+    usable : ndarray of bool, shape (number of fixes,), optional
+        The fixes that are looked at; of them those after the first IMU sample and up to the last one. All by default.
 
     Attributes
     ----------
@@ -103,11 +106,11 @@ class Alignments:
         s, of those fixes.
     """
 
-    def __init__(self, drive: Drive, fixes: NDArray[np.intp] | None = None) -> None:
+    def __init__(self, drive: Drive, usable: NDArray[np.bool_] | None = None) -> None:
         self._drive = drive
-        if fixes is None:
-            inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
-            fixes = np.flatnonzero(inside & np.isfinite(drive.gps.x + drive.gps.y))
+        inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
+        inside &= np.isfinite(drive.gps.x + drive.gps.y)
+        fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
         # The fixes of the last seconds before each.

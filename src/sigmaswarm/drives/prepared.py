@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState, initial_state
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 
 
@@ -19,10 +20,16 @@ class PreparedDrive:
     drive : Drive
     initial : InitialState, optional
         Where to start; by default the drive is aligned when the start is first asked for.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis, and for the
+        paper's protocol.
     """
 
-    def __init__(self, drive: Drive, initial: InitialState | None = None) -> None:
+    def __init__(
+        self, drive: Drive, initial: InitialState | None = None, *, as_recorded: bool = False
+    ) -> None:
         self.drive = drive
+        self.as_recorded = as_recorded
         self._given = initial
         self._timelines: dict[tuple[bytes, bool], Timeline] = {}
 
@@ -35,7 +42,17 @@ class PreparedDrive:
         AlignmentError
             If the drive never moves far enough.
         """
-        return self._given or initial_state(self.drive)
+        return self._given or initial_state(self.drive, as_recorded=self.as_recorded)
+
+    @cached_property
+    def kinds(self) -> Array:
+        """What each fix is, (number of fixes,): see `drives.frozen`. All are new where they are taken as recorded."""
+        return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
+
+    @property
+    def frozen(self) -> NDArray[np.bool_]:
+        """Which fixes are frozen, (number of fixes,): filters don't take them for positions."""
+        return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
         """The steps of a filter that sees all fixes but the hidden ones; the same object each time it is asked.
@@ -60,16 +77,22 @@ class PreparedDrive:
         self._timelines.clear()
 
     def _built(self, hidden: NDArray[np.bool_], removed: bool) -> Timeline:
-        if not hidden.any():
-            return build_timeline(self.drive, self.initial.time)
-        if removed:
-            seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
-            return build_timeline(seen, self.initial.time)
+        if removed or not hidden.any():
+            seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if hidden.any() else self.drive
+            kinds = self.kinds[~hidden]
+            return build_timeline(seen, self.initial.time, as_recorded=self.as_recorded, kinds=kinds)
         return self.timeline().hiding(hidden)
 
 
-def prepared(drive: Drive | PreparedDrive, initial: InitialState | None = None) -> PreparedDrive:
-    """The drive made ready; itself where it is ready already and no other start is asked for."""
+def prepared(
+    drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
+) -> PreparedDrive:
+    """The drive made ready; itself where it is ready already and no other start is asked for.
+
+    ``as_recorded`` is for a drive that is not ready yet: see `PreparedDrive`.
+    """
     if isinstance(drive, PreparedDrive):
-        return drive if initial is None or initial is drive.initial else PreparedDrive(drive.drive, initial)
-    return PreparedDrive(drive, initial)
+        if initial is None or initial is drive.initial:
+            return drive
+        return PreparedDrive(drive.drive, initial, as_recorded=drive.as_recorded)
+    return PreparedDrive(drive, initial, as_recorded=as_recorded)

@@ -3,8 +3,10 @@
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
 driven by the same sample, and is absorbed at its own time. Two fixes of one moment, as two receivers give them, are
 absorbed one after the other: the second one's step has no length. Each step uses its true dt. Process noise is the
-variance added per nominal interval (the median) and scales with dt / nominal, so over a gap in the IMU's
-samples it grows with the gap's length.
+variance added per nominal interval (the median) and scales with dt / nominal.
+
+A gap in the IMU's samples is driven by the mean of the two around it, and marked: what the car did in it nobody saw
+(`drives.gaps`). Frozen fixes are left out (`drives.frozen`). Both rules hold unless the drive is asked for as recorded.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +17,8 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
+from sigmaswarm.drives.frozen import FROZEN, judged
+from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.standstill import standing
 
 CORNERING = 4.0
@@ -29,8 +33,9 @@ class Timeline:
     ----------
     start : s
     end : (k,) s: when each step ends
-    steps : (k, 5) the columns dt (s), ax, ay (m/s2), gz (rad/s) and q_scale, which have properties of their names:
-        how long each step is, the sample that drives it, and dt / nominal interval of the drive
+    steps : (k, 6) the columns dt (s), ax, ay (m/s2), gz (rad/s), q_scale and gap (s), which have properties of their
+        names: how long each step is, what drives it, dt / nominal interval of the drive, and how long the gap in the
+        IMU's samples is that it is a part of, 0 where it is of none
     absorbs : (k,) bool: a fix is absorbed at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
@@ -44,6 +49,7 @@ class Timeline:
     sample : (k,) int: the number of the sample that drives each step
     drive : Drive
         As the filter sees it.
+    kinds : (g,) what each fix of that drive is: see `drives.frozen`; all `NEW` where it is taken as recorded
     imu_time : (n,) s, the IMU's times after the start
     nominal_interval : s
     """
@@ -62,6 +68,7 @@ class Timeline:
     cornering: NDArray[np.bool_]
     sample: NDArray[np.intp]
     drive: Drive
+    kinds: Array
     imu_time: Array
     nominal_interval: float
 
@@ -90,33 +97,58 @@ class Timeline:
         """Length of each step in nominal intervals, (k,)."""
         return self.steps[:, 4]
 
+    @property
+    def gap(self) -> Array:
+        """The gap in the IMU's samples that each step is a part of, (k,) s; 0: of none."""
+        return self.steps[:, 5]
+
+    @property
+    def frozen(self) -> NDArray[np.bool_]:
+        """Which fixes of the drive are frozen, (g,): no filter gets to see them as positions."""
+        return self.kinds >= FROZEN
+
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
         """Standstill at the step's end, (k,); found out only for a filter that asks."""
-        return standing(self.drive)[self.sample]
+        return standing(self.drive, self.kinds)[self.sample]
 
     @cached_property
     def alignments(self) -> Alignments:
-        """Of the fixes that a filter sees; only for one that may be lost."""
-        return Alignments(self.drive)
+        """Of the fixes that a filter absorbs; only for one that may be lost."""
+        return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
         """The same steps with fixes that a filter does not get to see; all other arrays are shared.
 
         ``hidden``, shape (number of the drive's fixes,), says which.
         """
-        time = self.drive.gps.time
         hides = np.zeros(len(self.end), dtype=np.bool_)
-        hides[self.absorbs] = hidden[(time > self.start) & (time <= self.drive.imu.time[-1])]
+        hides[self.absorbs] = hidden[_usable(self.drive, self.start, self.kinds)]
         seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
-        return replace(self, absorbs=self.absorbs & ~hides, hides=hides, drive=seen)
+        return replace(
+            self, absorbs=self.absorbs & ~hides, hides=hides, drive=seen, kinds=self.kinds[~hidden]
+        )
 
 
-def build_timeline(drive: Drive, start: float) -> Timeline:
-    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out."""
+def build_timeline(
+    drive: Drive, start: float, *, as_recorded: bool = False, kinds: Array | None = None
+) -> Timeline:
+    """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
+
+    Parameters
+    ----------
+    drive : Drive
+    start : float
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+    kinds : (g,), optional
+        What each fix is, where that was judged on a drive with more fixes.
+    """
     imu = drive.imu
+    if kinds is None:
+        kinds = np.zeros(len(drive.gps)) if as_recorded else judged(drive.gps)
     imu_time = imu.time[imu.time > start]
-    usable = (drive.gps.time > start) & (drive.gps.time <= imu.time[-1])
+    usable = _usable(drive, start, kinds)
     fix_time = drive.gps.time[usable]
     moments = np.union1d(imu_time, fix_time)
     fixes_there = np.diff(np.searchsorted(fix_time, moments, side="right"), prepend=0)
@@ -125,6 +157,8 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
+    gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
+    ax, ay, gz = (_across(gaps, column) for column in (imu.ax, imu.ay, imu.gz))
     has_velocity = drive.gps.speed is not None and drive.gps.course is not None
     velocity = np.zeros((2, len(drive.gps)))
     if drive.gps.speed is not None and drive.gps.course is not None:
@@ -133,7 +167,7 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
     return Timeline(
         start=start,
         end=ends,
-        steps=np.column_stack([dt, *(column[sample] for column in (imu.ax, imu.ay, imu.gz)), dt / nominal]),
+        steps=np.column_stack([dt, ax[sample], ay[sample], gz[sample], dt / nominal, gaps[sample]]),
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
@@ -142,9 +176,10 @@ def build_timeline(drive: Drive, start: float) -> Timeline:
         has_velocity=has_velocity,
         states_accuracy=stated,
         lever=drive.lever_arm,
-        cornering=np.abs(imu.ay[sample]) > CORNERING,
+        cornering=np.abs(ay[sample]) > CORNERING,
         sample=sample,
         drive=drive,
+        kinds=kinds,
         imu_time=imu_time,
         nominal_interval=nominal,
     )
@@ -157,6 +192,22 @@ def _stated_variance(gps: Gps) -> tuple[Array, bool]:
     variance = np.square([gps.std_x, gps.std_y])
     known = np.isfinite(variance).all()
     return (variance if known else np.zeros_like(variance)), bool(known)
+
+
+def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
+    """Which of the drive's fixes a time line has."""
+    time = drive.gps.time
+    return (time > start) & (time <= drive.imu.time[-1]) & (kinds < FROZEN)
+
+
+def _across(gaps: Array, column: Array) -> Array:
+    """What drives the filter up to each sample: the sample, or the mean of the two around a gap."""
+    ends = np.flatnonzero(gaps)
+    if not len(ends):
+        return column
+    driving = column.copy()
+    driving[ends] = 0.5 * (column[ends - 1] + column[ends])
+    return driving
 
 
 def _among(times: Array, known: Array) -> NDArray[np.bool_]:

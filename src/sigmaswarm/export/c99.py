@@ -6,12 +6,13 @@ from operator import itemgetter
 
 import numpy as np
 
-from sigmaswarm.drives import standstill
+from sigmaswarm.drives import frozen, gaps, standstill
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.export.template import fill
+from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -22,8 +23,10 @@ SHORTEST_INTERVAL = 1e-4
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
-def c99(parameters: FilterParameters, interval: float) -> dict[str, str]:
+def c99(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
     """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to.
+
+    ``as_recorded``: see `PreparedDrive`.
 
     Raises
     ------
@@ -35,12 +38,13 @@ def c99(parameters: FilterParameters, interval: float) -> dict[str, str]:
             f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
             f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
         )
-    features = features_of(parameters) | {"USE_DOUBLE": not _fits_float(parameters)}
+    features = features_of(parameters)
+    features |= {"USE_DOUBLE": not _fits_float(parameters), "USE_AS_RECORDED": as_recorded}
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
-def replay_rows(drive: Drive) -> str:
+def replay_rows(drive: Drive, *, as_recorded: bool = False) -> str:
     """A drive as the rows that replay.c reads: where a filter starts, then samples and fixes by time.
 
     Raises
@@ -48,7 +52,7 @@ def replay_rows(drive: Drive) -> str:
     AlignmentError
         If the drive never moves far enough for a start.
     """
-    initial, imu = initial_state(drive), drive.imu
+    initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
     start = (initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel())
     events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
     events += [(t, 1, _row("imu", (t, *u))) for t, *u in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True)]
@@ -97,13 +101,27 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     derived: dict[str, float | None] = {
         "GAMMA_SQUARED": gamma_squared,
         "SPREAD": spread,
-        "CALM_WINDOW": standstill.WINDOW,
+        "BLOCK": standstill.BLOCK,
+        "DEPARTS": standstill.DEPARTS,
+        "FOLLOWS": standstill.FOLLOWS,
+        "FORGETS": standstill.FORGETS,
         "CALM": standstill.CALM,
         "SETTLES": standstill.SETTLES,
         "RISES": standstill.RISES,
         "TURNING": standstill.TURNING,
         "FIX_WINDOW": standstill.FIX_WINDOW,
         "FIX_SPEED": standstill.FIX_SPEED,
+        "BEFORE": frozen.BEFORE,
+        "SPEED_WINDOW": frozen.SPEED_WINDOW,
+        "BRAKING": frozen.BRAKING,
+        "REST": frozen.REST,
+        "NO_REST": frozen.NO_REST,
+        "GAP_MANY": gaps.MANY,
+        "GAP_SHORTEST": gaps.SHORTEST,
+        "GAP_OVER": gaps.OVER,
+        "GAP_MOST": gaps.MOST,
+        "GAP_TURN": schedule.GAP_TURN_STD,
+        "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
         "LEAP": live.LEAP,
         "AGREES": live.AGREES,
     }
@@ -111,10 +129,10 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
-        "FIXES": "64" if stands else "32",
-        "RATE": str(live.fastest_rate(interval)),
-        "COUNTERS": ", time_jumps and too_fast" if stands else " and time_jumps",
-        "FIXES_NOTE": ", and those of the last 3 s" if stands else "",
+        "FIXES": "64",  # 6 s at 10 Hz
+        "MOST_OF_IT": str(standstill.MOST_OF_IT),
+        "QUARTER": str(standstill.QUARTER),
+        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
         "CALM_NOTE": ": it learns what calm is" if stands else "",
         "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
         "GYRO_NOTE": ", and all that the gyro shows is its bias"

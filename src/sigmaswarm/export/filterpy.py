@@ -9,18 +9,18 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, standstill
+from sigmaswarm.drives import alignment, frozen, gaps, standstill
 from sigmaswarm.export.features import features_of, listed, values_of
 from sigmaswarm.export.template import fill
-from sigmaswarm.filters import models
+from sigmaswarm.filters import models, schedule
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook import ekf
 
 FILE = "run_filter.py"
 
 
-def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
-    """The script, by file name; ``interval`` (s) is what Q refers to."""
+def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
+    """The script, by file name; ``interval`` (s) is what Q refers to, ``as_recorded`` as in `PreparedDrive`."""
     p = parameters
     features = features_of(p)
     model = models.MODELS[p.model]
@@ -42,6 +42,7 @@ def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
     ]
     values = values_of(p, interval) | {
         "STATES": repr(model.names),
+        "AS_RECORDED": repr(as_recorded),
         "PROCESS_NOISE": listed(p.process_noise),
         "MEASUREMENT_NOISE": listed(p.measurement_noise),
         "STANDS": "stands[k]" if features["USE_STANDSTILL"] else "False",
@@ -50,6 +51,9 @@ def filterpy(parameters: FilterParameters, interval: float) -> dict[str, str]:
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
         "MODEL_SOURCE": "\n\n\n".join(sources),
         "GEODESY_SOURCE": source_of(geodesy, places),
+        "FROZEN_SOURCE": source_of(frozen),
+        "GAPS_SOURCE": source_of(gaps),
+        "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
         "ALIGNMENT_SOURCE": source_of(alignment),
         "STANDSTILL_SOURCE": source_of(standstill),
     }
@@ -84,10 +88,7 @@ def _name(node: ast.stmt) -> str | None:
     """What a statement defines, if it is a constant, a function or a class."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         return node.name
-    if (
-        isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Name)
-        and node.targets[0].id != "Array"
-    ):
-        return node.targets[0].id
-    return None
+    if not isinstance(node, ast.Assign):
+        return None
+    first = node.targets[0].elts[0] if isinstance(node.targets[0], ast.Tuple) else node.targets[0]
+    return first.id if isinstance(first, ast.Name) and first.id != "Array" else None

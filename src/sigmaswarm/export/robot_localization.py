@@ -23,8 +23,10 @@ DEFAULT_PROCESS_NOISE = (
 _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
 
 
-def robot_localization(parameters: FilterParameters, interval: float) -> dict[str, str]:
+def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
     """The parameter file, by file name; ``interval`` (s) is what Q refers to.
+
+    ROS's filter has no rules that could be switched off.
 
     Raises
     ------

@@ -14,16 +14,22 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
 
-TARGETS: dict[Target, Callable[[FilterParameters, float], dict[str, str]]] = {
+TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
     "c99": c99,
     "robot_localization": robot_localization,
 }
-"""From parameters, and the IMU interval (s) that Q refers to, to texts by file name."""
+"""From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
+name."""
 
 
 def export_filter(
-    parameters: FilterParameters, target: Target, folder: str | Path, *, replay: Drive | None = None
+    parameters: FilterParameters,
+    target: Target,
+    folder: str | Path,
+    *,
+    replay: Drive | None = None,
+    as_recorded: bool = False,
 ) -> list[Path]:
     """Write a filter for a target.
 
@@ -36,6 +42,8 @@ def export_filter(
         Made if missing; files of the same names are replaced.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
+    as_recorded : bool
+        filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
 
     Returns
     -------
@@ -61,9 +69,9 @@ def export_filter(
         )
     if replay is not None and target != "c99":
         raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
-    texts = TARGETS[target](parameters, parameters.nominal_interval)
+    texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay)
+        texts["replay.csv"] = replay_rows(replay, as_recorded=as_recorded)
     folder = make_folder(Path(folder))
     for name, text in texts.items():
         write_whole(folder / name, text)

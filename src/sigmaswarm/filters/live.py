@@ -8,7 +8,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.standstill import FIX_WINDOW, new_floor
+from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, R
@@ -51,7 +51,11 @@ class LiveFilter:
     A fix waits for the IMU sample that follows it, which drives the filter to the fix's time and on. A fix that comes
     late, at most ``history`` seconds, takes the filter back to its time and forward again; so the state is the one
     that `run_filter` gives for the same data in order. Fixes of one time, as two receivers give them, are absorbed one
-    after the other; one that is the same in all its numbers is the same message again, and is left out.
+    after the other; one that is the same in all its numbers is the same message again, and is left out. A frozen fix is
+    kept and not absorbed: see `drives.frozen`.
+
+    That the IMU is silent can't be known before it speaks again. The state stays that of the last sample meanwhile, and
+    fixes wait; the sample that ends the gap brings the filter through it (`drives.gaps`).
 
     One stamp alone is not believed if it lies more than 10 s ahead: such a sample is held back until a second one,
     within a second of it, says the same; then both are taken, as after a silence. Else it is dropped and counted. So
@@ -77,6 +81,8 @@ class LiveFilter:
         s that are kept for late fixes.
     recover : bool
         Start anew where the filter is lost.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
 
     Attributes
     ----------
@@ -86,9 +92,8 @@ class LiveFilter:
         Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
     time_jumps : int
         Samples and fixes that were dropped, stamped far ahead as no other one was.
-    too_fast : int
-        IMU samples at which the last second held more of them than are kept, so that a standstill may go unseen: 1125
-        Hz, or more where ``nominal_interval`` asks for it.
+    frozen : int
+        Fixes that repeated one of a car that may have moved since, and were not absorbed.
     """
 
     def __init__(
@@ -100,6 +105,7 @@ class LiveFilter:
         lever_arm: Sequence[float] = (0.0, 0.0),
         history: float = 1.0,
         recover: bool = True,
+        as_recorded: bool = False,
     ) -> None:
         p = parameters
         self.parameters = p
@@ -109,15 +115,15 @@ class LiveFilter:
         self._takes_accuracy = p.accuracy_scale is not None
         # More than the history takes: an IMU may run faster than it says.
         samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
-        in_window = live.samples_in_window(live.fastest_rate(nominal_interval))
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
         self._belief = _believe(p, initial, nominal_interval, lever_arm)
+        self._belief[live.AS_RECORDED] = as_recorded
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         counts[live.N_STATES] = p.n_states
         self._memory = (
             self._belief,
             counts,
-            np.zeros((0 if p.standstill_noise is None else 2 * in_window, 4)),
+            new_memory()[: 0 if p.standstill_noise is None else None],
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
             np.zeros((samples, live.N_RECORD)),
         )
@@ -241,9 +247,9 @@ class LiveFilter:
         return int(self._memory[1][live.TIME_JUMPS])
 
     @property
-    def too_fast(self) -> int:
+    def frozen(self) -> int:
         """See the class."""
-        return int(self._memory[1][live.TOO_FAST])
+        return int(self._memory[1][live.N_FROZEN])
 
     @property
     def state(self) -> LiveState:
@@ -285,5 +291,5 @@ def _believe(
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
     v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
     v[live.LAST_SAMPLE] = -np.inf
-    v[live.FLOOR] = new_floor()
+    v[live.STOP] = new_stop()
     return v

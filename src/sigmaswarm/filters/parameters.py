@@ -1,6 +1,8 @@
 """FilterParameters: everything that a filter can be tuned by, as one frozen record."""
 
+import re
 import tomllib
+import warnings
 from collections.abc import Collection
 from dataclasses import fields
 from pathlib import Path
@@ -11,7 +13,7 @@ import tomli_w
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
@@ -141,6 +143,11 @@ class FilterParameters:
         ------
         InputError
             Naming the file, the key, what is wrong with it and the remedy.
+
+        Warns
+        -----
+        SigmaswarmWarning
+            If a tuning was written by a version whose filters did something else.
         """
         path = Path(path)
         if path.is_dir():
@@ -159,7 +166,9 @@ class FilterParameters:
             raise InputError(f"{path}: not a readable TOML file: {_one_line(error)}") from None
         if not isinstance(table.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")
-        return cls._validated(table["filter"], path)
+        parameters = cls._validated(table["filter"], path)
+        _warn_of_age(table, path)
+        return parameters
 
     @classmethod
     def _validated(cls, table: dict[str, Any], path: Path) -> "FilterParameters":
@@ -188,6 +197,8 @@ class FilterParameters:
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
 """Options that do not go with all others, and the fields that switch them on."""
+RULES_SINCE = (0, 3)
+"""The version since which frozen fixes, gaps and standstills are treated as they are."""
 
 
 def clash(kind: str, use: Collection[str]) -> str | None:
@@ -237,6 +248,20 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
         return {}
     each = zip(MODELS[p.model].states, p.process_noise, strict=True)
     return {s.name: f"{np.sqrt(q / p.nominal_interval):.4g} {s.density_unit}" for s, q in each}
+
+
+def _warn_of_age(table: dict[str, Any], path: Path) -> None:
+    """Say of a tuning that it was made for filters that did not do what they do now."""
+    made = table.get("versions")
+    version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""  # pyright: ignore
+    numbers = re.match(r"(\d+)\.(\d+)", version)
+    if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
+        warnings.warn(
+            f"{path}: was tuned by sigmaswarm {version}, whose filters absorbed frozen fixes, took gaps in the IMU for "
+            "steps like others, and told standstills otherwise: results are not those of then; tune it again",
+            SigmaswarmWarning,
+            stacklevel=3,
+        )
 
 
 def _one_line(error: object) -> str:

@@ -181,7 +181,7 @@ class Recording:
             covariance=covariance[0],
             fix_time=time,
             fix=line.fixes[fix, :2],
-            fix_variance=self._rows[0, [R.RX, R.RY], 0],
+            fix_variance=self._variance_of(fix),
             lever=line.lever,
             latency=p.latency,
             since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
@@ -196,9 +196,14 @@ class Recording:
     def _hold(self, step: int) -> None:
         """Take the last fix for the estimate."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
-        fix = line.fixes[np.searchsorted(line.fix_time, time, side="right") - 1, :2]
-        variance = self._rows[0, [R.RX, R.RY], 0]
-        self._start_anew(at_fix(time, fix, variance, float(self._rows[0, R.T, 0]), line.lever))
+        fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
+        theta = float(self._rows[0, R.T, 0])
+        self._start_anew(at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever))
+
+    def _variance_of(self, fix: int) -> Array:
+        """Diagonal of R of a fix, (2,) m2."""
+        rx, ry, scale = self._rows[0, [R.RX, R.RY, R.ACCURACY], 0]
+        return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what it has added up stays."""

@@ -59,6 +59,7 @@ def run_filter(
     *,
     initial: InitialState | None = None,
     recover: bool = True,
+    as_recorded: bool = False,
 ) -> Estimate:
     """Run the compiled filter over a drive.
 
@@ -71,6 +72,9 @@ def run_filter(
         Where to start; `initial_state(drive)` by default.
     recover : bool
         Start anew where the filter is lost: see `recovery`. A tuning's runs never do.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others. A `PreparedDrive` says it
+        itself.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def run_filter(
     AlignmentError
         If ``initial`` is not given and the drive never moves far enough.
     """
-    replay = replay_of(drive, initial)
+    replay = replay_of(drive, initial, as_recorded=as_recorded)
     recording = Recording(replay, parameters, recover=recover)
     whole = recording.whole()
     return Estimate(
@@ -97,16 +101,23 @@ def run_filter(
 
 
 def run_innovations(
-    drive: Drive | PreparedDrive, parameters: FilterParameters, *, initial: InitialState | None = None
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    as_recorded: bool = False,
 ) -> Innovations:
     """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
 
     Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
     """
-    return Recording(replay_of(drive, initial), parameters).finished().innovations
+    replay = replay_of(drive, initial, as_recorded=as_recorded)
+    return Recording(replay, parameters).finished().innovations
 
 
-def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None) -> Replay:
+def replay_of(
+    drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
+) -> Replay:
     """The whole drive, compared with nothing.
 
     Raises
@@ -114,7 +125,7 @@ def replay_of(drive: Drive | PreparedDrive, initial: InitialState | None = None)
     InputError
         If no IMU sample follows the start.
     """
-    ready = prepared(drive, initial)
+    ready = prepared(drive, initial, as_recorded=as_recorded)
     timeline = ready.timeline()
     if not len(timeline.imu_time):
         name, start = ready.drive.name, ready.initial.time
@@ -143,7 +154,7 @@ def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate
 
 
 def run_textbook(
-    drive: Drive,
+    drive: Drive | PreparedDrive,
     parameters: FilterParameters,
     *,
     initial: InitialState | None = None,

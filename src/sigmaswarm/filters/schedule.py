@@ -7,7 +7,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.models import MODELS, SENSORS, CarModel
+from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
 from sigmaswarm.filters.parameters import FilterParameters
 
 # What happens at the end of a step, as bits.
@@ -28,6 +28,12 @@ MOST_REJECTED = 5
 """So many fixes in a row may the gate turn away; the next one is absorbed, or a filter that lost its way never
 recovers."""
 
+GAP_TURN_STD = 0.1
+"""rad/s: how fast a car may have turned, beyond the mean of the samples around it, in a gap of the IMU's samples. Real
+drives do as well with 0.05 to 0.3."""
+GAP_ACCELERATION_STD = 1.0
+"""m/s2 per axis: how hard it may have accelerated in a gap. Real drives do as well with 0.5 to 2."""
+
 
 def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
     """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
@@ -47,6 +53,23 @@ def require_accuracy(line: Timeline) -> None:
             f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
             "and gps.csv has no std_x and std_y for all fixes; take a filter that was tuned without accuracy"
         )
+
+
+def gap_covariance(n: int, dt: float, gap: float) -> Array:
+    """What a step of ``dt`` s through a gap of ``gap`` s adds to P, (n, n), beside Q; zero where there is no gap.
+
+    The motion that nobody saw is one turn rate and one acceleration for the whole gap, so its steps together add
+    (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of
+    each step's velocity.
+    """
+    added = np.zeros((n, n))
+    g = GAP_ACCELERATION_STD**2 * gap * dt
+    for p, v in ((0, 2), (1, 3)):
+        added[v, v] = g
+        added[p, p] = g * dt * dt / 4.0
+        added[p, v] = added[v, p] = g * dt / 2.0
+    added[THETA, THETA] = GAP_TURN_STD**2 * gap * dt
+    return added
 
 
 def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:

@@ -31,6 +31,7 @@ from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import (
     LONG_OUTAGE_LENGTH,
     OUTAGE_LENGTH,
+    drift_reference,
     outage_replay,
     outage_windows,
     tracking_replay,
@@ -143,6 +144,8 @@ class Evaluated:
         What identifies the drive.
     restarts : mapping of method to tuple of float
         s: when a filter was lost and started anew, see `filters.recovery`.
+    frozen : int
+        Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
     """
 
     scores: Mapping[str, Score]
@@ -152,6 +155,7 @@ class Evaluated:
     picture: Picture | None = None
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
+    frozen: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,6 +280,7 @@ def evaluate(
     *,
     outage_length: float = OUTAGE_LENGTH,
     outage_seed: int = 0,
+    as_recorded: bool = False,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -290,6 +295,8 @@ def evaluate(
         s without fixes; outages of 30 s are tried beside those.
     outage_seed : int
         Places the outages: the same for every method.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
 
     Raises
     ------
@@ -306,7 +313,8 @@ def evaluate(
     found: dict[str, Evaluated] = {}
     for drive in drives:
         name = _unique(drive.name, found)
-        found[name] = _evaluated(prepared(drive), parameters, name, outage_length, outage_seed)
+        ready = prepared(drive, as_recorded=as_recorded)
+        found[name] = _evaluated(ready, parameters, name, outage_length, outage_seed)
     names = method_names(parameters.kind, parameters.model)
     return Evaluation(found, names, outage_length, outage_seed)
 
@@ -320,7 +328,7 @@ def _evaluated(
     tracker = Tracker(ready, picture=True)
     imu_only = run_imu_only(ready)  # first: it is held whole, and the filters' targets are not yet there
     tracker.keep_estimate("imu_only", imu_only)
-    dead_reckoning = score_imu_only(drive, imu_only, length, seed)
+    dead_reckoning = score_imu_only(ready, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
     recorded = [tracker.record(method, tracking, p, recover=True) for method, p in filters.items()]
@@ -344,6 +352,7 @@ def _evaluated(
         picture=tracker.picture(name),
         data=described(drive),
         restarts=restarts,
+        frozen=int(ready.frozen.sum()),
     )
 
 
@@ -374,21 +383,21 @@ def _joined(whole: Score, outages: Score, long_outages: Score, quantiles: tuple[
     )
 
 
-def score_imu_only(drive: Drive, estimate: Estimate, length: float, seed: int) -> Score:
+def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
     drift, long_drift = (
-        _drift(drive, estimate, outage_windows(drive, estimate.initial, length=each, seed=seed)[:, 1])
+        _drift(ready, estimate, outage_windows(ready.drive, estimate.initial, length=each, seed=seed)[:, 1])
         for each in (length, LONG_OUTAGE_LENGTH)
     )
-    score = score_estimate(drive, estimate)
+    score = score_estimate(ready.drive, estimate)
     return replace(score, outage_drift=drift, long_outage_drift=long_drift, failed=False)
 
 
-def _drift(drive: Drive, estimate: Estimate, ends: np.ndarray) -> float:
+def _drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> float:
     """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
     if not len(ends):
         return float("nan")
-    reference = drive.gps if drive.truth is None else drive.truth
+    reference = drift_reference(ready)
     errors = [
         np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
         for i, column in enumerate((reference.x, reference.y))

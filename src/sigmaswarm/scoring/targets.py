@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
 from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_windows, snap_ends
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
@@ -33,10 +33,16 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
     windows = outage_windows(drive, ready.initial, length=length, seed=seed)
     timeline = ready.timeline(hidden_fixes(drive.gps.time, windows), removed=True)
     ends = windows[:, 1]
-    reference = drive.gps if drive.truth is None else drive.truth
+    reference = drift_reference(ready)
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
     rows = np.column_stack([np.ones_like(ends), x, y, np.zeros((len(ends), 2))])
     return Replay(timeline, ready.initial, Targets(rows, _end(timeline, ends)))
+
+
+def drift_reference(ready: PreparedDrive) -> Gps | Truth:
+    """What the drift over outages is told from: truth, or else the fixes, but for frozen ones."""
+    drive = ready.drive
+    return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
 
 
 def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:

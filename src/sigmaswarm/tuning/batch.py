@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
@@ -42,6 +43,7 @@ def run_batch(
     objective: str = "truth-rmse",
     worst: float = 1.0,
     outage_seed: int = 0,
+    as_recorded: bool = False,
     executor: Executor | None = None,
 ) -> BatchResult:
     """Run every parameter set over every drive and score it.
@@ -58,6 +60,8 @@ def run_batch(
         Share of the drives that counts for the cost, the worst ones of each set.
     outage_seed : int
         Places the outages, where the objective has them.
+    as_recorded : bool
+        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
     executor : concurrent.futures.Executor, optional
         Shares the work; threads on all cores by default. The result's bits do not depend on it.
 
@@ -71,7 +75,8 @@ def run_batch(
     drives = listed(drives)
     goal = objective_named(objective)
     check_drives(drives, goal)
-    replayer = replayer_for(goal, drives, outage_seed)
+    ready = [PreparedDrive(drive, as_recorded=as_recorded) for drive in drives]
+    replayer = replayer_for(goal, ready, outage_seed)
     if executor is None:
         with ThreadPoolExecutor() as pool:
             scores = replayer.scores(parameter_sets, pool)
@@ -94,7 +99,7 @@ def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
         )
 
 
-def replayer_for(objective: Objective, drives: Sequence[Drive], seed: int) -> Replayer:
+def replayer_for(objective: Objective, ready: Sequence[PreparedDrive], seed: int) -> Replayer:
     """The drives, made ready for the passes that an objective needs.
 
     Raises
@@ -104,18 +109,20 @@ def replayer_for(objective: Objective, drives: Sequence[Drive], seed: int) -> Re
         is too short to hide fixes.
     """
     replayer = Replayer(
-        drives,
+        ready,
         outages=objective.needs_outages,
         forecasts=objective.needs_forecasts,
         outage_seed=seed,
     )
-    for drive, initial, moments in zip(drives, replayer.initial, replayer.truth_moments, strict=True):
+    for drive, initial, moments in zip(
+        replayer.drives, replayer.initial, replayer.truth_moments, strict=True
+    ):
         if objective.needs_truth and drive.truth is not None and not moments:
             raise InputError(
                 f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
                 f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
             )
-    for drive, initial, hidden in zip(drives, replayer.initial, replayer.hidden_fixes, strict=False):
+    for drive, initial, hidden in zip(replayer.drives, replayer.initial, replayer.hidden_fixes, strict=False):
         if not hidden:
             end, remedy = drive.imu.time[-1], "take other drives or innovation-nll"
             span = f"from the start at {initial.time:g} s to {end:g} s"

@@ -61,6 +61,7 @@ class TuneConfig(SearchConfig):
     kind: FilterKind = DEFAULTS["kind"]
     use: tuple[Option, ...] = DEFAULTS["use"]
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
+    as_recorded: bool = DEFAULTS["as_recorded"]
 
 
 class ModelTuneConfig(SearchConfig):

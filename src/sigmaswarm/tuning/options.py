@@ -101,6 +101,13 @@ class FilterOptions(TypedDict, total=False):
         ),
     ]
     outage_seed: Annotated[int, Doc("Places the outages of objectives that have some.")]
+    as_recorded: Annotated[
+        bool,
+        Doc(
+            "Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis, and for "
+            "the paper's protocol."
+        ),
+    ]
 
 
 class TuneOptions(SearchOptions, FilterOptions, total=False):
@@ -131,5 +138,6 @@ DEFAULTS: dict[str, Any] = {
     "kind": "ukf",
     "use": (),
     "outage_seed": 0,
+    "as_recorded": False,
 }
 """The paper's where it gives them."""

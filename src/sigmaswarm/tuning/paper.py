@@ -16,6 +16,7 @@ PAPER: dict[str, Any] = {
     "polish": 0,
     "racing": False,
     "use": (),
+    "as_recorded": True,
     "worst": 1.0,
     "cognitive": ACCELERATION,
     "social": ACCELERATION,

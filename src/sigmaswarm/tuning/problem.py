@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replayer
@@ -139,7 +140,8 @@ def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace 
     objective = objective_named(config.objective)
     check_drives(drives, objective)
     _check_columns(drives, config)
-    replayer = replayer_for(objective, drives, config.outage_seed)
+    ready = [PreparedDrive(drive, as_recorded=config.as_recorded) for drive in drives]
+    replayer = replayer_for(objective, ready, config.outage_seed)
     data = [described(drive) for drive in drives]
     return CarProblem(config, space or car_space(config, usual_interval(drives)), data, replayer)
 

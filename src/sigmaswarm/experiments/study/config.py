@@ -85,6 +85,7 @@ class StudyConfig(BaseModel):
             seed=self.seed,
             model=model,
             kind=kind,
+            as_recorded=True,
         )
 
     def to_toml(self) -> str:

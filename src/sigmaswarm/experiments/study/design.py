@@ -12,7 +12,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import drive_folders, read_drive
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
@@ -47,8 +47,8 @@ class Design:
 
     @cached_property
     def prepared(self) -> tuple[PreparedDrive, ...]:
-        """The drives made ready for filters, each once."""
-        return tuple(map(prepared, self.drives))
+        """The drives made ready for filters, each once; as recorded, for the paper knows of no other rule."""
+        return tuple(PreparedDrive(drive, as_recorded=True) for drive in self.drives)
 
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""

@@ -171,4 +171,4 @@ def _imu_only(ready: PreparedDrive, seed: int) -> Score:
     gps = drive.gps.select((drive.gps.time > ready.initial.time) & (drive.gps.time <= estimate.time[-1]))
     x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
     residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
-    return replace(score_imu_only(drive, estimate, OUTAGE_LENGTH, seed), fix_rmse=residual)
+    return replace(score_imu_only(ready, estimate, OUTAGE_LENGTH, seed), fix_rmse=residual)

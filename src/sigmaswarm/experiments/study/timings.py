@@ -59,7 +59,9 @@ def _live_times(ready: PreparedDrive, kind: FilterKind, n_states: int) -> dict[s
     drive, initial = ready.drive, ready.initial
     plain, absorbing = [], []
     for _ in range(2):  # the first round warms up
-        live = LiveFilter(parameters, initial, nominal_interval=drive.nominal_interval)
+        live = LiveFilter(
+            parameters, initial, nominal_interval=drive.nominal_interval, as_recorded=ready.as_recorded
+        )
         plain, absorbing = _one_round(live, drive, initial.time)
     return {"predict_ms": _median_ms(plain), "predict_and_update_ms": _median_ms(absorbing)}
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives import standstill, timeline
+from sigmaswarm.drives import frozen, gaps, standstill, timeline
 from sigmaswarm.filters import models, schedule, student
 from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, N_STATE, R
@@ -21,7 +21,7 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU
 Array = NDArray[np.float64]
 
 # Columns of a step.
-DT, AX, AY, GZ, Q_SCALE = range(5)
+DT, AX, AY, GZ, Q_SCALE, GAP = range(6)
 
 # Columns of a target: a moment of truth inside an IMU interval.
 WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
@@ -90,7 +90,8 @@ def _run(w, steps, flags, fixes, lever, targets, target_end, place, stop, record
             z = fixes[n_fixes]
             zx, zy, zu, zv, var_x, var_y = z[0], z[1], z[2], z[3], z[4], z[5]
         step(
-            w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE], happens, zx, zy, zu, zv, var_x, var_y, lever[0], lever[1], since
+            w, u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE], u[GAP], happens,
+            zx, zy, zu, zv, var_x, var_y, lever[0], lever[1], since,
         )  # fmt: skip
         if happens & FIX:
             since = 0.0
@@ -143,8 +144,11 @@ def cached_by_sources(make, **options):
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed; but what a
     function closes over is part of its key.
     """
-    frozen = standstill, timeline, models, schedule, student  # what kernels take from elsewhere
-    files = [*sorted(Path(__file__).parent.glob("*.py")), *(Path(str(module.__file__)) for module in frozen)]
+    elsewhere = frozen, gaps, standstill, timeline, models, schedule, student  # what kernels take from there
+    files = [
+        *sorted(Path(__file__).parent.glob("*.py")),
+        *(Path(str(module.__file__)) for module in elsewhere),
+    ]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
     return cached(make(digest), **(OPTIONS | options))
 
@@ -200,7 +204,7 @@ def run_lanes(
     Parameters
     ----------
     model : its name
-    steps : (k, 5) dt (s), ax, ay (m/s2), gz (rad/s), and the scale of Q, of each step
+    steps : (k, 6) dt (s), ax, ay (m/s2), gz (rad/s), the scale of Q, and the gap (s) that it is a part of, of each step
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
         steps absorb them

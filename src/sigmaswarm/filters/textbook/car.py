@@ -18,6 +18,7 @@ from sigmaswarm.filters.schedule import (
     VELOCITY,
     converted,
     flags_of,
+    gap_covariance,
     require_accuracy,
     start_of,
     switches,
@@ -91,7 +92,8 @@ class TextbookCar:
         """Take the time line's step i: predict, then absorb what there is at its end."""
         line, p = self.timeline, self.parameters
         imu, yaw_rate = self._imu[i], float(line.gz[i])
-        self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i])
+        unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
+        self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i] + unseen)
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]

@@ -1,0 +1,115 @@
+"""Frozen fixes: a receiver that has lost its satellites repeats its last position bit for bit while the car drives on.
+
+A receiver with static hold does the same at a red light, and there it is right. What tells the two apart are the fixes
+before: whether they show a car that has come to rest by the time of the first repeat. So a fix is judged from fixes
+alone, from none after it, and by no parameter of a filter. The same function serves a whole drive and a live filter.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.compilation import cached
+from sigmaswarm.drives.drive import Array, Gps
+
+NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
+"""What a fix is: a position of its own; a repeat while the car rests; a repeat while it may move (FROZEN: by less than
+`NO_REST`; FROZEN_MOVING: by more, so that the repeat is no evidence of a standstill either)."""
+
+BEFORE = 3.0
+"""s before a fix in which the one that it repeats is looked for; the last fix before it is looked at in any case."""
+SPEED_WINDOW = 2.5
+"""s of fixes that tell the car's speed; two at least. At 1 Hz that is three, which still show a braking."""
+REST = 0.8
+"""m/s: a car that is slower, as the fixes tell it, rests: the standstill's `FIX_SPEED`."""
+NO_REST = 2.0
+"""m/s: a repeat that begins above is no evidence of a standstill."""
+BRAKING = 4.0
+"""m/s2: what the fixes show of a harder braking is their noise."""
+ENOUGH = 3
+"""New fixes that show a braking; fewer show a mean speed only."""
+
+
+def judged(gps: Gps) -> Array:
+    """What each fix is, shape (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
+    fixes, kinds = np.column_stack([gps.time, gps.x, gps.y]), np.zeros(len(gps.time))
+    if len(kinds):
+        _judge_all(fixes, kinds)
+    return kinds
+
+
+def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:
+    """Fixes that repeat one of a car that may have moved since, shape (n,): no filter takes them for positions."""
+    return judged(gps) >= FROZEN
+
+
+@cached
+def _judge_all(fixes: Array, kinds: Array) -> None:
+    for k in range(len(fixes)):
+        kinds[k] = kind_of(fixes, kinds, k)
+
+
+@cached
+def kind_of(fixes: Array, kinds: Array, k: int) -> int:
+    """What fix k is; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
+
+    It is compared with all fixes of the seconds before, so that of two receivers each is compared with itself, whether
+    they share a clock or not. A run of repeats is judged once, at the first.
+    """
+    now = fixes[k, 0]
+    last = k - 1
+    while last >= 0 and not fixes[last, 0] < now:  # fixes of one time are of several receivers
+        last -= 1
+    j = last
+    while j >= 0 and (j == last or fixes[j, 0] >= now - BEFORE):
+        if fixes[j, 1] == fixes[k, 1] and fixes[j, 2] == fixes[k, 2]:
+            if kinds[j] != NEW:
+                return int(kinds[j])
+            speed = _speed_at(fixes, kinds, j, now)
+            return HELD if speed <= REST else (FROZEN if speed <= NO_REST else FROZEN_MOVING)
+        j -= 1
+    return NEW
+
+
+@cached
+def _speed_at(fixes: Array, kinds: Array, last: int, now: float) -> float:
+    """The car's speed (m/s) at a time, told from the new fixes of the seconds up to row ``last``.
+
+    The smaller of two: that of a straight line, and along it that of a parabola at the time itself; a car that brakes
+    to a halt has been fast a second before. A log that begins with repeats begins at rest: nothing shows that it moves.
+    """
+    origin, n = fixes[last, 0], 0
+    t1, t2, t3, t4 = 0.0, 0.0, 0.0, 0.0
+    x0, x1, x2, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    j = last
+    while j >= 0 and (n < 2 or fixes[j, 0] >= origin - SPEED_WINDOW):
+        if kinds[j] == NEW:
+            t, x, y = fixes[j, 0] - origin, fixes[j, 1] - fixes[last, 1], fixes[j, 2] - fixes[last, 2]
+            tt = t * t
+            n += 1
+            t1 += t
+            t2 += tt
+            t3 += tt * t
+            t4 += tt * tt
+            x0 += x
+            x1 += x * t
+            x2 += x * tt
+            y0 += y
+            y1 += y * t
+            y2 += y * tt
+        j -= 1
+    s11 = t2 - t1 * t1 / max(n, 1)  # sums about the means
+    if not s11 > 0.0:
+        return 0.0
+    sx, sy = (x1 - x0 * t1 / n) / s11, (y1 - y0 * t1 / n) / s11
+    line = math.hypot(sx, sy)
+    s12, s22 = t3 - t1 * t2 / n, t4 - t2 * t2 / n
+    det = s11 * s22 - s12 * s12
+    if n < ENOUGH or not det > 1e-9 * s11 * s22 or not line > 0.0:
+        return line
+    along1 = ((x1 - x0 * t1 / n) * sx + (y1 - y0 * t1 / n) * sy) / line
+    along2 = ((x2 - x0 * t2 / n) * sx + (y2 - y0 * t2 / n) * sy) / line
+    slope, bend = (s22 * along1 - s12 * along2) / det, (s11 * along2 - s12 * along1) / det
+    slowest = line - BRAKING * (now - origin - t1 / n)  # the line's speed is that of the fixes' mean time
+    return min(line, max(slowest, slope + 2.0 * bend * (now - origin)))

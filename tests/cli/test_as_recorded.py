@@ -1,0 +1,45 @@
+"""--as-recorded: a filter is run and evaluated as it was tuned."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from filter_cases import rough
+from sigmaswarm.drives.writer import write_drive
+
+
+@pytest.mark.parametrize("as_recorded", [False, True])
+def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as_recorded: bool):
+    folder = write_drive(rough(), tmp_path / "rough")
+    options = ["--particles", "4", "--generations", "2", *(["--as-recorded"] if as_recorded else [])]
+    assert sigmaswarm("tune", str(folder), "--out", str(tmp_path / "tuned"), *options).code == 0
+    table = tomllib.loads((tmp_path / "tuned" / "tuning.toml").read_text())
+    assert table["config"]["as_recorded"] is as_recorded
+    means = []
+    for name, more in (("as tuned", []), ("as recorded", ["--as-recorded"])):
+        out = tmp_path / f"{name}.csv"
+        assert sigmaswarm("run", str(tmp_path / "tuned"), str(folder), "--out", str(out), *more).code == 0
+        means.append(np.loadtxt(out, delimiter=",", skiprows=1))
+    same = means[0].tobytes() == means[1].tobytes()
+    assert same is as_recorded
+    said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder)).out
+    assert ("no filter took 5 of the fixes" in said) is not as_recorded
+
+
+def test_a_tuning_of_an_older_version_is_told(sigmaswarm, tmp_path: Path):
+    folder = write_drive(rough(), tmp_path / "rough")
+    options = ["--particles", "4", "--generations", "2"]
+    assert sigmaswarm("tune", str(folder), "--out", str(tmp_path / "tuned"), *options).code == 0
+    file = tmp_path / "tuned" / "tuning.toml"
+    now, run = file.read_text(), ("run", str(file), str(folder), "--out", str(tmp_path / "x.csv"))
+    assert "was tuned by" not in sigmaswarm(*run).err
+    for version in ("0.2.0", "0.1.3"):
+        file.write_text(re.sub(r'sigmaswarm = "[^"]*"', f'sigmaswarm = "{version}"', now))
+        ended = sigmaswarm(*run)
+        assert ended.code == 0
+        (line,) = [line for line in ended.err.splitlines() if "was tuned by" in line]
+        assert f"tuning.toml: was tuned by sigmaswarm {version}" in line
+        assert line.endswith("tune it again")

@@ -1,0 +1,143 @@
+"""Frozen fixes: planted in drives, with static hold beside them, and against a rule written down plainly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Gps
+from sigmaswarm.drives.frozen import FROZEN, FROZEN_MOVING, HELD, NEW, frozen_fixes, judged
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.reader import read_drive
+from support import DRIVES, make_drive, needs_shared
+
+
+def repeated(gps: Gps, rows: slice) -> Gps:
+    """The fixes with some of them frozen at the one before."""
+    x, y = gps.x.copy(), gps.y.copy()
+    x[rows], y[rows] = x[rows.start - 1], y[rows.start - 1]
+    return replace(gps, x=x, y=y)
+
+
+def straight(speed, rate: float = 5.0, duration: float = 20.0) -> Gps:
+    """A car that drives east with ``speed(t)``, m/s, and a receiver without noise."""
+    t = np.arange(0.0, duration, 1 / rate)
+    fine = np.linspace(0.0, duration, 20001)
+    way = np.concatenate([[0.0], np.cumsum(np.diff(fine) * speed(fine[1:]))])
+    return Gps(time=t, x=np.interp(t, fine, way), y=np.zeros(len(t)))
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("speed", [2.5, 8.0, 30.0])
+def test_repeats_of_a_driving_car_are_frozen_and_no_evidence(rate: float, speed: float):
+    gps = straight(lambda t: speed + 0 * t, rate)
+    first = int(8 * rate)
+    kinds = judged(repeated(gps, slice(first, first + 4)))
+    expected = np.full(len(gps), NEW)
+    expected[first : first + 4] = FROZEN_MOVING
+    assert kinds.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("braking", [1.0, 2.0, 3.5])
+def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, braking: float):
+    gps = straight(lambda t: np.clip(12.0 - braking * (t - 5.0), 0.0, 12.0), rate)
+    stopped = int(np.ceil((5.0 + 12.0 / braking) * rate)) + 1
+    kinds = judged(repeated(gps, slice(stopped, len(gps))))
+    assert (kinds[: stopped - 1] == NEW).all()
+    assert (kinds[stopped:] == HELD).all()
+
+
+def test_between_crawling_and_driving_a_repeat_is_frozen_but_may_be_evidence():
+    gps = straight(lambda t: 1.4 + 0 * t)
+    assert (judged(repeated(gps, slice(40, 44)))[40:44] == FROZEN).all()
+
+
+def test_a_run_is_judged_at_its_beginning_however_long_it_is():
+    gps = straight(lambda t: 10.0 + 0 * t, duration=120.0)
+    assert (judged(repeated(gps, slice(100, 590)))[100:590] == FROZEN_MOVING).all()
+    still = straight(lambda t: 0.0 * t, duration=60.0)
+    assert (judged(still)[1:] == HELD).all()  # a log that begins with repeats begins at rest
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.06], ids=["one clock", "two clocks"])
+def test_two_receivers_are_each_compared_with_themselves(shift: float):
+    gps = straight(lambda t: 10.0 + 0 * t)
+    other = replace(repeated(gps, slice(50, 53)), time=gps.time + shift, y=gps.y + 1.5)
+    time = np.concatenate([gps.time, other.time])
+    order = np.argsort(time, kind="stable")
+    both = Gps(time[order], np.concatenate([gps.x, other.x])[order], np.concatenate([gps.y, other.y])[order])
+    frozen = np.flatnonzero(frozen_fixes(both))
+    assert both.y[frozen].tolist() == [1.5] * 3
+    assert frozen.tolist() == [101, 103, 105]
+
+
+def test_one_position_at_one_time_is_no_repeat():
+    gps = straight(lambda t: 10.0 + 0 * t)
+    twice = Gps(np.repeat(gps.time, 2), np.repeat(gps.x, 2), np.repeat(gps.y, 2))
+    assert not judged(twice).any()
+
+
+def test_positions_held_in_between_are_frozen_each_time():
+    # A log at 10 Hz of a receiver at 1 Hz: nine of ten say nothing.
+    gps = straight(lambda t: 6.0 + 0 * t, rate=10.0)
+    held = replace(gps, x=gps.x[np.arange(len(gps)) // 10 * 10])
+    moving = held.time >= 2.0
+    assert (frozen_fixes(held) == (np.arange(len(gps)) % 10 != 0))[moving].all()
+
+
+def plainly(gps: Gps) -> list[bool]:
+    """Whether each fix repeats another one of the last 3 s (or the last one) that lies earlier."""
+    found: list[bool] = []
+    for k, t in enumerate(gps.time):
+        before = [j for j in range(k) if gps.time[j] < t]
+        seen = [j for j in before if gps.time[j] >= t - 3.0] + before[-1:]
+        found.append(any(gps.x[j] == gps.x[k] and gps.y[j] == gps.y[k] for j in seen))
+    return found
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 12), st.integers(0, 2), st.integers(0, 1)), min_size=1, max_size=30),
+    st.integers(0, 29),
+)
+def test_repeats_are_found_and_nothing_later_is_looked_at(rows: list[tuple[int, int, int]], cut: int):
+    steps, x, y = np.array(rows, dtype=float).T
+    gps = Gps(np.cumsum(steps * 0.4), 7.0 * x, 7.0 * y)
+    kinds = judged(gps)
+    assert (kinds != NEW).tolist() == plainly(gps)
+    assert judged(gps.select(slice(0, cut))).tolist() == kinds[:cut].tolist()
+
+
+def test_the_alignment_does_not_take_frozen_fixes():
+    drive = make_drive(duration=20.0, gps_std=0.3, seed=2)
+    start = initial_state(drive)
+    first = int(np.searchsorted(drive.gps.time, start.time))
+    stuck = replace(drive, gps=repeated(drive.gps, slice(first - 3, first + 1)))
+    moved = initial_state(stuck)
+    assert moved.time > start.time
+    gone = np.isin(np.arange(len(drive.gps)), range(first - 3, first + 1))
+    without = initial_state(replace(drive, gps=drive.gps.select(~gone)))
+    assert moved.time == without.time
+    assert moved.mean.tobytes() == without.mean.tobytes()
+    assert initial_state(stuck, as_recorded=True).mean.tobytes() != moved.mean.tobytes()
+
+
+def test_fixes_that_are_hidden_were_judged_with_all_others():
+    drive = make_drive(duration=30.0, seed=4)
+    stuck = replace(drive, gps=repeated(drive.gps, slice(100, 110)))
+    ready = PreparedDrive(stuck)
+    hidden = np.isin(np.arange(len(drive.gps)), range(95, 105))
+    assert ready.frozen.sum() == 10
+    assert ready.timeline(hidden, removed=True).frozen.sum() == 5  # though what they repeat is gone
+    assert not PreparedDrive(stuck, as_recorded=True).frozen.any()
+
+
+@needs_shared
+def test_kingston_has_18_frozen_fixes():
+    drive = read_drive(DRIVES / "kingston-1")
+    kinds = judged(drive.gps)
+    assert (kinds == FROZEN_MOVING).sum() == 18
+    assert (kinds >= FROZEN).sum() == 18

@@ -1,0 +1,48 @@
+"""Frozen fixes and gaps as recorded: what the switch reaches, and that the paper's protocol has it."""
+
+from dataclasses import replace
+
+from filter_cases import parameters, rough
+from sigmaswarm import evaluate, run_filter
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.experiments.study.config import TUNED_METHODS, StudyConfig
+from sigmaswarm.tuning.batch import run_batch
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.paper import PAPER
+from sigmaswarm.tuning.problem import car_problem
+
+
+def test_it_reaches_tune_batch_evaluate_and_run():
+    drive, p = rough(), parameters("planar5")
+    found = {}
+    for as_recorded in (False, True):
+        ready = PreparedDrive(drive, as_recorded=as_recorded)
+        problem = car_problem([drive], TuneConfig(objective="truth-rmse", as_recorded=as_recorded))
+        batch = run_batch(drive, [p], as_recorded=as_recorded)
+        evaluated = evaluate(drive, p, as_recorded=as_recorded)
+        mean = run_filter(drive, p, as_recorded=as_recorded).mean
+        assert mean.tobytes() == run_filter(ready, p).mean.tobytes()
+        assert batch.scores[0][0].position_rmse == evaluated.mean("tuned", "position_rmse_m")
+        assert problem.replayer.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
+        (drive_found,) = evaluated.drives.values()
+        assert drive_found.frozen == (0 if as_recorded else 5)
+        found[as_recorded] = batch.costs[0], problem.steps[0]
+    assert found[True][0] != found[False][0]
+    assert found[True][1] == found[False][1] + 5  # the frozen fixes end steps of their own
+
+
+def test_raw_fixes_are_scored_with_the_frozen_ones():
+    drive = rough()
+    with_frozen, without = (evaluate(d, parameters("planar5")) for d in (drive, unfrozen(drive)))
+    assert with_frozen.mean("raw_gps", "position_rmse_m") != without.mean("raw_gps", "position_rmse_m")
+    assert with_frozen.mean("tuned", "position_rmse_m") == without.mean("tuned", "position_rmse_m")
+
+
+def unfrozen(drive):
+    return replace(drive, gps=drive.gps.select(~PreparedDrive(drive).frozen))
+
+
+def test_the_papers_protocol_is_as_recorded():
+    assert PAPER["as_recorded"] is True
+    for method, (_, _, protocols) in TUNED_METHODS.items():
+        assert all(StudyConfig().tune_config(method, protocol).as_recorded for protocol in protocols)
