@@ -121,9 +121,10 @@ class Seen:
         x, y, vx, vy, theta = self.mean[:5]
         back = self.latency + self.time - self.fix_time
         off = self.fix - np.array([x - back * vx, y - back * vy]) - _turned(self.lever, theta)
+        if off @ off <= POSITION_OFF**2:
+            return False
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
-        far = off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2
-        return bool(far and off @ off > POSITION_OFF**2)
+        return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
 
     @property
     def heading_contradicts(self) -> bool | None:
