@@ -186,7 +186,7 @@ class Recording:
             lever=line.lever,
             latency=p.latency,
             since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
-            course=float(alignments.course[ends]),
+            course=lambda: float(alignments.course[ends]),
             align=lambda: alignments.at(ends),
         )
         start = self._recovery.look(seen)
