@@ -93,9 +93,11 @@ def twin(drive: Drive, parameters: FilterParameters, moved: float = 1e-13) -> tu
     initial = initial_state(drive)
     mean = initial.mean.copy()
     mean[4] += moved
-    ours = run_filter(drive, parameters, initial=initial)
+    ours = run_filter(drive, parameters, initial=initial, recover=False)
     assert ours.failure is None
-    other = run_filter(drive, parameters, initial=InitialState(mean, initial.covariance, initial.time))
+    other = run_filter(
+        drive, parameters, initial=InitialState(mean, initial.covariance, initial.time), recover=False
+    )
     return ours.mean, distance(other.mean, ours.mean)
 
 

@@ -4,6 +4,7 @@ import json
 import re
 import time
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -229,7 +230,25 @@ def test_run_writes_csv(sigmaswarm, drives: Path, tuned: Path, here: Path):
         "estimates": len(frame),
         "start_s": frame["t"][0],
         "end_s": frame["t"][-1],
+        "restarts_s": [],
     }
+
+
+def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
+    drive = library.simulate("urban", run=1, gps="white-1m", duration=120)
+    off = (drive.gps.time > 40) & (drive.gps.time < 90)
+    gps = replace(drive.gps, x=drive.gps.x + 300.0 * off)
+    library.write_drive(replace(drive, gps=gps), "aside")
+    sure = (1e-6, 1e-6, 1e-4, 1e-4, 1e-8)
+    parameters = replace(FilterParameters.load(tuned), process_noise=sure, gate=9.2)
+    parameters.save("gated.toml")
+    restarts = list(run_filter(read_drive("aside"), parameters).restarts)
+    assert restarts
+    ended = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv", "--json")
+    assert json.loads(ended.out)["restarts_s"] == restarts
+    said = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv").out
+    assert f"the filter lost its way and started anew at t = {restarts[0]:.2f}" in said
+    assert "started anew" in sigmaswarm("evaluate", "gated.toml", "aside").out
 
 
 def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):

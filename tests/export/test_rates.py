@@ -48,7 +48,7 @@ def real(times: int) -> Drive:
 
 @cache
 def run_of(drive: Drive, p: FilterParameters) -> Estimate:
-    return run_filter(drive, p)
+    return run_filter(drive, p, recover=False)
 
 
 def is_told(drive: Drive, p: FilterParameters) -> bool:

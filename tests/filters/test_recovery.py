@@ -293,7 +293,7 @@ def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = 
     return Seen(
         time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
         fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0, since=np.zeros((1, 4)),
-        course=heading if aligns else np.nan, align=lambda: alignment if aligns else None,
+        course=lambda: heading if aligns else np.nan, align=lambda: alignment if aligns else None,
     )  # fmt: skip
 
 

@@ -128,12 +128,16 @@ class Alignments:
         It takes some milliseconds: ask where it matters.
         """
         if k not in self._found:
-            self._found[k] = self._fitted(k) if self._worth[k] else None
+            with np.errstate(all="ignore"):  # what overflows is no alignment
+                self._found[k] = self._fitted(k) if self._worth[k] else None
         return self._found[k]
 
     def _fitted(self, k: int) -> InitialState | None:
         window = slice(self._first[k], k + 1)
-        fit = _Fit.of(self._drive, *self._integrals, self.time[window], self._position[window])
+        try:
+            fit = _Fit.of(self._drive, *self._integrals, self.time[window], self._position[window])
+        except np.linalg.LinAlgError:  # something was not finite
+            return None
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
         return fit.state() if usable else None
@@ -149,6 +153,10 @@ class Alignments:
         It is where the fit begins: the chord of the last seconds, with the turns in between taken out. Changes of speed
         in a turn make it wrong by some degrees.
         """
+        with np.errstate(all="ignore"):
+            return self._rough()
+
+    def _rough(self) -> Array:
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)
         pieces = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)

@@ -12,7 +12,7 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.export.template import fill
-from sigmaswarm.filters import schedule
+from sigmaswarm.filters import recovery, schedule
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
@@ -124,8 +124,16 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
         "LEAP": live.LEAP,
         "AGREES": live.AGREES,
+        "LOOK_INTERVAL": recovery.LOOK_INTERVAL,
+        "LATEST_LOOK": recovery.LATEST_LOOK,
+        "LOST_AFTER": recovery.LOST_AFTER,
+        "MANY_SIGMAS": recovery.MANY_SIGMAS,
+        "HEADING_OFF": float(recovery.HEADING_OFF),
+        "POSITION_OFF": recovery.POSITION_OFF,
+        "SPEED_STD": recovery.SPEED_STD,
     }
     return plain(derived) | {
+        "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
         "PROCESS_NOISE": listed(p.process_noise, "R({})"),
         "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
         "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default

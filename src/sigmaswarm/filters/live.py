@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -207,7 +208,7 @@ class LiveFilter:
             self._start_anew(at_fix(now, np.array(fix[1:]), variance, theta, self._lever))
 
     def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
-        alignments = self._lately.alignments
+        alignments = cache(lambda: self._lately.alignments)
         mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
         _read_state(self._belief, mean, covariance)
         return Seen(
@@ -220,8 +221,8 @@ class LiveFilter:
             lever=self._lever,
             latency=self.parameters.latency,
             since=self._lately.steps_since(fix[0]),
-            course=float(alignments.course[-1]) if len(alignments.time) else np.nan,
-            align=lambda: alignments.at(len(alignments.time) - 1) if len(alignments.time) else None,
+            course=lambda: float(alignments().course[-1]) if len(alignments().time) else np.nan,
+            align=lambda: alignments().at(len(alignments().time) - 1) if len(alignments().time) else None,
         )
 
     def _start_anew(self, start: InitialState) -> None:

@@ -88,7 +88,8 @@ class Recording:
     samples : int
         IMU samples in a piece; the last one may be shorter.
     recover : bool
-        Start anew where the filter is lost: see `recovery`.
+        Start anew where the filter is lost: see `recovery`. It does so after a sample; what is added up there, or while
+        the estimate is but a fix, is that of the filter before.
 
     Attributes
     ----------
@@ -185,7 +186,7 @@ class Recording:
             lever=line.lever,
             latency=p.latency,
             since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
-            course=float(alignments.course[ends]),
+            course=lambda: float(alignments.course[ends]),
             align=lambda: alignments.at(ends),
         )
         start = self._recovery.look(seen)

@@ -99,7 +99,7 @@ class Seen:
     lever : (2,) m forward and left from the IMU to the antenna
     latency : s
     since : (k, 4) s, m/s2, m/s2, rad/s: the steps from the fix to the moment, each with its ax, ay, gz
-    course : rad, roughly, at the fix; NaN where there is no alignment
+    course : function that gives the heading at the fix, rad, roughly; NaN where there is no alignment
     align : function that gives the alignment that ends at the fix, or None; costly
     """
 
@@ -112,7 +112,7 @@ class Seen:
     lever: Array
     latency: float
     since: Array
-    course: float
+    course: Callable[[], float]
     align: Callable[[], InitialState | None]
 
     @property
@@ -121,18 +121,19 @@ class Seen:
         x, y, vx, vy, theta = self.mean[:5]
         back = self.latency + self.time - self.fix_time
         off = self.fix - np.array([x - back * vx, y - back * vy]) - _turned(self.lever, theta)
+        if off @ off <= POSITION_OFF**2:
+            return False
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
-        far = off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2
-        return bool(far and off @ off > POSITION_OFF**2)
+        return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
 
     @property
     def heading_contradicts(self) -> bool | None:
         """Whether the heading is far off that of the alignment; None where there is none."""
-        theta = self.mean[THETA]
-        if np.isnan(self.course):
+        theta, course = self.mean[THETA], self.course()
+        if np.isnan(course):
             return None
         turned = float(self.since[:, 0] @ self.since[:, 3])
-        if abs(wrap_angle(float(self.course + turned - theta))) < SUSPECT:
+        if abs(wrap_angle(float(course + turned - theta))) < SUSPECT:
             return False
         aligned = self.start
         if aligned is None:
@@ -150,7 +151,8 @@ class Seen:
         mean = aligned.mean
         for dt, *imu in self.since:
             mean = planar5(mean, dt, np.array(imu))
-        return InitialState(mean, aligned.covariance, self.time)
+        sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
+        return InitialState(mean, aligned.covariance, self.time) if sound else None
 
 
 class Recovery:
@@ -171,9 +173,13 @@ class Recovery:
 
     def look(self, seen: Seen) -> InitialState | None:
         """Where the filter is to start anew; None where it goes on as it is, or is ``lost``."""
+        if not np.isfinite(seen.mean).all():  # it failed, and says so
+            return None
+        with np.errstate(all="ignore"):  # of what is not finite nothing is believed
+            return self._judged(seen)
+
+    def _judged(self, seen: Seen) -> InitialState | None:
         if not self.lost:
-            if not np.isfinite(seen.mean).all():  # it failed, and says so
-                return None
             self._position.note(seen.time, seen.position_contradicts)
             self._heading.note(seen.time, seen.heading_contradicts)
             if not (self._position.lasts or self._heading.lasts):

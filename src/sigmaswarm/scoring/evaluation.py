@@ -339,7 +339,7 @@ def _evaluated(
     del recorded, tracking  # the next pass has steps and targets of its own
     drifts = [_drifts(ready, list(filters.values()), each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
     each = {
-        method: _joined(whole[i, 0], *(drift[i] for drift in drifts), tracker.quantiles[method])
+        method: _joined(whole[i, 0], drifts[0][i], drifts[1][i], tracker.quantiles[method])
         for i, method in enumerate(filters)
     }
     others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
