@@ -51,6 +51,13 @@ def test_a_receiver_that_holds_its_fix_at_a_red_light_is_believed(rate: float, b
     assert (kinds[stopped:] == HELD).all()
 
 
+def test_no_car_brakes_as_hard_as_a_fix_may_jump():
+    # As on kingston-1: 14.8 m, then 8.4 m in a second, then nothing; the car drove on at 13 m/s.
+    x = np.cumsum([13.0, 13.5, 14.8, 8.35, 0.0, 0.0, 31.0, 14.0])
+    kinds = judged(Gps(np.arange(8.0), x, np.zeros(8)))
+    assert kinds.tolist() == [NEW] * 4 + [FROZEN_MOVING] * 2 + [NEW] * 2
+
+
 def test_between_crawling_and_driving_a_repeat_is_frozen_but_may_be_evidence():
     gps = straight(lambda t: 1.4 + 0 * t)
     assert (judged(repeated(gps, slice(40, 44)))[40:44] == FROZEN).all()
