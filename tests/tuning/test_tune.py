@@ -37,6 +37,8 @@ def test_auto_takes_a_likelihood_of_the_filters_kind():
     assert tune(DRIVES, use=["robust"], **SMALL).config.objective == "truth-rmse"
     assert tune(blind, **SMALL).config.objective == "innovation-nll"
     assert tune(blind, use=["robust"], **SMALL).config.objective == "innovation-t"
+    with pytest.warns(SigmaswarmWarning, match="for robust take innovation-t"):
+        tune(blind, use=["robust"], objective="innovation-nll + nis", **SMALL)
 
 
 def test_the_same_seed_gives_the_same_bits_whatever_the_number_of_workers():

@@ -2,8 +2,8 @@
 
     maneuvers -> planning -> dynamics -> journey -> motion -> imu, gps -> scenarios -> Drive
 
-`simulate` makes one drive, `simulate_many` all conditions. What is modelled, and what is not:
-docs/simulator.md.
+`simulate` makes one drive, `simulate_many` all conditions; `with_outliers` spoils some fixes of any drive. What is
+modelled, and what is not: docs/simulator.md.
 """
 
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS, simulate_many
@@ -11,6 +11,7 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment
 from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade
 from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad
 from sigmaswarm.simulation.maneuvers import MANEUVERS
+from sigmaswarm.simulation.outliers import with_outliers
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.simulation.vehicle import VEHICLES
 
@@ -27,4 +28,5 @@ __all__ = [
     "Triad",
     "simulate",
     "simulate_many",
+    "with_outliers",
 ]

@@ -155,6 +155,12 @@ def _problem(
     problem = car_problem(data, settings)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
+    if "robust" in settings.use and "innovation-nll" in settings.objective:
+        warnings.warn(
+            "to innovation-nll outliers count in full, whatever the filter makes of them; for robust take innovation-t",
+            SigmaswarmWarning,
+            stacklevel=3,
+        )
     return problem, settings
 
 
