@@ -499,6 +499,14 @@ def test_columns_without_names(tmp_path: Path):
     assert len(got.drive.imu) == 300 and not any("twice" in note for note in got.notes)
 
 
+def test_one_name_thousands_of_times(tmp_path: Path):
+    """Told in one line; finding other names took a minute."""
+    log = table(tmp_path, "t,ax,ay,gz,x,y" + ",ax" * 4000, *(row + ",7" * 4000 for row in ROWS))
+    notes = [note for note in imported(log).notes if "ax" in note]
+    assert len(notes) == 1
+    assert "column 'ax' appears 4001 times; the others are 'ax_duplicated_0', 'ax_duplicated_1'" in notes[0]
+
+
 def test_no_complete_row(tmp_path: Path):
     rows = [f"{i / 100},0,0,0,{i if i % 2 else ''},{'' if i % 2 else i}" for i in range(300)]
     refused("no row has all of", lambda: imported(table(tmp_path, "t,ax,ay,gz,x,y", *rows)))

@@ -65,6 +65,16 @@ def test_ubx(tmp_path: Path):
     np.testing.assert_allclose(got.gps.speed * np.exp(1j * got.gps.course), EAST + 1j * NORTH, atol=2e-3)
 
 
+@pytest.mark.parametrize("length", [0, 4, 300, 65535])
+def test_ubx_with_a_length_that_is_wrong_loses_one_message(tmp_path: Path, length: int):
+    messages = [ubx(i) for i in range(len(GPS))]
+    messages[7] = messages[7][:4] + length.to_bytes(2, "little") + messages[7][6:]
+    (tmp_path / "log.ubx").write_bytes(b"".join(messages))
+    got = imported(imu_csv(tmp_path), gps=tmp_path / "log.ubx")
+    assert len(got.drive.gps) == len(GPS) - 1
+    assert "log.ubx: 1 damaged messages passed over" in got.notes
+
+
 def test_ubx_without_a_fix_damaged_or_cut_short(tmp_path: Path):
     messages = [ubx(i, **({"fixType": 0} if i % 5 == 0 else {})) for i in range(len(GPS))]
     messages[7] = messages[7][:40] + b"\x00\x01" + messages[7][42:]

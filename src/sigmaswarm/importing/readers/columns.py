@@ -4,6 +4,7 @@ import re
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import polars as pl
@@ -13,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import guess_roles
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Batch, Choice, Guess, Source, Table, first_bytes
-from sigmaswarm.wording import quoted, shown
+from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
 SAMPLE = 2000
@@ -110,20 +111,24 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
 
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
-    """Names without spaces around them; the second column of a name is called as polars calls it."""
-    plain: list[str] = []
+    """Names without spaces around them; more columns of a name are called as polars calls them."""
+    plain: dict[str, None] = {}
+    numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
+    others: dict[str, list[str]] = {}
     for name in names:
         bare = name.strip()
         first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
         if first in plain:
-            again = next(s for i in range(len(names)) if (s := f"{first}_duplicated_{i}") not in plain)
-            if first:
-                remarks.append(
-                    f"{file.name}: column {quoted(first)} appears twice; the other is {quoted(again)}"
-                )
-            bare = again
-        plain.append(bare)
-    return plain
+            free = numbers.setdefault(first, count())
+            bare = next(other for i in free if (other := f"{first}_duplicated_{i}") not in plain)
+            others.setdefault(first, []).append(bare)
+        plain[bare] = None
+    for first, again in others.items():
+        if first:
+            often = "twice; the other is" if len(again) == 1 else f"{len(again) + 1} times; the others are"
+            called = names_shown(again, mark="'")
+            remarks.append(f"{file.name}: column {quoted(first)} appears {often} {called}")
+    return list(plain)
 
 
 def _require_closed_quotes(file: Path, shown_as: Path) -> None:
