@@ -9,6 +9,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
@@ -185,8 +186,19 @@ class LiveFilter:
         begun = t > self._belief[live.START]
         if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
             self._came_late = begun and t <= self._belief[live.TIME]
-            self._lately.fix(t, fix[0], fix[1])
+            if not self._is_frozen(t, fix):
+                self._lately.fix(t, fix[0], fix[1], var_x, var_y)
         return kept == live.TAKEN
+
+    def _is_frozen(self, t: float, fix: Sequence[float]) -> bool:
+        """Whether a fix that was just taken is one that filters don't take for a position."""
+        counts, fixes = self._memory[1], self._memory[3]
+        first, last = np.searchsorted(
+            fixes[: counts[live.N_FIXES], live.FIX_TIME], [t, np.nextafter(t, np.inf)]
+        )
+        same = fixes[first:last]
+        same = same[(same[:, live.FIX_X] == fix[0]) & (same[:, live.FIX_Y] == fix[1])]
+        return bool((same[:, live.KIND] >= FROZEN).any())
 
     def _watch(self, recovery: Recovery, now: float) -> None:
         """Look at the filter after a sample, if it is time and a fix has come since the last look."""
@@ -203,9 +215,12 @@ class LiveFilter:
             if start is not None:
                 self._start_anew(start)
         if recovery.lost:
-            variance = self._belief[[R.RX, R.RY]]
             theta = float(self._belief[THETA])
-            self._start_anew(at_fix(now, np.array(fix[1:]), variance, theta, self._lever))
+            self._start_anew(at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever))
+
+    def _variance_of(self, fix: tuple[float, ...]) -> Array:
+        """Diagonal of R of a fix, (2,) m2."""
+        return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * np.array(fix[3:5])
 
     def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
         alignments = cache(lambda: self._lately.alignments)
@@ -216,8 +231,8 @@ class LiveFilter:
             mean=mean,
             covariance=covariance,
             fix_time=fix[0],
-            fix=np.array(fix[1:]),
-            fix_variance=self._belief[[R.RX, R.RY]],
+            fix=np.array(fix[1:3]),
+            fix_variance=self._variance_of(fix),
             lever=self._lever,
             latency=self.parameters.latency,
             since=self._lately.steps_since(fix[0]),

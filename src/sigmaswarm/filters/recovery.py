@@ -232,9 +232,9 @@ class Lately:
         while len(self._samples) > 1 and self._samples[1][0] < time - _KEPT:  # one from before a gap stays
             self._samples.popleft()
 
-    def fix(self, time: float, x: float, y: float) -> None:
-        """A fix, in whatever order; it has to be finite."""
-        self._fixes.append((time, x, y))
+    def fix(self, time: float, x: float, y: float, var_x: float, var_y: float) -> None:
+        """A fix and its stated variance, in whatever order; it has to be finite."""
+        self._fixes.append((time, x, y, var_x, var_y))
         if len(self._fixes) > 1 and self._fixes[-2][0] > time:
             self._fixes = deque(sorted(self._fixes, key=itemgetter(0)))
         oldest = self._samples[-1][0] - _KEPT if self._samples else -np.inf
@@ -242,7 +242,7 @@ class Lately:
             self._fixes.popleft()
 
     def last_fix(self, until: float) -> tuple[float, ...] | None:
-        """Time, x and y of the last fix up to a moment."""
+        """The last fix up to a moment: time, x, y and the stated variances."""
         return next((fix for fix in reversed(self._fixes) if fix[0] <= until), None)
 
     def steps_since(self, time: float) -> Array:
@@ -261,7 +261,7 @@ class Lately:
         """Of the fixes of these seconds."""
         imu = Imu(*np.array(self._samples).T)
         now = self._samples[-1][0]
-        gps = Gps(*np.array([fix for fix in self._fixes if fix[0] <= now]).T)
+        gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)
         return Alignments(Drive("live", imu, gps, metadata={"gps_lever_arm_m": self._lever}))
 
 
