@@ -93,7 +93,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
         rows[R.T] = chunk
         run.run_lanes(
             "planar5",
-            np.array([[1.0, 1.0, 0.0, 0.0, 1.0]]),
+            np.array([[1.0, 1.0, 0.0, 0.0, 1.0, 0.0]]),
             np.array([schedule.IMU]),
             np.empty((0, 4)),
             np.zeros(2),
