@@ -2,6 +2,7 @@
 
     python benchmarks/switches.py ../shared/drives --seeds 10
     python benchmarks/switches.py ../shared/drives --objective innovation-t --only kingston-1
+    python benchmarks/switches.py ../shared/drives --only kitti-09-30-0018 --as-recorded
 
 KITTI's drives: each is held out once, tuned on the other four. colorado-1 and kingston-1: tuned on the first 70% of the
 time, tested on the rest; colorado-1 also with bursts of outliers in 6% of its fixes. Simulated, for each grade of GPS:
@@ -67,6 +68,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="names of cases")
     parser.add_argument("--filters", nargs="+", type=int, default=range(len(FILTERS)), help="their numbers")
     parser.add_argument("--optimizer", default="de")
+    parser.add_argument("--as-recorded", action="store_true", help="no rules for frozen fixes and gaps")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     print("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
@@ -81,9 +83,13 @@ def main() -> None:
                     "optimizer": options.optimizer,
                     "model": model,
                     "use": use,
+                    "as_recorded": options.as_recorded,
                 }
                 rows = [
-                    measured(test, tune(training, seed=seed, executor=pool, **asked).parameters)
+                    measured(
+                        [PreparedDrive(drive, as_recorded=options.as_recorded) for drive in test],
+                        tune(training, seed=seed, executor=pool, **asked).parameters,
+                    )
                     for seed, (training, test) in enumerate(splits)
                 ]
                 label = " + ".join((model, *use))
@@ -111,9 +117,8 @@ def cases(folder: Path, seeds: int, only: Sequence[str] | None) -> Iterator[tupl
         yield f"simulated, {grade}", splits
 
 
-def measured(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
+def measured(ready: Sequence[PreparedDrive], parameters: FilterParameters) -> list[float]:
     """RMSE, quantiles and drifts in m, heading in deg, over all test drives together."""
-    ready = [PreparedDrive(drive) for drive in test]
     off, turned = zip(*(errors(drive, parameters) for drive in ready), strict=True)
     heading = np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2)))
     return [
