@@ -31,6 +31,7 @@ def main() -> None:
     parser.add_argument("--objective", default="innovation-t")
     parser.add_argument("--model", default="planar8")
     parser.add_argument("--use", nargs="*", default=[])
+    parser.add_argument("--margin", type=float, default=0.0)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     folders = sorted(
@@ -60,6 +61,7 @@ def row(
         if stated not in filters:
             use = [option for option in options.use if option != "accuracy" or stated]
             asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
+            asked["margin"] = options.margin
             filters[stated] = tune([training], executor=pool, **asked).parameters
         estimate = run_filter(test, filters[stated])
         score, raw = score_estimate(test, estimate), score_raw_gps(test, estimate.initial)

@@ -76,6 +76,11 @@ class Box:
         """Which of them are variances that all grow together with the filter's covariance, shape (d,)."""
         return np.zeros(len(self.names), dtype=np.bool_)
 
+    @property
+    def process_noises(self) -> NDArray[np.bool_]:
+        """Which of those are the process's, shape (d,)."""
+        return np.zeros(len(self.names), dtype=np.bool_)
+
     def values(self, points: Array) -> Array:
         """The parameters themselves, shape (..., d), of points in search coordinates."""
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)

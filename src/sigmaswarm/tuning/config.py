@@ -62,6 +62,13 @@ class TuneConfig(SearchConfig):
     use: tuple[Option, ...] = DEFAULTS["use"]
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
     as_recorded: bool = DEFAULTS["as_recorded"]
+    margin: float = Field(default=DEFAULTS["margin"], ge=0, le=1)
+
+    @model_validator(mode="after")
+    def _margin_needs_logarithms(self) -> Self:
+        if self.margin and self.scale != "log10":
+            raise ValueError("margin raises all process noises by one factor, which needs scale = log10")
+        return self
 
 
 class ModelTuneConfig(SearchConfig):

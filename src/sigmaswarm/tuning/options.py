@@ -108,6 +108,13 @@ class FilterOptions(TypedDict, total=False):
             "the paper's protocol."
         ),
     ]
+    margin: Annotated[
+        float,
+        Doc(
+            "Share by which the cost may rise while all process noises are raised together: a filter that doubts its "
+            "model more bears roads that the tuning has not seen. 0.03 is a good start for one short drive."
+        ),
+    ]
 
 
 class TuneOptions(SearchOptions, FilterOptions, total=False):
@@ -139,5 +146,6 @@ DEFAULTS: dict[str, Any] = {
     "use": (),
     "outage_seed": 0,
     "as_recorded": False,
+    "margin": 0.0,
 }
 """The paper's where it gives them."""

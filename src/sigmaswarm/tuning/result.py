@@ -74,6 +74,8 @@ class Tuning(Generic[P]):
         What the objective says on drives that were held back from the search.
     steps_per_set : int
         Filter steps that one parameter set takes on all drives.
+    raised_by : float
+        The factor by which the option ``margin`` has raised all process noises; 1 without it.
     """
 
     parameters: P
@@ -86,6 +88,7 @@ class Tuning(Generic[P]):
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     steps_per_set: int = 0
+    raised_by: float = 1.0
 
     @property
     def steps(self) -> int:
@@ -125,7 +128,7 @@ class Tuning(Generic[P]):
                 "for a car add --model planar8 --use lateral standstill gate, or tune with truth-pose"
             )
         better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
-        if better is not None and better.lowest_rise < -RISE:
+        if better is not None and better.lowest_rise < -RISE and self.raised_by == 1.0:
             remarks.append(
                 f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
                 "search longer, with more trials, or polish"
@@ -159,6 +162,7 @@ class Tuning(Generic[P]):
                 "objective": self.config.objective,
                 "objective_meaning": self._meaning(),
                 **({} if self.validation is None else self.validation.to_dict()),
+                **({} if self.raised_by == 1.0 else {"process_noises_raised_by": self.raised_by}),
                 "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,

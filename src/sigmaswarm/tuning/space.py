@@ -82,6 +82,11 @@ class SearchSpace(Box):
         """Which dimensions are variances of noise, shape (d,)."""
         return np.array([d.field in NOISES for d in self.dimensions])
 
+    @property
+    def process_noises(self) -> NDArray[np.bool_]:
+        """Which of those are the process's, shape (d,)."""
+        return np.array([d.field == "process_noise" for d in self.dimensions])
+
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
         return [FilterParameters(**self.fixed, **self._fields(row)) for row in self.values(points).tolist()]

@@ -17,6 +17,7 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.margin import with_margin
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import Problem, car_problem
@@ -208,6 +209,9 @@ def _chosen(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
             "look for NaN or wildly wrong values in the drives"
         )
+    factor = 1.0
+    if isinstance(config, TuneConfig) and config.margin:
+        point, cost, factor = with_margin(problem, point, cost, config.margin, executor)
     validation = None
     if held_back:
         other = float(held_back.costs(point[np.newaxis], executor)[0])
@@ -224,4 +228,5 @@ def _chosen(
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         steps_per_set=int(problem.steps.sum()),
+        raised_by=factor,
     )

@@ -1,0 +1,56 @@
+"""A margin for other roads: how much more a filter may doubt its model before the objective objects.
+
+A filter that is tuned on one drive trusts its model as far as that drive's roads bear it. On others, with hills or more
+haste, it is then sure of what is wrong, and takes the fixes for outliers. As statisticians take the simplest model
+within one standard error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3), so
+of all filters that the objective hardly tells from the best that one is taken which doubts its model most: all process
+noises are raised by one factor.
+"""
+
+from concurrent.futures import Executor
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.tuning.problem import Problem
+
+DECADES = 4.0
+"""The largest factor is 10 to that power."""
+STEP = 0.1
+"""Decades between two factors."""
+
+
+def with_margin(
+    problem: Problem[Any], point: Array, cost: float, margin: float, executor: Executor | None
+) -> tuple[Array, float, float]:
+    """Raise all process noises together until the cost has risen by a share.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its variances are searched as logarithms.
+    point : ndarray, shape (d,)
+        The optimum, in search coordinates.
+    cost : float
+        There.
+    margin : float
+        Share by which the cost may rise.
+    executor : concurrent.futures.Executor or None
+
+    Returns
+    -------
+    point : ndarray, shape (d,)
+        The farthest of them before the cost rises more; no noise leaves the box.
+    cost : float
+        There.
+    factor : float
+        Of the noises that are not at their bound.
+    """
+    space = problem.space
+    decades = np.arange(0.0, DECADES + STEP / 2, STEP)
+    points = np.minimum(point + decades[:, None] * space.process_noises, np.maximum(space.high, point))
+    costs = problem.costs(points, executor)
+    within = np.logical_and.accumulate(problem.rise(costs, cost) <= margin)
+    last = int(within.sum()) - 1 if within.any() else 0
+    return points[last], float(costs[last]), float(10 ** decades[last])

@@ -1,0 +1,52 @@
+"""The margin raises all process noises by one factor, as far as the cost allows and no farther."""
+
+import numpy as np
+import pytest
+
+from sigmaswarm import run_batch, simulate, tune
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.tuning.margin import STEP
+
+DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+SEARCH = {"particles": 8, "generations": 6, "objective": "truth-rmse", "model": "planar8"}
+
+
+def raised(p: FilterParameters, factor: float) -> FilterParameters:
+    return FilterParameters(
+        **{**p.to_dict(), "process_noise": tuple(factor * q for q in p.process_noise)},
+    )
+
+
+def costs(*sets: FilterParameters) -> np.ndarray:
+    return run_batch([DRIVE], sets, objective=SEARCH["objective"]).costs
+
+
+@pytest.mark.parametrize("margin", [0.02, 0.3])
+def test_the_cost_rises_by_the_margin_and_no_more(margin: float):
+    plain, doubting = (tune([DRIVE], margin=m, **SEARCH) for m in (0.0, margin))
+    assert plain.raised_by == 1.0
+    assert doubting.raised_by > 1.0
+    assert plain.parameters.measurement_noise == doubting.parameters.measurement_noise
+    low, now = costs(plain.parameters, doubting.parameters)
+    assert now == doubting.cost
+    assert now <= (1 + margin) * low
+    ratios = np.array(doubting.parameters.process_noise) / np.array(plain.parameters.process_noise)
+    inside = np.array([d.split(":")[0] for d in map(str, doubting.touched_bounds)])
+    if not len(inside):
+        np.testing.assert_allclose(ratios, doubting.raised_by, rtol=1e-9)
+        assert costs(raised(doubting.parameters, 10**STEP))[0] > (1 + margin) * low
+    assert np.all(ratios <= doubting.raised_by * (1 + 1e-9))
+
+
+def test_it_is_kept_with_the_tuning(tmp_path):
+    tuning = tune([DRIVE], margin=0.1, out=tmp_path / "t", **SEARCH)
+    assert tuning.to_dict()["result"]["process_noises_raised_by"] == tuning.raised_by
+    again = tune([DRIVE], margin=0.1, out=tmp_path / "t", resume=True, **SEARCH)
+    assert again.parameters == tuning.parameters
+    assert not [remark for remark in tuning.remarks if "search longer" in remark]
+
+
+def test_a_linear_search_has_no_factor():
+    with pytest.raises(InputError, match="margin raises all process noises by one factor, which needs scale"):
+        tune([DRIVE], margin=0.1, scale="linear", **SEARCH)
