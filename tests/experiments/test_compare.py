@@ -164,9 +164,9 @@ def test_the_curves_are_a_naive_count(whole):
 def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
     aligned: list[str] = []
 
-    def counted(drive: Drive) -> InitialState:
+    def counted(drive: Drive, **options: bool) -> InitialState:
         aligned.append(drive.name)
-        return initial_state(drive)
+        return initial_state(drive, **options)
 
     monkeypatch.setattr("sigmaswarm.drives.prepared.initial_state", counted)
     compare(DRIVES, validation=HELD_OUT, optimizers=("pso", "random"), seeds=2, particles=4, generations=1)

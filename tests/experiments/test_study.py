@@ -195,9 +195,9 @@ def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     aligned: list[str] = []
     spaces: list[tuple[object, ...]] = []
 
-    def counted(drive: Drive) -> InitialState:
+    def counted(drive: Drive, **options: bool) -> InitialState:
         aligned.append(drive.name)
-        return initial_state(drive)
+        return initial_state(drive, **options)
 
     def made(*asked: object, **more: object) -> SearchSpace:
         spaces.append((*asked, *more.values()))

@@ -16,8 +16,8 @@ from filter_cases import KINDS
 from free_running import compiled_run, free_run
 from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table, weighed
 from oracles.extended import THETA, covariance_error, mean_error
-from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters.compiled import lanes
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
@@ -324,7 +324,9 @@ def kalman_filter(timeline: Timeline, initial: InitialState, row: np.ndarray) ->
 @WHOLE_DRIVES
 @pytest.mark.parametrize("alpha", [1e-3, 0.1, 1.0])
 def test_with_a_known_heading_it_is_the_kalman_filter(alpha: float):
-    timeline, initial = ready(SIMULATED)
+    drive = simulated()
+    initial = initial_state(drive)
+    timeline = build_timeline(drive, initial.time, as_recorded=True)  # in a gap no heading is known
     known = initial.covariance.copy()
     known[THETA], known[:, THETA] = 0.0, 0.0
     known[THETA, THETA] = 1e-28
