@@ -190,7 +190,7 @@ def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tu
     assert ended.out == "wrote e/page.html\n"
     text = Path("e/page.html").read_text()
     assert text.startswith("<!doctype html>")
-    assert "An outage lasts 4 s" in text
+    assert "Outages last 4 s, and 30 s" in text
     assert json.loads(sigmaswarm("report", "e", "--out", "other.html", "--json").out) == {"out": "other.html"}
     assert Path("other.html").read_text() == text
 

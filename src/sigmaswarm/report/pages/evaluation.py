@@ -21,6 +21,7 @@ from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, S
 from sigmaswarm.scoring.consistency import verdicts
 from sigmaswarm.scoring.evaluation import METHODS, Measure, measures, method_names, restarted, worse_than_raw
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
@@ -162,11 +163,12 @@ def _comparison(
     if len(scores.drives) > 1:
         tables.insert(0, _scores("Mean over drives", columns, mean, names))
     rmse = (
-        " RMSE: root of the mean square error. Half of the position errors are below 50%, 19 of 20 below 95%."
+        " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 below the "
+        "95% column."
         if "position_rmse_m" in told
         else ""
     )
-    text = (f"Lower is better. An outage lasts {outage_length:g} s.{rmse}",)
+    text = (f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{rmse}",)
     return Section("Comparison", text, tuple(tables), method_bars(scores, names, shown))
 
 

@@ -17,6 +17,11 @@ Dash = Literal["solid", "dash", "dashdot", "dot", "none"]
 Symbol = Literal["", "dot", "circle", "ring", "diamond", "triangle-up", "triangle-right", "tick"]
 
 
+def short_number(value: float) -> str:
+    """A number beside its bar: three digits, and no powers of ten."""
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
 @dataclass(frozen=True)
 class Look:
     """How a mark is drawn.

@@ -17,6 +17,7 @@ from sigmaswarm.report.views.charts import (
     Points,
     Rule,
     Span,
+    short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.evaluation import METHODS, Evaluated, Measure
@@ -42,7 +43,7 @@ def method_bars(
             tuple(values.values()),
             Look(SLATE, 0.0),
             colors=tuple(LOOKS[m].color for m in values),
-            texts=tuple(f"{v:.3g}" for v in values.values()),
+            texts=tuple(map(short_number, values.values())),
         )
         rows = Axis(categories=tuple(names[m] for m in values))
         title = f"{measure.title}, mean over drives"

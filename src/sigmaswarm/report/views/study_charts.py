@@ -19,6 +19,7 @@ from sigmaswarm.report.views.charts import (
     Mark,
     Points,
     Rule,
+    short_number,
 )
 
 COLORS = {
@@ -49,7 +50,7 @@ def means_chart(
         look=Look(SLATE, dash="none", symbol="circle", size=6.75),
         colors=tuple(COLORS[row.protocol] for row, _ in rows),
         symbols=tuple("triangle-right" if mean > high else "circle" for mean in means),
-        texts=tuple(_short(mean) if mean > high else "" for mean in means),
+        texts=tuple(short_number(mean) if mean > high else "" for mean in means),
         hovers=tuple(
             f"{results.label(row.method, row.protocol)}: {mean:.3g}<br>95% for new drives: {_said(far)}"
             f"<br>95% over trials: {_said(near)}"
@@ -71,10 +72,6 @@ def means_chart(
         y=Axis(categories=tuple(results.label(row.method, row.protocol) for row, _ in rows)),
         broad=True,
     )
-
-
-def _short(value: float) -> str:
-    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 
 def _said(interval: Interval) -> str:
