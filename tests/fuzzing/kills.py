@@ -143,11 +143,16 @@ def judge(place: Path, command: Command, old: Tree, found: Tree, loose: frozense
     """What is wrong with what an interrupted run left, and with what it becomes when it is started again."""
     wrong: list[str] = []
     left = visible(tree(place / "out"))
-    wrong += [f"{file} is gone" for file in old if file not in left]
+    replaced = command.old == "drive" and left == found  # a folder is replaced as one
+    wrong += [f"{file} is gone" for file in old if file not in left and not replaced]
     for file, content in left.items():
         if file in found and file not in loose and content not in (old.get(file), found[file]):
             wrong.append(f"{file} is half-written, or of no run")
-        if file not in found and not (command.resumes and Path(file).name.startswith("checkpoint-")):
+        if (
+            file not in found
+            and file not in old
+            and not (command.resumes and Path(file).name.startswith("checkpoint-"))
+        ):
             wrong.append(f"{file} is of no run")
     again = call(place, (*command.words, *(("--resume",) if command.resumes else ())))
     if again.returncode not in command.ok:

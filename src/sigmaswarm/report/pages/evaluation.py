@@ -163,8 +163,8 @@ def _comparison(
     if len(scores.drives) > 1:
         tables.insert(0, _scores("Mean over drives", columns, mean, names))
     rmse = (
-        " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 below the "
-        "95% column."
+        " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 below "
+        "the 95% column."
         if "position_rmse_m" in told
         else ""
     )
