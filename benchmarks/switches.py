@@ -18,7 +18,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from sigmaswarm.simulation.outliers import with_outliers
 
 from real_drives import KITTI
 from sigmaswarm import (
@@ -38,6 +37,7 @@ from sigmaswarm.filters.replay import run_replays
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, truth_at
 from sigmaswarm.scoring.targets import outage_replay, outage_windows
+from sigmaswarm.simulation.outliers import with_outliers
 
 FILTERS = (
     ("planar5", ()),
@@ -109,7 +109,9 @@ def cases(folder: Path, seeds: int, only: Sequence[str] | None) -> Iterator[tupl
         training, test = split_time(read_drive(folder / name))
         yield name, [([training], [test])] * seeds
     if asked("outliers"):
-        training, test = split_time(with_outliers(read_drive(folder / "colorado-1"), np.random.default_rng(0)))
+        training, test = split_time(
+            with_outliers(read_drive(folder / "colorado-1"), np.random.default_rng(0))
+        )
         yield "colorado-1 with outliers", [([training], [test])] * seeds
     for grade in filter(lambda grade: asked(f"simulated-{grade}"), GRADES):
         drives = [simulate("urban", seed=i, gps=grade, duration=120.0) for i in range(10)]
