@@ -62,5 +62,5 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     assert (len(aligned), len(lines), len(reckoned)) == (1, 3, 1)
     k = len(whole.timeline().dt)
     assert len({k, *lengths}) == 3
-    # tuned filter and two manual ones, one after the other, each watched for being lost
+    # tuned filter and two manual ones, one after the other; the tuned one is watched for being lost
     assert steps == {n: 3 * n for n in (k, *lengths)}

@@ -331,13 +331,14 @@ def _evaluated(
     dead_reckoning = score_imu_only(ready, imu_only, length, seed)
     del imu_only
     tracking = tracking_replay(ready)
-    recorded = [tracker.record(method, tracking, p, recover=True) for method, p in filters.items()]
+    # Manual filters go on as they are: what is wrong by hundreds of metres for hours would be set right at each sample.
+    recorded = [tracker.record(m, tracking, p, recover=m == "tuned") for m, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
     del recorded, tracking  # the next pass has steps and targets of its own
-    drifts = [_drifts(ready, list(filters.values()), each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
+    drifts = [_drifts(ready, filters, each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
     each = {
         method: _joined(whole[i, 0], drifts[0][i], drifts[1][i], tracker.quantiles[method])
         for i, method in enumerate(filters)
@@ -357,14 +358,14 @@ def _evaluated(
 
 
 def _drifts(
-    ready: PreparedDrive, filters: Sequence[FilterParameters], length: float, seed: int
+    ready: PreparedDrive, filters: Mapping[str, FilterParameters], length: float, seed: int
 ) -> list[Score]:
     """What outages of a length (s) make of filters; nothing is known where none fits. No steps are kept."""
     if not len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)):
         return [Score()] * len(filters)
     ready.forget()
     outages = outage_replay(ready, length=length, seed=seed)
-    recordings = [Recording(outages, p, recover=True) for p in filters]
+    recordings = [Recording(outages, p, recover=m == "tuned") for m, p in filters.items()]
     sums = joined([recording.finished().sums for recording in recordings], axis=1)
     scores = scores_of({"outages": [outages]}, {"outages": sums})
     ready.forget()
