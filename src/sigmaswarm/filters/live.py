@@ -153,7 +153,8 @@ class LiveFilter:
                 self._lately.sample(*held.tolist())
                 self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
             self._lately.sample(t, ax, ay, gz)
-            if t > self._belief[live.START]:
+            # Most samples bring nothing to look at.
+            if (self._lately.newest > self._last_fix or self._recovery.lost) and t > self._belief[live.START]:
                 self._watch(self._recovery, t)
 
     def update(

@@ -241,6 +241,11 @@ class Lately:
         while self._fixes and (self._fixes[0][0] < oldest or len(self._fixes) > _MOST_FIXES):
             self._fixes.popleft()
 
+    @property
+    def newest(self) -> float:
+        """s, of the latest fix; -inf where there is none."""
+        return self._fixes[-1][0] if self._fixes else -np.inf
+
     def last_fix(self, until: float) -> tuple[float, ...] | None:
         """The last fix up to a moment: time, x, y and the stated variances."""
         return next((fix for fix in reversed(self._fixes) if fix[0] <= until), None)
