@@ -1,6 +1,7 @@
 """Writing: the same bits come back, the same bytes go out, and nothing is ever half written or lost."""
 
 import time
+import warnings
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from sigmaswarm.drives import reader, writer
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.errors import DriveError, DriveWarning, InputError
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+from sigmaswarm.simulation import simulate
 from support import DRIVES, make_drive, needs_shared
 
 
@@ -193,3 +195,15 @@ def test_real_drives_survive_the_round_trip(tmp_path: Path, name: str):
 
 def test_reader_and_writer_agree_on_the_files():
     assert {"imu.csv", "gps.csv", "truth.csv", "drive.toml"} == writer.FILES
+
+
+def test_reading_back_leaves_the_warnings_filters_of_other_threads_alone(tmp_path: Path, monkeypatch):
+    def touched(*_, **__):
+        raise AssertionError("the filters of warnings belong to all threads")
+
+    drive = simulate("outages", "slippery", seed=5)
+    monkeypatch.setattr(warnings, "catch_warnings", touched)
+    write_drive(drive, tmp_path / "outages")
+    with pytest.warns(DriveWarning, match="gaps"):
+        monkeypatch.undo()
+        read_drive(tmp_path / "outages")

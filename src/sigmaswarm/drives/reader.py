@@ -71,7 +71,14 @@ def read_drive(path: str | Path) -> Drive:
     DriveWarning
         Gaps, and values that look like other units or axes.
     """
-    folder = Path(path)
+    drive, warned = read_with_warnings(Path(path))
+    for warning in warned:
+        warnings.warn(warning, stacklevel=2)
+    return drive
+
+
+def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
+    """``read_drive``, whose warnings are given back: muting them would mute those of all threads (and unmute them)."""
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
@@ -96,11 +103,9 @@ def read_drive(path: str | Path) -> Drive:
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about)
     if shortage := shortage_of(drive):
         raise DriveError(f"{folder}/{shortage}")
-    for message in ignored:
-        warnings.warn(message, SigmaswarmWarning, stacklevel=2)
-    for remark in remarks_of(drive):
-        warnings.warn(DriveWarning(f"{folder}/{remark}", remark.code), stacklevel=2)
-    return drive
+    warned = [SigmaswarmWarning(message) for message in ignored]
+    warned += [DriveWarning(f"{folder}/{remark}", remark.code) for remark in remarks_of(drive)]
+    return drive, warned
 
 
 def _read_description(path: Path) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Writing a drive's folder, whole or not at all."""
 
-import warnings
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,8 @@ import polars as pl
 import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
-from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.errors import DriveError, SigmaswarmWarning
+from sigmaswarm.drives.reader import read_with_warnings
+from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 from sigmaswarm.forking import require_threads
 
@@ -60,9 +59,9 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
 def _require_readable(written: Path, folder: Path) -> None:
     """Read what is about to take its place; the message names the file, row, column and value."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SigmaswarmWarning)  # the doctor tells what only looks wrong
-            read_drive(written)
+        read_with_warnings(
+            written
+        )  # and leave them to whoever reads it: the doctor tells what only looks wrong
     except DriveError as error:
         said = str(error).removeprefix(f"{written}/").replace(str(written), str(folder))
         raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
