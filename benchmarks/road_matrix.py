@@ -31,7 +31,8 @@ def main() -> None:
     parser.add_argument("--objective", default="innovation-t")
     parser.add_argument("--model", default="planar8")
     parser.add_argument("--use", nargs="*", default=[])
-    parser.add_argument("--margin", type=float, default=0.0)
+    parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
+    parser.add_argument("--margin", type=float, help="likewise")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     folders = sorted(
@@ -61,8 +62,8 @@ def row(
         if stated not in filters:
             use = [option for option in options.use if option != "accuracy" or stated]
             asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
-            asked["margin"] = options.margin
-            filters[stated] = tune([training], executor=pool, **asked).parameters
+            guards = {"prior": options.prior, "margin": options.margin}
+            filters[stated] = tune([training], executor=pool, **asked, **guards).parameters
         estimate = run_filter(test, filters[stated])
         score, raw = score_estimate(test, estimate), score_raw_gps(test, estimate.initial)
         found.append((score.position_rmse / raw.position_rmse, float(np.degrees(score.heading_rmse))))

@@ -154,6 +154,8 @@ def judge(place: Path, command: Command, old: Tree, found: Tree, loose: frozense
             and not (command.resumes and Path(file).name.startswith("checkpoint-"))
         ):
             wrong.append(f"{file} is of no run")
+    if left == found and not command.resumes and not command.old:
+        return wrong  # it had ended, and refuses to write over its own result
     again = call(place, (*command.words, *(("--resume",) if command.resumes else ())))
     if again.returncode not in command.ok:
         return [*wrong, f"started again: {again.returncode}: {again.stderr.strip()[-200:]}"]

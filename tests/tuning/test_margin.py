@@ -28,14 +28,15 @@ def test_the_cost_rises_by_the_margin_and_no_more(margin: float):
     assert plain.raised_by == 1.0
     assert doubting.raised_by > 1.0
     assert plain.parameters.measurement_noise == doubting.parameters.measurement_noise
+    share = margin * 100.0 / DRIVE.duration
     low, now = costs(plain.parameters, doubting.parameters)
     assert now == doubting.cost
-    assert now <= (1 + margin) * low
+    assert now <= (1 + share) * low
     ratios = np.array(doubting.parameters.process_noise) / np.array(plain.parameters.process_noise)
     inside = np.array([d.split(":")[0] for d in map(str, doubting.touched_bounds)])
     if not len(inside):
         np.testing.assert_allclose(ratios, doubting.raised_by, rtol=1e-9)
-        assert costs(raised(doubting.parameters, 10**STEP))[0] > (1 + margin) * low
+        assert costs(raised(doubting.parameters, 10**STEP))[0] > (1 + share) * low
     assert np.all(ratios <= doubting.raised_by * (1 + 1e-9))
 
 
@@ -45,6 +46,14 @@ def test_it_is_kept_with_the_tuning(tmp_path):
     again = tune([DRIVE], margin=0.1, out=tmp_path / "t", resume=True, **SEARCH)
     assert again.parameters == tuning.parameters
     assert not [remark for remark in tuning.remarks if "search longer" in remark]
+
+
+def test_twice_the_data_bear_half_the_rise():
+    longer = simulate("urban", duration=120.0, gps="white-1m")
+    for drives in ([longer], [DRIVE, simulate("urban", duration=60.0, gps="white-1m", seed=1)]):
+        plain, doubting = (tune(drives, margin=m, **SEARCH) for m in (0.0, 0.5))
+        seconds = sum(drive.duration for drive in drives)
+        assert 1 < doubting.cost / plain.cost <= 1 + 0.5 * 100.0 / seconds
 
 
 def test_a_linear_search_has_no_factor():

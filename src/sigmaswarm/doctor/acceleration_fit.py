@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.fixes import Complex, Course, white_noise
+from sigmaswarm.doctor.fixes import Complex, Course
 from sigmaswarm.doctor.windows import Regression, regress, windows_of
 from sigmaswarm.doctor.yaw_fit import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.noise import white_noise
 
 WINDOW = 10.0
 """s: long enough to see accelerations, short enough for tilt and slope to stay."""
@@ -100,7 +101,7 @@ def fit_acceleration(drive: Drive, course: Course, heading: Heading, coarse: flo
     rows = _windows(drive, course)
     if not len(rows):
         return None
-    fit = _Fit(drive, course, heading, rows, max(white_noise(course.time, course.position), LEAST_NOISE))
+    fit = _Fit(drive, course, heading, rows, max(white_noise(course.position), LEAST_NOISE))
     tried = coarse + LATENESS
     late = float(tried[int(np.argmin([fit.at(float(late), rounds=1).cost for late in tried]))])
     step = 0.0

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import AccelerationFit, fit_acceleration, heading_of
-from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps, white_noise
+from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
+from sigmaswarm.drives.noise import white_noise
 
 FEWEST = 20
 """Fixes; with fewer, only what needs no motion is checked."""
@@ -79,7 +80,7 @@ def gather(drive: Drive) -> Evidence:
             drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse
         )
     mount = mount_of(acceleration) if acceleration else None
-    noise, scatter = white_noise(course.time, course.position), 0.0
+    noise, scatter = white_noise(course.position), 0.0
     if acceleration:
         noise, scatter = _noise(acceleration)
         off[used[_far_off(acceleration)]] = True

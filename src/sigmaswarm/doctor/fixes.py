@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.noise import white_noise
 
 Mask = NDArray[np.bool_]
 
@@ -79,17 +80,10 @@ def _off_line(time: Array, position: Complex) -> Complex:
     return position - (q0 * s2 - q1 * s1) / np.maximum(s0 * s2 - s1**2, 1e-12)
 
 
-def white_noise(time: Array, position: Complex) -> float:
-    """m per axis: the fixes' noise from one to the next, robustly, by third differences (they remove motion)."""
-    third = np.diff(position, n=3)
-    spread = np.concatenate([third.real, third.imag])
-    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
-
-
 def course_of(time: Array, position: Complex) -> Course:
     """Speed and course from straight lines through short stretches of fixes."""
     interval = float(np.median(np.diff(time)))
-    noise = white_noise(time, position)
+    noise = white_noise(position)
     # a line through n fixes over T: std = noise sqrt(12 / n) / T
     span = float(np.clip((12 * noise**2 * interval / SPEED_STD**2) ** (1 / 3), *SPAN))
     span = max(span, 4.5 * interval)

@@ -62,7 +62,10 @@ class TuneConfig(SearchConfig):
     use: tuple[Option, ...] = DEFAULTS["use"]
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
     as_recorded: bool = DEFAULTS["as_recorded"]
-    margin: float = Field(default=DEFAULTS["margin"], ge=0, le=1)
+    prior: float | None = Field(default=DEFAULTS["prior"], ge=0, le=100)
+    """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins."""
+    margin: float | None = Field(default=DEFAULTS["margin"], ge=0, le=1)
+    """None: `MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
 
     @model_validator(mode="after")
     def _margin_needs_logarithms(self) -> Self:

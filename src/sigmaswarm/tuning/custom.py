@@ -78,6 +78,10 @@ class ModelProblem:
         """How much worse costs are than another: 0.01 is 1%."""
         return objective_named(self._config.objective).rise(costs, best, self._elements)
 
+    def remarks(self, point: Array) -> tuple[str, ...]:
+        """Nothing is known of the user's own data."""
+        return ()
+
     def on(self, data: Sequence[Log]) -> "ModelProblem":
         """The same filters and objective on other logs."""
         return ModelProblem(data, self._model, self._config)

@@ -4,7 +4,7 @@ A filter that is tuned on one drive trusts its model as far as that drive's road
 haste, it is then sure of what is wrong, and takes the fixes for outliers. As statisticians take the simplest model
 within one standard error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3), so
 of all filters that the objective hardly tells from the best that one is taken which doubts its model most: all process
-noises are raised by one factor.
+noises are raised by one factor. The longer the drives, the less they leave open, and the less the share.
 """
 
 from concurrent.futures import Executor
@@ -15,6 +15,10 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Problem
 
+MARGIN = 0.05
+"""What is usual where truth has no say."""
+PER = 100.0
+"""s of driving that a margin is said for; twice as many leave half as much open, and bear half the share."""
 DECADES = 4.0
 """The largest factor is 10 to that power."""
 STEP = 0.1
@@ -35,7 +39,7 @@ def with_margin(
     cost : float
         There.
     margin : float
-        Share by which the cost may rise.
+        Share by which the cost may rise on `PER` seconds of driving.
     executor : concurrent.futures.Executor or None
 
     Returns
@@ -51,6 +55,7 @@ def with_margin(
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)
     points = np.minimum(point + decades[:, None] * space.process_noises, np.maximum(space.high, point))
     costs = problem.costs(points, executor)
-    within = np.logical_and.accumulate(problem.rise(costs, cost) <= margin)
+    share = margin * PER / sum(entry["duration_s"] for entry in problem.data)
+    within = np.logical_and.accumulate(problem.rise(costs, cost) <= share)
     last = int(within.sum()) - 1 if within.any() else 0
     return points[last], float(costs[last]), float(10 ** decades[last])

@@ -108,11 +108,20 @@ class FilterOptions(TypedDict, total=False):
             "the paper's protocol."
         ),
     ]
-    margin: Annotated[
-        float,
+    prior: Annotated[
+        float | None,
         Doc(
-            "Share by which the cost may rise while all process noises are raised together: a filter that doubts its "
-            "model more bears roads that the tuning has not seen. 0.03 is a good start for one short drive."
+            "How much the receiver's stated accuracy counts beside each fix, as a prior on R: a log without truth "
+            "can't tell errors that last from the car's way. 0: not at all. By default 1 where the fixes' likelihood "
+            "alone decides, else 0."
+        ),
+    ]
+    margin: Annotated[
+        float | None,
+        Doc(
+            "Share by which the cost may rise on 100 s of driving (half of it on 200 s) while all process noises are "
+            "raised together: a filter that doubts its model more bears roads that the tuning has not seen. By default "
+            "0.05 where the fixes' likelihood alone decides, else 0."
         ),
     ]
 
@@ -146,6 +155,7 @@ DEFAULTS: dict[str, Any] = {
     "use": (),
     "outage_seed": 0,
     "as_recorded": False,
-    "margin": 0.0,
+    "prior": None,
+    "margin": None,
 }
 """The paper's where it gives them."""

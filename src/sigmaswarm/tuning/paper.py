@@ -17,6 +17,7 @@ PAPER: dict[str, Any] = {
     "racing": False,
     "use": (),
     "as_recorded": True,
+    "prior": 0.0,
     "margin": 0.0,
     "worst": 1.0,
     "cognitive": ACCELERATION,

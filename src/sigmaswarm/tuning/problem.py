@@ -14,14 +14,18 @@ from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD, states_accuracy
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
+from sigmaswarm.tuning.prior import prior_costs, receiver_std
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
+HELD = 0.02
+"""Nats a fix that the prior costs, from which on a user is told that it decided R."""
 
 
 class Landscape(Protocol):
@@ -66,6 +70,10 @@ class Problem(Landscape, Protocol[P]):
         """How much worse costs are than another: 0.01 is 1%."""
         ...
 
+    def remarks(self, point: Array) -> tuple[str, ...]:
+        """What a user should know of the data before trusting the filter at a point, shape (d,)."""
+        ...
+
     def on(self, data: Sequence[Any]) -> "Problem[P]":
         """The same filters and objective on other data."""
         ...
@@ -96,6 +104,11 @@ class CarProblem:
         """What is minimized on each drive."""
         return objective_named(self.config.objective)
 
+    @cached_property
+    def _receiver_std(self) -> Array:
+        """Of each drive, shape (m, 2), m."""
+        return np.array([receiver_std(drive) for drive in self.replayer.drives])
+
     @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, shape (m,)."""
@@ -112,7 +125,11 @@ class CarProblem:
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
         replayer = self.replayer.subset(drives)
-        return self.objective.each(replayer.scores(self.space.decode(points), executor))
+        parameter_sets = self.space.decode(points)
+        costs = self.objective.each(replayer.scores(parameter_sets, executor))
+        if self.config.prior:
+            costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
+        return costs
 
     def mean(self, each: Array) -> Array:
         """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
@@ -121,6 +138,25 @@ class CarProblem:
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
         return self.objective.rise(costs, best)
+
+    def remarks(self, point: Array) -> tuple[str, ...]:
+        """Where the prior held R against the likelihood: what it went by."""
+        if not self.config.prior:
+            return ()
+        told = prior_costs([self.parameters(point)], self._receiver_std)[0] > HELD
+        held = [drive for drive, is_told in zip(self.replayer.drives, told, strict=True) if is_told]
+        silent = [drive for drive in held if not states_accuracy(drive)]
+        if silent:
+            return (
+                f"{silent[0].name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
+                f"{UNSTATED_GPS_STD:g} m per axis; where yours is another, write gps_std_m into drive.toml",
+            )
+        if held:
+            return (
+                f"{held[0].name}: the fixes agree from one to the next better than the receiver states, so their "
+                "errors last; R was held near what it states, since no log without truth can tell",
+            )
+        return ()
 
     def on(self, data: Sequence[Drive]) -> "CarProblem":
         """The same filters and objective on other drives."""
@@ -138,6 +174,11 @@ def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace 
         If a drive never moves far enough to start a filter.
     """
     objective = objective_named(config.objective)
+    if config.prior and not objective.nats:
+        raise InputError(
+            f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
+            "innovation-nll or innovation-t"
+        )
     check_drives(drives, objective)
     _check_columns(drives, config)
     ready = [PreparedDrive(drive, as_recorded=config.as_recorded) for drive in drives]

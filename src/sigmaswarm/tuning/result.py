@@ -76,6 +76,8 @@ class Tuning(Generic[P]):
         Filter steps that one parameter set takes on all drives.
     raised_by : float
         The factor by which the option ``margin`` has raised all process noises; 1 without it.
+    of_the_data : tuple of str
+        What the data could not tell, in sentences; part of `remarks`.
     """
 
     parameters: P
@@ -89,6 +91,7 @@ class Tuning(Generic[P]):
     validation: Validation | None = None
     steps_per_set: int = 0
     raised_by: float = 1.0
+    of_the_data: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -133,6 +136,7 @@ class Tuning(Generic[P]):
                 f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
                 "search longer, with more trials, or polish"
             )
+        remarks += self.of_the_data
         if self.validation is None:
             remarks.append(NOT_VALIDATED)
         elif not np.isfinite(self.validation.cost):

@@ -17,7 +17,8 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
-from sigmaswarm.tuning.margin import with_margin
+from sigmaswarm.tuning.margin import MARGIN, with_margin
+from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.problem import Problem, car_problem
@@ -166,10 +167,21 @@ def _problem(
 
 
 def _settled(config: C, data: Sequence[Drive | Log]) -> C:
-    """The configuration with the objective that ``auto`` stands for on this data."""
-    return config.model_copy(
-        update={"objective": objective_for(data, config.objective, getattr(config, "use", ()))}
-    )
+    """The configuration with what its defaults stand for on this data."""
+    use = getattr(config, "use", ())
+    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, use)}))
+
+
+def with_guards(config: C) -> C:
+    """The configuration of a filter for cars, guarded where truth has no say: a prior on R, a margin for Q."""
+    if not isinstance(config, TuneConfig):
+        return config
+    objective = objective_named(config.objective)
+    alone = objective.likelihood and not objective.needs_truth
+    prior = float(alone) if config.prior is None else config.prior
+    doubt = MARGIN if alone and config.scale == "log10" else 0.0
+    margin = doubt if config.margin is None else config.margin
+    return config.model_copy(update={"prior": prior, "margin": margin})
 
 
 def objective_for(data: Sequence[Drive | Log], asked: str, use: Sequence[str] = ()) -> str:
@@ -229,4 +241,5 @@ def _chosen(
         validation=validation,
         steps_per_set=int(problem.steps.sum()),
         raised_by=factor,
+        of_the_data=problem.remarks(point),
     )

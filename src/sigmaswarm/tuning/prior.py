@@ -1,0 +1,55 @@
+"""A prior on R: what is known of the receiver, where no log without truth can tell.
+
+Many receivers smooth their fixes: from one to the next they err by centimetres, over minutes by metres. The likelihood
+of the next fix sees the centimetres alone, and so the filter that it likes best has an R of centimetres, and copies the
+fixes. What it lacks is in the receiver's data sheet: R is drawn from a log-normal distribution about the stated
+variance, a floor rather than a point (receivers in cities state too little, and a larger R costs nothing). Errors that
+last bind every fix alike, so no number of fixes outvotes the prior: it counts once for each of them.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std, states_accuracy
+
+DECADES = 0.5
+"""Standard deviation of log10 R below that of the receiver."""
+SHOWN = 0.25 * UNSTATED_GPS_STD
+"""m per axis: a receiver that states nothing and errs by that much from one fix to the next does not smooth, and its
+fixes show what it is; of one that errs by less nothing is known."""
+
+
+def receiver_std(drive: Drive) -> tuple[float, float]:
+    """How far the fixes of a drive's receiver may be off, m east and north.
+
+    As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
+    """
+    gps = drive.gps
+    if not states_accuracy(drive) and (shown := white_noise(gps.x + 1j * gps.y)) > SHOWN:
+        return shown, shown
+    return stated_std(drive)
+
+
+def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
+    """What the prior adds to the negative log-likelihood of each fix, nats.
+
+    Parameters
+    ----------
+    parameter_sets : sequence of FilterParameters, length n
+    std : ndarray, shape (m, 2)
+        `receiver_std` of each drive, m.
+
+    Returns
+    -------
+    ndarray, shape (n, m)
+        0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
+        that goes by each fix's own accuracy is that of the median fix.
+    """
+    floor = np.array([p.measurement_noise for p in parameter_sets])[:, None, :]
+    scale = np.array([p.accuracy_scale or 0.0 for p in parameter_sets])[:, None, None]
+    short = np.minimum(np.log10((floor + scale * std**2) / std**2) / DECADES, 0.0)
+    return 0.5 * np.mean(short**2, axis=2)

@@ -1,0 +1,112 @@
+"""The prior on R: by hand, where it acts, and what it is for: receivers that smooth their fixes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm import Drive, run_batch, simulate, tune
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.prior import prior_costs, receiver_std
+from sigmaswarm.tuning.tune import with_guards
+
+SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
+DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+
+
+def without_statement(drive: Drive) -> Drive:
+    about = {k: v for k, v in drive.metadata.items() if k != "gps_std_m"}
+    return replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata=about)
+
+
+def smoothed(drive: Drive) -> Drive:
+    """What a receiver does that trusts its own filter: fixes right to 2 cm from one to the next, off by 1.5 m."""
+    truth, gps, rng = drive.truth, drive.gps, np.random.default_rng(7)
+    assert truth is not None
+    x, y = (np.interp(gps.time, truth.time, v) for v in (truth.x, truth.y))
+    slow = [1.5 * np.sin(2 * np.pi * gps.time / 60.0 + phase) for phase in (0.3, 1.4)]
+    white = rng.normal(0.0, 0.02, (2, len(gps)))
+    return without_statement(
+        replace(drive, gps=replace(gps, x=x + slow[0] + white[0], y=y + slow[1] + white[1]))
+    )
+
+
+def parameters(r: tuple[float, float], scale: float | None = None) -> FilterParameters:
+    return FilterParameters(0.1, 2.0, 0.0, (1e-3,) * 5, r, accuracy_scale=scale)
+
+
+@given(
+    r=st.tuples(st.floats(1e-4, 1e3), st.floats(1e-4, 1e3)),
+    std=st.floats(0.01, 30.0),
+    scale=st.none() | st.floats(1e-3, 10.0),
+)
+def test_it_is_half_a_decade_of_a_log_normal_below_what_is_stated(r, std, scale):
+    drive = replace(without_statement(DRIVE), metadata={"gps_std_m": std})
+    by_hand = 0.0
+    for each in r:
+        variance = each + (scale or 0.0) * std**2
+        if variance < std**2:
+            by_hand += 0.5 * (np.log10(variance / std**2) / 0.5) ** 2 / 2
+    assert prior_costs([parameters(r, scale)], np.array([stated_std(drive)]))[0, 0] == pytest.approx(
+        by_hand, rel=1e-9, abs=1e-12
+    )
+
+
+def test_the_receivers_own_word_comes_first():
+    silent = without_statement(DRIVE)
+    assert receiver_std(silent) == pytest.approx((1.0, 1.0), rel=0.1)  # its fixes show it
+    assert receiver_std(smoothed(DRIVE)) == stated_std(silent) == (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
+    told = replace(silent, metadata={"gps_std_m": 0.3})
+    assert receiver_std(told) == stated_std(told) == (0.3, 0.3)
+    n = len(silent.gps)
+    each = replace(told.gps, std_x=np.full(n, 0.5), std_y=np.linspace(1.0, 3.0, n))
+    assert receiver_std(replace(told, gps=each)) == pytest.approx((0.5, 2.0))
+
+
+def test_a_receiver_that_smooths_its_fixes_is_not_copied():
+    drive = smoothed(DRIVE)
+    copied, held = (
+        tune(drive, objective="innovation-nll", prior=prior, margin=0.0, **SEARCH) for prior in (0.0, 1.0)
+    )
+    assert max(copied.parameters.measurement_noise) < 0.1**2
+    assert min(held.parameters.measurement_noise) > 0.5**2
+    assert [r for r in held.remarks if "states no accuracy of its fixes, so R was held near" in r]
+    assert not [r for r in copied.remarks if "R was held" in r]
+    other = simulate("urban", duration=60.0, gps="white-1m", seed=3)
+    follows, knows = run_batch([other], [copied.parameters, held.parameters]).costs
+    assert knows < 0.8 * follows
+
+
+def test_what_it_adds_is_the_costs_difference():
+    tuning = tune(DRIVE, objective="innovation-t", margin=0.0, **SEARCH)
+    plain = run_batch([DRIVE], [tuning.parameters], objective="innovation-t").costs[0]
+    assert tuning.config.prior == 1.0
+    assert tuning.cost == plain + prior_costs([tuning.parameters], np.array([receiver_std(DRIVE)]))[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("asked", "prior", "margin"),
+    [
+        ({"objective": "innovation-nll"}, 1.0, 0.05),
+        ({"objective": "innovation-t + 0.1 nis"}, 1.0, 0.05),
+        ({"objective": "innovation-t", "scale": "linear"}, 1.0, 0.0),
+        ({"objective": "innovation-t", "prior": 0.0, "margin": 0.0}, 0.0, 0.0),
+        ({"objective": "innovation-t", "prior": 0.3, "margin": 0.2}, 0.3, 0.2),
+        ({"objective": "truth-pose"}, 0.0, 0.0),
+        ({"objective": "innovation-nll + 0.2 nees"}, 0.0, 0.0),
+        ({"objective": "gps-rmse"}, 0.0, 0.0),
+    ],
+)
+def test_it_stands_where_truth_has_no_say(asked, prior, margin):
+    config = with_guards(TuneConfig(**asked))
+    assert (config.prior, config.margin) == (prior, margin)
+
+
+def test_metres_and_nats_do_not_add_up():
+    with pytest.raises(InputError, match="prior = 1: is counted in nats, and truth-rmse is not"):
+        tune(DRIVE, objective="truth-rmse", prior=1.0, **SEARCH)
