@@ -1,12 +1,12 @@
 """What fixes say of their own noise."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
 
-
-def white_noise(position: NDArray[np.complex128]) -> float:
+def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
     """The noise of fixes from one to the next, m per axis; 0 of fewer than four.
 
     Robust, of third differences, which remove the motion. Errors that last longer than some fixes are not in it.
