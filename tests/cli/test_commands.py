@@ -20,6 +20,7 @@ from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ["tune", "evaluate", "report", "run", "split", "simulate", "plot", "demo"]
+QUICK = ["--particles", 4, "--generations", 2]
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
 
 
@@ -299,9 +300,25 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
 
 def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
-    assert sigmaswarm("tune", first, "--out", "t", "--particles", 4, "--generations", 2).code == 0
-    assert "tuned on: its scores are not held out" in sigmaswarm("evaluate", "t", first, "--json").err
+    assert sigmaswarm("tune", first, "--out", "t", *QUICK).code == 0
+    told = sigmaswarm("evaluate", "t", first, "--json").err
+    assert "tuned on 40 of its 40 s (urban-clear-00): its scores are not held out" in told
     assert "tuned on" not in sigmaswarm("evaluate", "t", second, "--json").err
+    assert sigmaswarm("split", first, "--out", "parts", "--train-fraction", 0.8).code == 0
+    cut = tomllib.loads(Path("parts/urban-clear-00-test/drive.toml").read_text())["cut_from"]
+    assert (cut["drive"], round(cut["start_s"])) == ("urban-clear-00", 32)
+    assert sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "part").code == 0
+    said = sigmaswarm("evaluate", "part", first, "--out", "e").out
+    sentence = (
+        "On 1 drive (NOT held out: the tuning saw 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
+    )
+    assert said.startswith(sentence)
+    assert sigmaswarm("report", "e").code == 0
+    assert sentence in Path("e/page.html").read_text()
+    ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err
+    assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
 
 
 def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):

@@ -207,7 +207,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     out = tmp_path / "e"
     save(found, tuned, out)
     report = read_report(out)
-    assert "On 2 drives, 1 of them seen by the tuning" in report.lead[0]
+    assert "On 2 drives (NOT all held out: the tuning saw 30 of the 30 s of monday, in monday)" in report.lead[0]
     assert any("tuned on" in remark for remark in report.remarks)
     assert (
         "NaN" not in html_page(report).rsplit("</script>", 3)[0].split('id="data">')[1].split("</script>")[0]

@@ -132,10 +132,12 @@ def print_evaluation(
     from rich.table import Table
     from rich.text import Text
 
+    from sigmaswarm.scoring.evaluation import said_of_drives
+
     console, measures = stdout(), evaluation.measures
     # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
     table = Table(
-        title="On these drives (lower is better)",
+        title=f"On {said_of_drives(evaluation.asked.data)} (lower is better)",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         show_edge=False,

@@ -55,6 +55,7 @@ def evaluate(
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
     from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.tuning.record import FILE, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     if not 0 < outage_length < inf:
@@ -66,8 +67,9 @@ def evaluate(
         outage_length=outage_length,
         outage_seed=outage_seed,
         as_recorded=as_recorded or tuned_as_recorded(tuning),
+        seen=seen_by(tuning / FILE if tuning.is_dir() else tuning) or None,
     )
-    _warn_of_training_drives(tuning, result)
+    _warn_of_training_drives(result)
     written: list[Path] = []
     if out:
         written = save_evaluation(result, out, tuning)
@@ -81,16 +83,16 @@ def evaluate(
     stdout().print(f"next: {page}")
 
 
-def _warn_of_training_drives(tuning: Path, evaluation: "Evaluation") -> None:
+def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Say which drives the tuning has seen: scores on them flatter it."""
-    import tomllib
     import warnings
 
     from sigmaswarm.errors import SigmaswarmWarning
 
-    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
-    seen = {entry.get("sha256") for entry in tomllib.loads(file.read_text()).get("data", [])}
     for name, found in evaluation.drives.items():
-        if found.data["sha256"] in seen:
-            message = f"{name} is a drive that the filter was tuned on: its scores are not held out"
+        if found.seen:
+            message = (
+                f"{name}: the filter was tuned on {found.seen.seconds:.0f} of its {found.data['duration_s']:.0f} s "
+                f"({', '.join(found.seen.of)}): its scores are not held out"
+            )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

@@ -10,6 +10,7 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.fingerprint import DriveRecord, described
+from sigmaswarm.drives.overlap import Landmarks, Overlap, landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
@@ -107,6 +108,22 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     return tuple(said)
 
 
+def said_of_drives(data: Sequence[DriveRecord]) -> str:
+    """What a sentence calls drives: how many they are, and how much of them the tuning saw."""
+    called = f"{len(data)} drive{'s' if len(data) != 1 else ''}"
+    if any(drive.seen_s is None for drive in data):
+        return called
+    if not any(drive.seen_s for drive in data):
+        return f"{called} that the tuning never saw"
+    told = [
+        f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
+        f"{', '.join(drive.seen_in)}"
+        for drive in data
+        if drive.seen_s
+    ]
+    return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(told)})"
+
+
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     """A sentence for each drive on which the tuned filter's position is worse than the fixes that it was given."""
     said: list[str] = []
@@ -146,6 +163,8 @@ class Evaluated:
         s: when a filter was lost and started anew, see `filters.recovery`.
     frozen : int
         Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
+    seen : Overlap or None
+        How much of it the filter was tuned on; None where nobody said what that was.
     """
 
     scores: Mapping[str, Score]
@@ -156,6 +175,13 @@ class Evaluated:
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
+    seen: Overlap | None = None
+
+    @property
+    def record(self) -> DriveRecord:
+        """The drive as files and sentences name it."""
+        of = {} if self.seen is None else {"seen_s": self.seen.seconds, "seen_in": list(self.seen.of)}
+        return DriveRecord.model_validate({**self.data, **of})
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,10 +293,7 @@ class Evaluation:
             outage_length_s=self.outage_length,
             outage_seed=self.outage_seed,
             versions=versions(),
-            data=[
-                DriveRecord.model_validate({**found.data, "name": name})
-                for name, found in self.drives.items()
-            ],
+            data=[found.record.model_copy(update={"name": name}) for name, found in self.drives.items()],
         )
 
 
@@ -281,6 +304,7 @@ def evaluate(
     outage_length: float = OUTAGE_LENGTH,
     outage_seed: int = 0,
     as_recorded: bool = False,
+    seen: Sequence[Landmarks] | None = None,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -297,6 +321,9 @@ def evaluate(
         Places the outages: the same for every method.
     as_recorded : bool
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
+    seen : sequence of Landmarks, optional
+        What the tuning saw: ``tuning.seen``, or `tuning.record.seen_by` its file. The evaluation then says how much
+        of each drive that is, whatever it is called, and however it was cut or mended.
 
     Raises
     ------
@@ -314,7 +341,9 @@ def evaluate(
     for drive in drives:
         name = _unique(drive.name, found)
         ready = prepared(drive, as_recorded=as_recorded)
-        found[name] = _evaluated(ready, parameters, name, outage_length, outage_seed)
+        known = None if seen is None else overlap_of(landmarks(drive), seen)
+        each = _evaluated(ready, parameters, name, outage_length, outage_seed)
+        found[name] = replace(each, seen=known)
     names = method_names(parameters.kind, parameters.model)
     return Evaluation(found, names, outage_length, outage_seed)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
@@ -77,6 +78,11 @@ class ModelProblem:
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
         return objective_named(self._config.objective).rise(costs, best, self._elements)
+
+    @property
+    def seen(self) -> tuple[Landmarks, ...]:
+        """None: a log of a model of the user's own is recognized as a whole only."""
+        return ()
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
         """The same filters and objective on other logs."""

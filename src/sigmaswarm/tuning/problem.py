@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
@@ -58,6 +59,11 @@ class Problem(Landscape, Protocol[P]):
         """Name, length and fingerprint of each drive."""
         ...
 
+    @property
+    def seen(self) -> Sequence[Landmarks]:
+        """What each drive is recognized by; empty for logs of a model of the user's own."""
+        ...
+
     def parameters(self, point: Array) -> P:
         """The filter at a point, shape (d,), in search coordinates."""
         ...
@@ -95,6 +101,11 @@ class CarProblem:
     def objective(self) -> Objective:
         """What is minimized on each drive."""
         return objective_named(self.config.objective)
+
+    @property
+    def seen(self) -> tuple[Landmarks, ...]:
+        """What each drive is recognized by."""
+        return tuple(landmarks(drive) for drive in self.replayer.drives)
 
     @property
     def steps(self) -> NDArray[np.int64]:

@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 from typing_extensions import TypeVar
 
+from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.tuning.box import TouchedBound
@@ -68,6 +69,8 @@ class Tuning(Generic[P]):
     config : TuneConfig, or ModelTuneConfig for a model of your own
     data : list of dict
         Name, length and fingerprint of each drive.
+    seen : tuple of Landmarks
+        What each drive is recognized by, whole or in parts: for `evaluate`.
     sensitivities : tuple of Sensitivity
         How far each parameter can move before the cost rises by 1%.
     validation : Validation or None
@@ -85,6 +88,7 @@ class Tuning(Generic[P]):
     best_trial: int
     config: SearchConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    seen: tuple[Landmarks, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     steps_per_set: int = 0

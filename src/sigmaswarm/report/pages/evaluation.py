@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
 from sigmaswarm.report.pages.commands import evaluate_command
@@ -19,7 +20,15 @@ from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import verdicts
-from sigmaswarm.scoring.evaluation import METHODS, Measure, measures, method_names, restarted, worse_than_raw
+from sigmaswarm.scoring.evaluation import (
+    METHODS,
+    Measure,
+    measures,
+    method_names,
+    restarted,
+    said_of_drives,
+    worse_than_raw,
+)
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
@@ -52,8 +61,7 @@ def evaluation_report(folder: Path) -> Report:
             f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
             "repeat `sigmaswarm evaluate`"
         )
-    seen = frozenset(d.sha256 for d in file.data)
-    held_out = [d.sha256 not in seen for d in asked.data]
+    data = tuple(_with_what_was_seen(drive, file.data) for drive in asked.data)
     blind = all(d.has_truth is False for d in asked.data)
     without = (
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
@@ -62,10 +70,10 @@ def evaluation_report(folder: Path) -> Report:
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(_result(scores, held_out, known=bool(seen)), *without, what_was_tuned(file)),
+        lead=(_result(scores, data), *without, what_was_tuned(file)),
         figures=_figures(scores, shown),
         remarks=(
-            *_remarks(scores, held_out),
+            *_remarks(scores, data),
             *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
         ),
         sections=(
@@ -74,7 +82,7 @@ def evaluation_report(folder: Path) -> Report:
             _consistency(scores),
             parameters_section(file),
             *convergence_section(file, folder),
-            data_section("Drives of the evaluation", asked.data, seen if seen else None),
+            data_section("Drives of the evaluation", data),
             *((data_section("Drives of the tuning", file.data),) if file.data else ()),
         ),
         config=shown_config(file.config)
@@ -85,23 +93,28 @@ def evaluation_report(folder: Path) -> Report:
     )
 
 
-def _remarks(scores: ScoresRecord, held_out: list[bool]) -> list[str]:
+def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
+    """The drive as it is, or, where an earlier version evaluated it, by whether it is one of the training drives."""
+    if drive.seen_s is not None or not tuned_on:
+        return drive
+    same = [one.name for one in tuned_on if one.sha256 == drive.sha256]
+    return drive.model_copy(update={"seen_s": (drive.duration_s or 0.0) if same else 0.0, "seen_in": same})
+
+
+def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
     said = (
-        [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
+        ["the filter was tuned on some of what it is evaluated on: that flatters it"]
+        if any(drive.seen_s for drive in data)
+        else []
     )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
     said += [*worse_than_raw(scores), *restarted(scores)]
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
 
 
-def _result(scores: ScoresRecord, held_out: list[bool], *, known: bool) -> str:
+def _result(scores: ScoresRecord, data: Sequence[DriveRecord]) -> str:
     """The result in a sentence: position where truth is known, else the drift over outages."""
-    n = len(held_out)
-    drives = f"{n} drive{'s' if n != 1 else ''}"
-    if known and all(held_out):
-        drives += " that the tuning never saw"
-    elif known:
-        drives += f", {n - sum(held_out)} of them seen by the tuning"
+    drives = said_of_drives(data)
     for measure, what in (
         ("position_rmse_m", "is {} m (RMS) from the truth"),
         ("outage_drift_m", "drifts {} m (RMS) over an outage"),

@@ -1,7 +1,7 @@
 """The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -172,8 +172,9 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     )
 
 
-def data_section(title: str, data: list[DriveRecord], seen: frozenset[str] | None = None) -> Section:
-    """The drives; with ``seen``, fingerprints of the training drives, whether each was held out."""
+def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
+    """The drives; of evaluated ones whether they were held out, where that is known."""
+    known = all(d.seen_s is not None for d in data)
     columns = [
         Column("drive"),
         Column("length", "s"),
@@ -181,12 +182,13 @@ def data_section(title: str, data: list[DriveRecord], seen: frozenset[str] | Non
         Column("fixes"),
         Column("truth"),
     ]
-    columns += [] if seen is None else [Column("held out")]
+    columns += [Column("held out")] if known else []
     rows: list[tuple[Cell, ...]] = []
     for d in data:
-        known = "" if d.has_truth is None else "yes" if d.has_truth else "no"
-        row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, known)
-        rows.append(row if seen is None else (*row, "no: tuned on it" if d.sha256 in seen else "yes"))
+        truth = "" if d.has_truth is None else "yes" if d.has_truth else "no"
+        row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, truth)
+        held_out = f"no: tuned on {d.seen_s:.0f} s of it" if d.seen_s else "yes"
+        rows.append((*row, held_out) if known else row)
     return Section(title, (), (Table("", tuple(columns), tuple(rows)),))
 
 
