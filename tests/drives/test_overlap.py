@@ -9,7 +9,7 @@ import pytest
 
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
-from sigmaswarm.drives.drive import Drive, Imu
+from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.overlap import Landmarks, landmarks, load_landmarks, overlap_of, save_landmarks
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.split import clip, split_time
@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import simulate
-from support import DRIVES, needs_shared
+from support import DRIVES, make_drive, needs_shared
 
 ORIGIN = 50.0, 8.0, 100.0
 
@@ -86,7 +86,7 @@ COPIES: dict[str, Callable[[Drive], Drive]] = {
     "other units": in_other_units,
     "other frame": in_the_other_frame,
     "interpolated": interpolated,
-    "new fixes": with_new_fixes,
+    "new fixes": lambda d: with_new_fixes(in_other_units(d)),
     "several": lambda d: in_other_units(decimated(shifted(split_time(d)[0], -77.7), 2, 2)),
 }
 REAL = ("dresden", "kingston-1", "comma2k19", "colorado-1", "kitti-09-26-0022")
@@ -131,6 +131,20 @@ def test_simulated_drives_of_one_seed_are_different_drives():
     assert all(overlap_of(one, [one]).seconds > 0 for one in marks)
     for copy in ("first part", "shifted", "decimated", "other units"):
         assert overlap_of(landmarks(COPIES[copy](drives[-1])), marks).of == (drives[-1].name,)
+
+
+def test_one_road_driven_twice_is_not_one_drive():
+    """Receivers that round to a metre give many equal places; of one drive all are equal."""
+    rng, time = np.random.default_rng(1), np.arange(0.0, 200.0)
+    drives = [make_drive(duration=200.0, gps_rate=1.0, name=name) for name in ("there", "again")]
+    drives = [
+        replace(drive, gps=Gps(time, *np.rint([10 * time, 0 * time] + 0.7 * rng.standard_normal((2, 200)))))
+        for drive in drives
+    ]
+    gz = [drive.imu.gz + 0.01 * rng.standard_normal(len(drive.imu)) for drive in drives]
+    first, second = (landmarks(replace(d, imu=replace(d.imu, gz=g))) for d, g in zip(drives, gz, strict=True))
+    assert not overlap_of(first, [second])
+    assert overlap_of(first, [first]).seconds == pytest.approx(200.0, abs=0.1)
 
 
 def test_parts_that_overlap_each_other_count_once():
