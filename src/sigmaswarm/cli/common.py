@@ -132,7 +132,8 @@ def print_evaluation(
     from rich.table import Table
     from rich.text import Text
 
-    from sigmaswarm.scoring.evaluation import said_of_drives
+    from sigmaswarm.scoring.drifts import OWN
+    from sigmaswarm.scoring.evaluation import HOW_MANUAL, said_of_drives
 
     console, measures = stdout(), evaluation.measures
     # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
@@ -176,13 +177,20 @@ def print_evaluation(
                 "though the car may have moved."
             )
     _print_consistency(evaluation, console)
-    for over in ("defaults", "datasheet", "raw_gps"):
-        improvement = evaluation.improvement(over)
+    for over in (OWN, "defaults", "datasheet", "raw_gps"):
+        improvement = evaluation.improvement(over) if over in evaluation.names else None
         if improvement is not None:
             console.print(
                 f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
                 f"than {evaluation.names[over]}."
             )
+    told = evaluation.record
+    for name, measure in measures.items():
+        if spread := told.drift_said(name):
+            console.print(
+                f"{measure.title} of the tuned filter: {evaluation.mean('tuned', name):.3g} m over {spread}."
+            )
+    console.print(f"{HOW_MANUAL}; name your own with --against.")
     for said in (*evaluation.worse_than_raw, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 

@@ -15,6 +15,7 @@ def evaluate(
     drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
+    against: Path | None = None,
     out: Path | None = None,
     outage_length: float = 5.0,
     outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
@@ -31,6 +32,7 @@ def evaluate(
 
         sigmaswarm evaluate tuned drives/friday
         sigmaswarm evaluate tuned drives/friday --out evaluation
+        sigmaswarm evaluate tuned drives/friday --against mine.toml
         sigmaswarm evaluate tuned drives/friday --json
 
     Parameters
@@ -39,12 +41,15 @@ def evaluate(
         A tuning.toml, or the folder that holds it.
     drives
         Drive folders, or folders that hold drive folders.
+    against
+        A filter of your own to compare with, of any model: a file with its parameters in a table [filter], as in a
+        tuning.toml.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
     outage_length
         Seconds without fixes, after which the drift is measured.
     outage_seed
-        Places the outages.
+        Places the outages: again and again, as often as the drive has room for.
     as_recorded
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is evaluated so.
@@ -58,12 +63,14 @@ def evaluate(
     from sigmaswarm.tuning.record import FILE, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
+    own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     read = read_drives(drives)
     result = sigmaswarm.evaluate(
         read,
         parameters,
+        against=own,
         outage_length=outage_length,
         outage_seed=outage_seed,
         as_recorded=as_recorded or tuned_as_recorded(tuning),
@@ -72,7 +79,7 @@ def evaluate(
     _warn_of_training_drives(result)
     written: list[Path] = []
     if out:
-        written = save_evaluation(result, out, tuning)
+        written = save_evaluation(result, out, tuning, own)
     if json:
         print_json(result.to_dict())
         return
