@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,11 +19,30 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_drives(paths: Sequence[Path]) -> "list[Drive]":
-    """Read drive folders; a folder of drive folders stands for all of them."""
+def read_known(folder: Path) -> "Drive":
+    """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
+    from sigmaswarm.drives.reader import read_with_warnings
+
+    drive, warned = read_with_warnings(folder)
+    for warning in warned:
+        if not getattr(warning, "code", "").endswith("-gap"):
+            warnings.warn(warning, stacklevel=2)
+    return drive
+
+
+def read_drives(paths: Sequence[Path], *, trusted: bool = True, gaps: bool = False) -> "list[Drive]":
+    """Read drive folders; a folder of drive folders stands for all of them.
+
+    Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
+    """
+    from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.drives.reader import drive_folders, read_drive
 
-    return [read_drive(path) for given in paths for path in drive_folders(given)]
+    folders = [folder for given in paths for folder in drive_folders(given)]
+    drives = [(read_drive if gaps else read_known)(folder) for folder in folders]
+    if not trusted:
+        warn_of_serious(drives, folders)
+    return drives
 
 
 def tuned_as_recorded(tuning: Path) -> bool:

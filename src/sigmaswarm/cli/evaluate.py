@@ -20,6 +20,7 @@ def evaluate(
     outage_length: float = 5.0,
     outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
+    trust_log: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -53,6 +54,8 @@ def evaluate(
     as_recorded
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is evaluated so.
+    trust_log
+        Don't ask the doctor whether something is seriously wrong with the drives.
     json
         Print the scores for machines.
     """
@@ -66,7 +69,7 @@ def evaluate(
     own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
-    read = read_drives(drives)
+    read = read_drives(drives, trusted=trust_log)
     result = sigmaswarm.evaluate(
         read,
         parameters,

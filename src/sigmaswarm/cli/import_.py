@@ -187,7 +187,7 @@ def _import(
 ) -> None:
     """Import and write; say what was assumed."""
     from sigmaswarm.cli.common import percent_bar, print_json, stdout
-    from sigmaswarm.cli.findings import print_diagnosis
+    from sigmaswarm.cli.findings import mending, print_diagnosis
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
@@ -204,9 +204,14 @@ def _import(
     else:
         _tell(imported, out)
         print_diagnosis(diagnosis)
-        stdout().print(f"next: sigmaswarm plot {out}")
+        ready = out
+        if diagnosis.serious:
+            ready = Path("mended") / name
+            stdout().print(f"next: {mending(out)}    (then go on with {ready}, not with {out})")
+        else:
+            stdout().print(f"next: sigmaswarm plot {out}")
         better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}")
+        stdout().print(f"then: sigmaswarm tune {ready} --out tuned {better}")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def run(
         Print a summary for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout, tuned_as_recorded
+    from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
     from sigmaswarm.export.trajectory import (
         check_target,
@@ -69,7 +69,7 @@ def run(
 
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    read = sigmaswarm.read_drive(drive)
+    read = read_known(drive)
     if place and read.origin:
         raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
     place = place or read.origin
