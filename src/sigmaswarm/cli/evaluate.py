@@ -82,7 +82,10 @@ def evaluate(
     _warn_of_training_drives(result)
     written: list[Path] = []
     if out:
-        written = save_evaluation(result, out, tuning, own)
+        written = save_evaluation(result, out, tuning)
+        if own is not None:
+            own.save(out / "against.toml")
+            written.append(out / "against.toml")
     if json:
         print_json(result.to_dict())
         return

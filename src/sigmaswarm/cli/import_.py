@@ -252,9 +252,9 @@ def _show(request: Any, save_recipe: Path | None, json: bool) -> None:
     if json:
         from dataclasses import asdict
 
-        print_json(
-            {"tables": [asdict(t) for t in seen.tables], "recipe": seen.recipe.to_toml(), "notes": seen.notes}
-        )
+        told = {"recipe": seen.recipe.to_toml(), "notes": seen.notes}
+        asked = {"proposal": seen.proposal, "evidence": seen.evidence}
+        print_json({"tables": [asdict(t) for t in seen.tables], **told, **asked})
     else:
         _print_look(seen)
 
@@ -286,6 +286,10 @@ def _print_look(seen: "Look") -> None:
     console.print(recipe or "nothing was recognized; say what is what with --map")
     for note in seen.notes:
         console.print(f"note: {shown(note, 1000)}")
+    if seen.proposal:
+        console.print("\nTo read the rest, add to the command:", style="bold")
+        console.print(shown(seen.proposal, 4000), markup=False)
+        console.print(f"({shown(seen.evidence, 1000)}; nothing of it is done unless you ask for it)")
 
 
 def _short(value: float | None) -> str:

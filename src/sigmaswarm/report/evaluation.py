@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.files import make_folder, write_whole
-from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.report.draw.png import figure_of, new_figure, save
 from sigmaswarm.report.style import LABELS
 from sigmaswarm.report.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
@@ -20,9 +19,7 @@ from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 
 
-def save_evaluation(
-    evaluation: Evaluation, folder: Path, tuning: Path | None = None, against: FilterParameters | None = None
-) -> list[Path]:
+def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
     """Write all that `sigmaswarm report` and people look at; the paths of all files.
 
     Parameters
@@ -32,14 +29,9 @@ def save_evaluation(
         Made where it is missing.
     tuning : Path, optional
         The tuning.toml that was evaluated, or the folder that holds it; copied.
-    against : FilterParameters, optional
-        The filter of the user's own that was evaluated, too: kept as against.toml.
     """
     make_folder(folder)
     written = [*evaluation.save(folder), *save_evaluation_figures(evaluation, folder)]
-    if against is not None:
-        against.save(folder / "against.toml")
-        written.append(folder / "against.toml")
     return written if tuning is None else [*written, *copy_tuning(tuning, folder)]
 
 
