@@ -157,7 +157,10 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
-    assert f"On {careful} of 2 drives the filter is too careful: its errors are smaller" in ended.out
+    assert (
+        f"On {careful} of 2 drives the filter is too careful of its forecasts: they miss the fixes by less"
+        in ended.out
+    )
     assert ended.out.endswith("next: sigmaswarm report e\n")
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(

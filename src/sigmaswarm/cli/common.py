@@ -221,7 +221,8 @@ def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
 
     from sigmaswarm.scoring.consistency import verdicts
 
-    table = Table(title="Does the tuned filter know its own errors?", title_justify="left")
+    table = Table(title="Do its forecasts miss the fixes (NIS), its errors the truth (NEES), as it says?")
+    table.title_justify = "left"
     table.add_column("drive")
     for title in ("mean NIS\n(2)", "inside 95%\ngate", "mean NEES\n(2)", "correlation to\nthe next fix (0)"):
         table.add_column(title, justify="right")

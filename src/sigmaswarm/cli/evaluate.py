@@ -26,8 +26,8 @@ def evaluate(
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
 
     Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
-    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter
-    knows its own errors.
+    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter's
+    forecasts miss the fixes by as much as it says.
 
     Examples:
 
@@ -62,10 +62,12 @@ def evaluate(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
+    from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
-    from sigmaswarm.tuning.record import FILE, seen_by
+    from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
+    file = tuning / FILE if tuning.is_dir() else tuning
     own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
@@ -77,7 +79,7 @@ def evaluate(
         outage_length=outage_length,
         outage_seed=outage_seed,
         as_recorded=as_recorded or tuned_as_recorded(tuning),
-        seen=seen_by(tuning / FILE if tuning.is_dir() else tuning) or None,
+        seen=seen_by(file) or None,
     )
     _warn_of_training_drives(result)
     written: list[Path] = []
@@ -90,6 +92,9 @@ def evaluate(
         print_json(result.to_dict())
         return
     print_evaluation(result)
+    if (tuned := load_record(TuningRecord, file).result) is not None:
+        for doubt in tuned.doubts:
+            stdout().print(f"Beware: {doubt}.")
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"

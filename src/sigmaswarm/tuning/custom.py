@@ -79,6 +79,10 @@ class ModelProblem:
         """How much worse costs are than another: 0.01 is 1%."""
         return objective_named(self._config.objective).rise(costs, best, self._elements)
 
+    def doubts(self, point: Array) -> list[str]:
+        """None: what the data of a model of the user's own are is not known."""
+        return []
+
     @property
     def seen(self) -> tuple[Landmarks, ...]:
         """None: a log of a model of the user's own is recognized as a whole only."""

@@ -20,6 +20,7 @@ from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
+from sigmaswarm.tuning.receiver import FixNoise, fix_noise, said_of_noise
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -66,6 +67,10 @@ class Problem(Landscape, Protocol[P]):
 
     def parameters(self, point: Array) -> P:
         """The filter at a point, shape (d,), in search coordinates."""
+        ...
+
+    def doubts(self, point: Array) -> list[str]:
+        """What the data say against the filter at a point, which the objective does not see, in sentences."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -115,6 +120,17 @@ class CarProblem:
     def parameters(self, point: Array) -> FilterParameters:
         """The filter at a point, shape (d,), in search coordinates."""
         return self.space.decode(point[np.newaxis])[0]
+
+    @cached_property
+    def _fix_noise(self) -> list[FixNoise]:
+        return [fix_noise(drive) for drive in self.replayer.drives]
+
+    def doubts(self, point: Array) -> list[str]:
+        """Where no truth was looked at: that R is far below what the fixes say of themselves."""
+        known = all(drive.truth is not None for drive in self.replayer.drives)
+        if known and "truth" in self.config.objective:
+            return []
+        return said_of_noise(self.parameters(point), self._fix_noise)
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""

@@ -37,6 +37,8 @@ class ResultRecord(BaseModel):
     )
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
+    doubts: list[str] = Field(default_factory=list)
+    """Those of the remarks that the data make."""
     best_trial: int = 0
     trial_costs: list[float] = Field(default_factory=list)
     evaluations: int = 0

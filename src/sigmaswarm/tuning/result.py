@@ -71,6 +71,8 @@ class Tuning(Generic[P]):
         Name, length and fingerprint of each drive.
     seen : tuple of Landmarks
         What each drive is recognized by, whole or in parts: for `evaluate`.
+    doubts : tuple of str
+        What the drives say against the filter, and the objective does not see.
     sensitivities : tuple of Sensitivity
         How far each parameter can move before the cost rises by 1%.
     validation : Validation or None
@@ -89,6 +91,7 @@ class Tuning(Generic[P]):
     config: SearchConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     seen: tuple[Landmarks, ...] = ()
+    doubts: tuple[str, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     steps_per_set: int = 0
@@ -113,9 +116,12 @@ class Tuning(Generic[P]):
     def remarks(self) -> list[str]:
         """What a user should know before trusting the result, in sentences."""
         remarks = [
-            f"{touched}: the optimum may lie outside the box"
-            for touched in self.touched_bounds
-            if touched.parameter not in self.unidentified
+            *self.doubts,
+            *(
+                f"{touched}: the optimum may lie outside the box"
+                for touched in self.touched_bounds
+                if touched.parameter not in self.unidentified
+            ),
         ]
         if names := ", ".join(name for name in self.unidentified if name != NOISE_SCALE):
             remarks.append(
@@ -170,6 +176,7 @@ class Tuning(Generic[P]):
                 "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,
+                "doubts": list(self.doubts),
                 "best_trial": self.best_trial,
                 "trial_costs": [trial.cost for trial in self.trials],
                 "evaluations": sum(trial.evaluations for trial in self.trials),

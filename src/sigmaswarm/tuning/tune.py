@@ -236,6 +236,7 @@ def _chosen(
         config=config,
         data=problem.data,
         seen=tuple(problem.seen),
+        doubts=tuple(problem.doubts(point)),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         steps_per_set=int(problem.steps.sum()),

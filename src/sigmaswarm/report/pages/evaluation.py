@@ -19,7 +19,7 @@ from sigmaswarm.report.pages.tuning import (
 from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
-from sigmaswarm.scoring.consistency import verdicts
+from sigmaswarm.scoring.consistency import FORECASTS, verdicts
 from sigmaswarm.scoring.drifts import OWN
 from sigmaswarm.scoring.evaluation import (
     HOW_MANUAL,
@@ -41,7 +41,8 @@ LINES = ("truth", "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
-    "fixes are hidden from it, measured against those fixes, and whether the tuned filter knows its own errors (NIS)."
+    "fixes are hidden from it, measured against those fixes, and whether its forecasts miss the fixes by as "
+    "much as it says (NIS)."
 )
 SHOWN = ("truth", "tuned", OWN, "datasheet", "raw_gps")
 """Those that are shown from the start."""
@@ -160,7 +161,9 @@ def _figures(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[Figure
     known = [c for c in scores.consistency.values() if c]
     if known:
         nis = sum(c.mean_nis for c in known) / len(known)
-        figures.append(Figure("mean NIS", f"{nis:.3g}", "2 where the filter knows its errors"))
+        figures.append(
+            Figure("mean NIS", f"{nis:.3g}", "2 where forecasts miss the fixes by as much as the filter says")
+        )
     return tuple(figures)
 
 
@@ -250,8 +253,10 @@ def _consistency(scores: ScoresRecord) -> Section:
             (drive, c.n_fixes, c.mean_nis, *c.nis_band_95, inside, *known, c.autocorrelation[0], c.white_p)
         )
     text = (
-        f"Does the tuned filter know its own errors? {'NIS and NEES average' if nees else 'NIS averages'} 2 where it "
-        "does; above 2 it is too sure of itself, below too careful. Innovations of a consistent filter are white: no "
+        f"Do the tuned filter's {'forecasts and errors' if nees else 'forecasts'} come out as its covariances say? "
+        f"{'NIS (of forecasts of the fixes) and NEES (of errors) average' if nees else 'NIS averages'} 2 where they "
+        f"do; above 2 it is too sure of itself, below too careful.{'' if nees else f' Beware: {FORECASTS}.'} "
+        "Innovations of a consistent filter are white: no "
         "correlation from fix to fix.",
     )
     return Section("Consistency", text, (Table("", tuple(columns), tuple(rows)),))
