@@ -262,6 +262,24 @@ def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert list(here.iterdir()) == [here / "estimate.tum"]
 
 
+def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):
+    drive = library.simulate("urban", run=1, duration=60.0, gps="white-1m")
+    standing = make_drive(duration=60.0)
+    start = initial_state(standing).time
+    library.write_drive(replace(drive, name="d"), "d")
+    library.write_drive(standing, "s")
+    said = sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.csv")
+    first = pl.read_csv("e.csv")["t"][0]
+    assert first == pytest.approx(start, abs=0.05)
+    fixes = pl.read_csv("f.csv")
+    assert len(fixes) == np.count_nonzero(standing.gps.time < first)
+    if first > 5.0:
+        assert (
+            f"the first {first:.1f} s have no estimate: a filter starts at the first fix with 4 s" in said.out
+        )
+    assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
+
+
 def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm(
         "split", drives / "urban-clear-00", "--out", "parts", "--train-fraction", 0.5, "--json"

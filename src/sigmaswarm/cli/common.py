@@ -182,6 +182,13 @@ def print_evaluation(
         for method, name in evaluation.names.items():
             row(name, method, (evaluation.mean(method, m) for m in measures))
     console.print(table)
+    late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
+    if late:
+        told = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
+        console.print(
+            f"Filters start, and scores with them, {told}: at the first fix with 4 s and 20 m of forward driving "
+            "behind it, which tell the heading."
+        )
     without_truth = [
         name for name, found in evaluation.drives.items() if not found.data.get("has_truth", True)
     ]

@@ -192,7 +192,7 @@ def _import(
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
-    require_replaceable(out.resolve(), overwrite)
+    require_replaceable(out.resolve(), overwrite, "add --overwrite, or name another folder")
     with percent_bar("importing") as progress:
         imported = import_drive(request, name, progress)
     write_drive(imported.drive, out, overwrite=overwrite)

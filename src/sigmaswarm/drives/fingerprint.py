@@ -17,6 +17,8 @@ class DriveRecord(BaseModel):
     fixes: int | None = None
     has_truth: bool | None = None
     sha256: str = ""
+    scored_from_s: float | None = None
+    """Of an evaluated drive: so many s into it filters start, and scores with them."""
     seen_s: float | None = None
     """Of an evaluated drive: so many seconds of it are in drives that the filter was tuned on."""
     seen_in: list[str] = Field(default_factory=list)

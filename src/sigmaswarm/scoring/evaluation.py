@@ -413,7 +413,7 @@ def _evaluated(
         innovations=innovations,
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
-        data=described(drive),
+        data=described(drive) | {"scored_from_s": round(ready.initial.time - float(drive.imu.time[0]), 3)},
         restarts=restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},
