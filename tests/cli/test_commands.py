@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 import sigmaswarm as library
+from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
@@ -20,6 +21,7 @@ from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ["tune", "evaluate", "report", "run", "split", "simulate", "plot", "demo"]
+QUICK = ["--particles", 4, "--generations", 2]
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
 
 
@@ -156,7 +158,10 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
-    assert f"On {careful} of 2 drives the filter is too careful: its errors are smaller" in ended.out
+    assert (
+        f"On {careful} of 2 drives the filter is too careful of its forecasts: they miss the fixes by less"
+        in ended.out
+    )
     assert ended.out.endswith("next: sigmaswarm report e\n")
     frame = pl.read_csv("e/scores.csv")
     assert frame.filter(drive="urban-clear-01", method="tuned")["position_rmse_m"][0] == pytest.approx(
@@ -258,6 +263,28 @@ def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert list(here.iterdir()) == [here / "estimate.tum"]
 
 
+def at_rest_before(imu: Imu, seconds: float) -> Imu:
+    """As if the car had stood for so long before."""
+    time = np.arange(imu.time[0] - seconds, imu.time[0] - 0.005, 0.01)
+    columns = {name: v for name, v in vars(imu).items() if v is not None and name != "time"}
+    rows = {name: np.append(np.full(len(time), 9.81 * (name == "az")), v) for name, v in columns.items()}
+    return Imu(time=np.append(time, imu.time), **rows)
+
+
+def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):
+    drive = make_drive(duration=60.0)
+    library.write_drive(drive, "s")
+    assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.csv").code == 0
+    first = pl.read_csv("e.csv")["t"][0]
+    assert len(pl.read_csv("f.csv")) == np.count_nonzero(drive.gps.time < first) > 10
+    library.write_drive(replace(drive, imu=at_rest_before(drive.imu, 8.0)), "stood")
+    said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
+    earlier = pl.read_csv("e.csv")["t"][0] + 8.0
+    assert f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 4 s" in said
+    assert f"wrote the {len(pl.read_csv('f.csv'))} fixes before to f.csv" in said
+    assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
+
+
 def test_split_in_time(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm(
         "split", drives / "urban-clear-00", "--out", "parts", "--train-fraction", 0.5, "--json"
@@ -299,9 +326,25 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
 
 def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
-    assert sigmaswarm("tune", first, "--out", "t", "--particles", 4, "--generations", 2).code == 0
-    assert "tuned on: its scores are not held out" in sigmaswarm("evaluate", "t", first, "--json").err
+    assert sigmaswarm("tune", first, "--out", "t", *QUICK).code == 0
+    told = sigmaswarm("evaluate", "t", first, "--json").err
+    assert "tuned on 40 of its 40 s (urban-clear-00): its scores are not held out" in told
     assert "tuned on" not in sigmaswarm("evaluate", "t", second, "--json").err
+    assert sigmaswarm("split", first, "--out", "parts", "--train-fraction", 0.8).code == 0
+    cut = tomllib.loads(Path("parts/urban-clear-00-test/drive.toml").read_text())["cut_from"]
+    assert (cut["drive"], round(cut["start_s"])) == ("urban-clear-00", 32)
+    assert sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "part").code == 0
+    said = sigmaswarm("evaluate", "part", first, "--out", "e").out
+    sentence = (
+        "On 1 drive (NOT held out: the tuning saw 32 of the 40 s of urban-clear-00, in urban-clear-00-train)"
+    )
+    assert said.startswith(sentence)
+    assert sigmaswarm("report", "e").code == 0
+    assert sentence in Path("e/page.html").read_text()
+    ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err
+    assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
 
 
 def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):

@@ -38,6 +38,21 @@ def test_a_serious_finding_ends_with_1(sigmaswarm, sick: Path):
     assert "-> change the sign of gz (--fix does it)" in ended.out
 
 
+def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silences(
+    sigmaswarm, sick: Path, tuned: Path
+):
+    quick = ("--particles", 2, "--generations", 1)
+    for command in (("evaluate", tuned, sick, "--json"), ("tune", sick, "--out", "t", *quick, "--json")):
+        ended = sigmaswarm(*command)
+        (line,) = [said for said in ended.err.splitlines() if "SERIOUS" in said]
+        assert line.startswith(f"warning: {sick}: the doctor finds SERIOUS faults")
+        assert f"(gyro-sign); sigmaswarm doctor {sick} --fix mended, or silence this with --trust-log" in line
+    for command in (("evaluate", tuned, sick, "--json"), ("tune", sick, "--out", "u", *quick, "--json")):
+        ended = sigmaswarm(*command, "--trust-log")
+        assert ended.code == 0
+        assert "SERIOUS" not in ended.err
+
+
 def test_for_machines(sigmaswarm, sick: Path):
     ended = sigmaswarm("doctor", sick, "--json")
     assert ended.code == 1

@@ -16,7 +16,13 @@ from scipy.io import loadmat
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate, write_pieces
+from sigmaswarm.export.trajectory import (
+    check_target,
+    true_trajectory,
+    write_estimate,
+    write_fixes,
+    write_pieces,
+)
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import Estimate, estimates, replay_of, run_filter
@@ -254,3 +260,40 @@ def test_truth_is_written_like_an_estimate(tmp_path: Path):
     np.testing.assert_array_equal(frame["theta"], DRIVE.truth.theta)
     with pytest.raises(InputError, match=r"has no truth\.csv"):
         true_trajectory(replace(DRIVE, truth=None))
+
+
+def test_a_dated_kml_is_a_track_with_times_under_the_name_of_the_drive(tmp_path: Path):
+    """Google's gx:Track: as many times as places; without dates it stays a line, which all programs draw."""
+    track = there_and_back()
+    dated = replace(track, time=track.time + 1395842400.25)
+    write_estimate(dated, tmp_path / "e.kml", origin=WEST, name="monday & co")
+    root = ET.parse(tmp_path / "e.kml").getroot()
+    kml, gx = "{http://www.opengis.net/kml/2.2}", "{http://www.google.com/kml/ext/2.2}"
+    (name,) = root.iter(f"{kml}name")
+    assert name.text == "monday & co"
+    parts = list(root.iter(f"{gx}Track"))
+    assert len(parts) == 3  # it crosses the antimeridian
+    for part in parts:
+        assert len(part.findall(f"{kml}when")) == len(part.findall(f"{gx}coord")) > 1
+    assert parts[0].findall(f"{kml}when")[0].text == "2014-03-26T14:00:00.250Z"
+    lon, lat, _ = map(float, str(parts[0].findall(f"{gx}coord")[0].text).split())
+    expected = pymap3d.enu2geodetic(track.mean[0, 0], track.mean[0, 1], 0.0, *WEST)
+    assert (lat, lon) == pytest.approx(expected[:2], abs=1.5e-9)
+    write_estimate(track, tmp_path / "e.kml", origin=WEST)
+    assert "gx:" not in (tmp_path / "e.kml").read_text()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".kml"])
+def test_the_fixes_before_a_start_are_written_as_fixes(tmp_path: Path, suffix: str):
+    drive = make_drive(duration=20.0)
+    count = write_fixes(drive, 5.0, tmp_path / f"f{suffix}", origin=(50.0, 8.0, 100.0))
+    assert count == np.count_nonzero(drive.gps.time < 5.0) > 5
+    if suffix == ".csv":
+        read = pl.read_csv(tmp_path / "f.csv")
+        assert read["x"].to_list() == drive.gps.x[:count].tolist()
+        assert read["t"].max() < 5.0
+    else:
+        assert len(places(tmp_path / f"f{suffix}")) == count
+        assert f"{drive.name}: fixes before" in (tmp_path / f"f{suffix}").read_text()
+    with pytest.raises(InputError, match=r"f.tum: fixes are no poses; end the name in .csv, .geojson"):
+        write_fixes(drive, 5.0, tmp_path / "f.tum")

@@ -339,7 +339,7 @@ def test_times_in_a_wrong_unit_do_not_wrap_round(tmp_path: Path):
     """ns taken as ms leave 64 bits: they were other times, and nobody was told."""
     table = {"stamp": ns(IMU.time), "ax": IMU.ax, "ay": IMU.ay, "gz": IMU.gz, "x": IMU.time, "y": IMU.time}
     pl.DataFrame(table).write_csv(tmp_path / "log.csv")
-    refused("say its column and unit with --time", lambda: imported(tmp_path / "log.csv", time="stamp*1e-3"))
+    refused('write --time "stamp*1e-9"', lambda: imported(tmp_path / "log.csv", time="stamp*1e-3"))
     assert len(imported(tmp_path / "log.csv", time="stamp*1e-9").drive.imu) == len(IMU)
 
 

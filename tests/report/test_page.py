@@ -207,7 +207,9 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
     out = tmp_path / "e"
     save(found, tuned, out)
     report = read_report(out)
-    assert "On 2 drives, 1 of them seen by the tuning" in report.lead[0]
+    assert (
+        "On 2 drives (NOT all held out: the tuning saw 30 of the 30 s of monday, in monday)" in report.lead[0]
+    )
     assert any("tuned on" in remark for remark in report.remarks)
     assert (
         "NaN" not in html_page(report).rsplit("</script>", 3)[0].split('id="data">')[1].split("</script>")[0]
@@ -225,7 +227,12 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
         for table in section.tables:
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
-    (scores,) = report.sections[0].tables
+    scores, spread = report.sections[0].tables
+    assert "outages; one placement alone says" in report.lead[0]
+    assert [c.title for c in spread.columns[2:]] == ["outages", "5 s outage drift", "one placement alone"]
+    for row in spread.rows:
+        (low, high), drift = row[4], row[3]
+        assert low <= drift <= high and row[2] >= 8, row
     assert [c.title for c in scores.columns] == ["drive", "method", "5 s outage drift"]
     assert [row[1] for row in scores.rows] == [
         "tuned UKF",

@@ -79,13 +79,16 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     optimistic, pessimistic, right = (2.3, band, 2.5), (1.0, band, 1.1), (2.0, band, float("nan"))
     said = verdicts([optimistic, pessimistic, pessimistic, right, None])
     assert {kind: line.split(":")[0] for kind, line in said.items()} == {
-        "optimistic": "on 1 of 5 drives the filter is too sure of itself",
-        "pessimistic": "on 2 of 5 drives the filter is too careful",
+        "optimistic": "on 1 of 5 drives the filter is too sure of its forecasts",
+        "pessimistic": "on 2 of 5 drives the filter is too careful of its forecasts",
         "consistent": "on 1 of 5 drives the filter is consistent",
         "unknown": "on 1 of 5 drives the filter failed or saw too few fixes to judge its consistency",
     }
     alone = verdicts([pessimistic])["pessimistic"]
-    assert alone.endswith("its errors are smaller than its covariances say")
+    assert "they miss the fixes by less than its covariances say" in alone
+    assert "not errors" not in alone  # there is truth
+    blind = verdicts([(1.0, band, None)])["pessimistic"]
+    assert "by less than its covariances say (these are forecasts of fixes, not errors" in blind
     assert verdicts([]) == {}
 
 

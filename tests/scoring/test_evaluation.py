@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import sigmaswarm
-from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
@@ -15,10 +16,11 @@ from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
 from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
-from sigmaswarm.scoring.targets import outage_windows
+from sigmaswarm.scoring.targets import outage_windows, placements
 from support import make_drive
 
 GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
+PLANAR8 = replace(GOOD, model="planar8", process_noise=(*GOOD.process_noise, 1e-9, 1e-9, 1e-9))
 BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
 METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
 POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
@@ -64,13 +66,66 @@ def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
     assert list(names.values()) == [name, "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
 
 
+def all_ends(drive: Drive, start: InitialState, length: float, seed: int = 0) -> list[np.ndarray]:
+    """When the outages of each placement end."""
+    seeds = placements(drive, start, length=length, seed=seed)
+    return [outage_windows(drive, start, length=length, seed=each)[:, 1] for each in seeds]
+
+
+def drifts_of(drive: Drive, sets: list[FilterParameters], length: float, seed: int = 0) -> np.ndarray:
+    """RMS over all outages of all placements, from one batch each: shape (n_sets,)."""
+    seeds = placements(drive, initial_state(drive), length=length, seed=seed)
+    each = [
+        Replayer([drive], outages=True, outage_length=length, outage_seed=s).scores(sets).outage_drift[:, 0]
+        for s in seeds
+    ]
+    counts = [len(ends) for ends in all_ends(drive, initial_state(drive), length, seed)]
+    return np.sqrt(np.average(np.square(each), weights=counts, axis=0))
+
+
+def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(evaluation: Evaluation):
+    drive, name = DRIVES[0], "drive-0"
+    start = initial_state(drive)
+    ends = all_ends(drive, start, 5.0)
+    assert len(ends) == 8
+    assert len({each.tobytes() for each in ends}) == 8
+    told = evaluation.record.drifts[name]["outage_drift_m"]
+    assert told.outages == sum(map(len, ends))
+    for method in ("tuned", "defaults", "datasheet", "imu_only"):
+        assert len(told.each[method]) == 8
+        low, high = told.spread(method) or (np.nan, np.nan)
+        assert low < evaluation.value(name, method, "outage_drift_m") < high
+    first = Replayer([drive], outages=True).scores([GOOD]).outage_drift[0, 0]
+    assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
+    said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
+    low, high = told.spread("tuned") or (np.nan, np.nan)
+    assert said == f"{told.outages} outages; one placement alone says {low:.3g} to {high:.3g} m"
+    long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
+    assert len(placements(long, initial_state(long), length=5.0, seed=0)) == 2  # each has 240 outages
+
+
+def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: Evaluation):
+    own = evaluate(DRIVES, GOOD, against=PLANAR8)
+    said, sound = own.to_dict(), evaluation.to_dict()
+    assert list(said["mean"]) == ["against", *METHODS]
+    assert own.names["against"] == "your own filter"
+    assert own.to_frame()["method"].to_list() == ["against", *METHODS] * 2
+    alone = evaluate(DRIVES, PLANAR8).to_dict()
+    for drive in said["drives"]:
+        assert said["drives"][drive].pop("against") == pytest.approx(
+            alone["drives"][drive]["tuned"], nan_ok=True
+        )
+    assert said["drives"] == sound["drives"]
+    assert list(said["improvement_percent"]) == ["against", "defaults", "datasheet"]
+
+
 def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for drive in DRIVES:
         start = initial_state(drive)
         sets = [GOOD, DEFAULTS, datasheet(drive)]
-        batch = Replayer([drive], outages=True).scores(sets)
-        long = Replayer([drive], outages=True, outage_length=30.0).scores(sets)
+        batch = Replayer([drive], outages=False).scores(sets)
+        short, long = (drifts_of(drive, sets, length) for length in (5.0, 30.0))
         for i, method in enumerate(METHODS[:3]):
             plain = score_estimate(drive, run_filter(drive, sets[i]))
             assert said[drive.name][method] == {
@@ -78,8 +133,8 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
                 "position_median_m": plain.position_median,
                 "position_95_m": plain.position_95,
                 "heading_rmse_deg": np.rad2deg(batch.heading_rmse[i, 0]),
-                "outage_drift_m": batch.outage_drift[i, 0],
-                "long_outage_drift_m": long.outage_drift[i, 0],
+                "outage_drift_m": pytest.approx(short[i], rel=1e-12),
+                "long_outage_drift_m": pytest.approx(long[i], rel=1e-12),
             }
         raw = score_raw_gps(drive, start)
         assert [said[drive.name]["raw_gps"][m] for m in POSITIONS] == [
@@ -96,16 +151,16 @@ def test_dead_reckoning_drifts_from_the_start_on(evaluation: Evaluation):
     drive = DRIVES[0]
     start = initial_state(drive)
     estimate = run_imu_only(drive, initial=start)
-    ends = outage_windows(drive, start, length=5.0, seed=0)[:, 1]
+    ends = np.concatenate(all_ends(drive, start, 5.0))
     at, true = np.searchsorted(estimate.time, ends), np.searchsorted(drive.truth.time, ends)
     error = np.hypot(estimate.mean[at, 0] - drive.truth.x[true], estimate.mean[at, 1] - drive.truth.y[true])
     said = evaluation.to_dict()["drives"]["drive-0"]["imu_only"]
     assert said["outage_drift_m"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
-    ends = outage_windows(drive, start, length=30.0, seed=0)[:, 1]
-    assert len(ends) == 1
+    ends = np.concatenate(all_ends(drive, start, 30.0))
+    assert len(ends) == 8
     at, true = np.searchsorted(estimate.time, ends), np.searchsorted(drive.truth.time, ends)
     error = np.hypot(estimate.mean[at, 0] - drive.truth.x[true], estimate.mean[at, 1] - drive.truth.y[true])
-    assert said["long_outage_drift_m"] == pytest.approx(error[0], rel=1e-9)
+    assert said["long_outage_drift_m"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
 
 
 def test_a_drive_too_short_for_30_s_without_fixes_has_no_such_drift():
@@ -237,8 +292,7 @@ def test_the_outages_options_reach_the_outages():
     )
     assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
     assert one["position_rmse_m"] == other["position_rmse_m"] == longer["position_rmse_m"]
-    expected = Replayer(DRIVES[:1], outages=True, outage_seed=3).scores([DEFAULTS]).outage_drift[0, 0]
-    assert other["outage_drift_m"] == expected
+    assert other["outage_drift_m"] == pytest.approx(drifts_of(DRIVES[0], [DEFAULTS], 5.0, 3)[0], rel=1e-12)
 
 
 def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):

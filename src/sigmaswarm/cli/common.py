@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,11 +19,30 @@ if TYPE_CHECKING:
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_drives(paths: Sequence[Path]) -> "list[Drive]":
-    """Read drive folders; a folder of drive folders stands for all of them."""
+def read_known(folder: Path) -> "Drive":
+    """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
+    from sigmaswarm.drives.reader import read_with_warnings
+
+    drive, warned = read_with_warnings(folder)
+    for warning in warned:
+        if not getattr(warning, "code", "").endswith("-gap"):
+            warnings.warn(warning, stacklevel=2)
+    return drive
+
+
+def read_drives(paths: Sequence[Path], *, trusted: bool = True, gaps: bool = False) -> "list[Drive]":
+    """Read drive folders; a folder of drive folders stands for all of them.
+
+    Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
+    """
+    from sigmaswarm.cli.findings import warn_of_serious
     from sigmaswarm.drives.reader import drive_folders, read_drive
 
-    return [read_drive(path) for given in paths for path in drive_folders(given)]
+    folders = [folder for given in paths for folder in drive_folders(given)]
+    drives = [(read_drive if gaps else read_known)(folder) for folder in folders]
+    if not trusted:
+        warn_of_serious(drives, folders)
+    return drives
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
@@ -132,10 +152,13 @@ def print_evaluation(
     from rich.table import Table
     from rich.text import Text
 
+    from sigmaswarm.scoring.drifts import OWN
+    from sigmaswarm.scoring.evaluation import HOW_MANUAL, said_of_drives
+
     console, measures = stdout(), evaluation.measures
     # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
     table = Table(
-        title="On these drives (lower is better)",
+        title=f"On {said_of_drives(evaluation.asked.data)} (lower is better)",
         title_justify="left",
         box=box.SIMPLE_HEAD,
         show_edge=False,
@@ -159,6 +182,13 @@ def print_evaluation(
         for method, name in evaluation.names.items():
             row(name, method, (evaluation.mean(method, m) for m in measures))
     console.print(table)
+    late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
+    if late:
+        told = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
+        console.print(
+            f"Filters start, and scores with them, {told}: at the first fix with 4 s and 20 m of forward driving "
+            "behind it, which tell the heading."
+        )
     without_truth = [
         name for name, found in evaluation.drives.items() if not found.data.get("has_truth", True)
     ]
@@ -174,13 +204,20 @@ def print_evaluation(
                 "though the car may have moved."
             )
     _print_consistency(evaluation, console)
-    for over in ("defaults", "datasheet", "raw_gps"):
-        improvement = evaluation.improvement(over)
+    for over in (OWN, "defaults", "datasheet", "raw_gps"):
+        improvement = evaluation.improvement(over) if over in evaluation.names else None
         if improvement is not None:
             console.print(
                 f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
                 f"than {evaluation.names[over]}."
             )
+    told = evaluation.record
+    for name, measure in measures.items():
+        if spread := told.drift_said(name):
+            console.print(
+                f"{measure.title} of the tuned filter: {evaluation.mean('tuned', name):.3g} m over {spread}."
+            )
+    console.print(f"{HOW_MANUAL}; name your own with --against.")
     for said in (*evaluation.worse_than_raw, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 
@@ -191,7 +228,8 @@ def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
 
     from sigmaswarm.scoring.consistency import verdicts
 
-    table = Table(title="Does the tuned filter know its own errors?", title_justify="left")
+    table = Table(title="Do its forecasts miss the fixes (NIS), its errors the truth (NEES), as it says?")
+    table.title_justify = "left"
     table.add_column("drive")
     for title in ("mean NIS\n(2)", "inside 95%\ngate", "mean NEES\n(2)", "correlation to\nthe next fix (0)"):
         table.add_column(title, justify="right")

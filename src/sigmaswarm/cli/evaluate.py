@@ -15,22 +15,25 @@ def evaluate(
     drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
+    against: Path | None = None,
     out: Path | None = None,
     outage_length: float = 5.0,
     outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
+    trust_log: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
 
     Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
-    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter
-    knows its own errors.
+    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter's
+    forecasts miss the fixes by as much as it says.
 
     Examples:
 
         sigmaswarm evaluate tuned drives/friday
         sigmaswarm evaluate tuned drives/friday --out evaluation
+        sigmaswarm evaluate tuned drives/friday --against mine.toml
         sigmaswarm evaluate tuned drives/friday --json
 
     Parameters
@@ -39,58 +42,75 @@ def evaluate(
         A tuning.toml, or the folder that holds it.
     drives
         Drive folders, or folders that hold drive folders.
+    against
+        A filter of your own to compare with, of any model: a file with its parameters in a table [filter], as in a
+        tuning.toml.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
     outage_length
         Seconds without fixes, after which the drift is measured.
     outage_seed
-        Places the outages.
+        Places the outages: again and again, as often as the drive has room for.
     as_recorded
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is evaluated so.
+    trust_log
+        Don't ask the doctor whether something is seriously wrong with the drives.
     json
         Print the scores for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
+    from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
+    file = tuning / FILE if tuning.is_dir() else tuning
+    own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
-    read = read_drives(drives)
+    read = read_drives(drives, trusted=trust_log)
     result = sigmaswarm.evaluate(
         read,
         parameters,
+        against=own,
         outage_length=outage_length,
         outage_seed=outage_seed,
         as_recorded=as_recorded or tuned_as_recorded(tuning),
+        seen=seen_by(file) or None,
     )
-    _warn_of_training_drives(tuning, result)
+    _warn_of_training_drives(result)
     written: list[Path] = []
     if out:
         written = save_evaluation(result, out, tuning)
+        if own is not None:
+            own.save(out / "against.toml")
+            written.append(out / "against.toml")
     if json:
         print_json(result.to_dict())
         return
     print_evaluation(result)
+    if (tuned := load_record(TuningRecord, file).result) is not None:
+        for doubt in tuned.doubts:
+            stdout().print(f"Beware: {doubt}.")
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
     stdout().print(f"next: {page}")
 
 
-def _warn_of_training_drives(tuning: Path, evaluation: "Evaluation") -> None:
+def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Say which drives the tuning has seen: scores on them flatter it."""
-    import tomllib
     import warnings
 
     from sigmaswarm.errors import SigmaswarmWarning
 
-    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
-    seen = {entry.get("sha256") for entry in tomllib.loads(file.read_text()).get("data", [])}
     for name, found in evaluation.drives.items():
-        if found.data["sha256"] in seen:
-            message = f"{name} is a drive that the filter was tuned on: its scores are not held out"
+        if found.seen:
+            message = (
+                f"{name}: the filter was tuned on {found.seen.seconds:.0f} of its {found.data['duration_s']:.0f} s "
+                f"({', '.join(found.seen.of)}): its scores are not held out"
+            )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)

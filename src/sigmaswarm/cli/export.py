@@ -40,11 +40,11 @@ def export(
         Print the written files for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout, tuned_as_recorded
+    from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
     from sigmaswarm.export.targets import export_filter
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    drive = sigmaswarm.read_drive(replay) if replay else None
+    drive = read_known(replay) if replay else None
     written = export_filter(parameters, to, out, replay=drive, as_recorded=tuned_as_recorded(tuning))
     if json:
         print_json({"written": [str(path) for path in written]})

@@ -1,10 +1,15 @@
 """A diagnosis on the terminal, for every command that has one to show."""
 
+import shlex
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.common import stdout
 
 if TYPE_CHECKING:
+    from sigmaswarm import Drive
     from sigmaswarm.doctor.findings import Diagnosis, Finding
 
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
@@ -25,6 +30,27 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
         table.add_row(Text(f"  {finding.severity}", style), Text(_said(finding)))
     console.print(table)
     console.print()
+
+
+def warn_of_serious(drives: "Sequence[Drive]", folders: Sequence[Path]) -> None:
+    """Say in a line of each drive what the doctor finds serious: a filter would learn it."""
+    from sigmaswarm.doctor.diagnose import diagnose
+    from sigmaswarm.errors import SigmaswarmWarning
+
+    for drive, folder in zip(drives, folders, strict=True):
+        diagnosis = diagnose(drive)
+        if diagnosis.serious:
+            codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
+            message = (
+                f"{folder}: the doctor finds SERIOUS faults, which a filter would learn ({codes}); "
+                f"{mending(folder)}, or silence this with --trust-log"
+            )
+            warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+
+
+def mending(folder: Path) -> str:
+    """The command that mends a drive."""
+    return f"sigmaswarm doctor {shlex.quote(str(folder))} --fix mended"
 
 
 def _summary(diagnosis: "Diagnosis") -> str:

@@ -187,12 +187,12 @@ def _import(
 ) -> None:
     """Import and write; say what was assumed."""
     from sigmaswarm.cli.common import percent_bar, print_json, stdout
-    from sigmaswarm.cli.findings import print_diagnosis
+    from sigmaswarm.cli.findings import mending, print_diagnosis
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
-    require_replaceable(out.resolve(), overwrite)
+    require_replaceable(out.resolve(), overwrite, "add --overwrite, or name another folder")
     with percent_bar("importing") as progress:
         imported = import_drive(request, name, progress)
     write_drive(imported.drive, out, overwrite=overwrite)
@@ -204,9 +204,14 @@ def _import(
     else:
         _tell(imported, out)
         print_diagnosis(diagnosis)
-        stdout().print(f"next: sigmaswarm plot {out}")
+        ready = out
+        if diagnosis.serious:
+            ready = Path("mended") / name
+            stdout().print(f"next: {mending(out)}    (then go on with {ready}, not with {out})")
+        else:
+            stdout().print(f"next: sigmaswarm plot {out}")
         better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {out} --out tuned {better}")
+        stdout().print(f"then: sigmaswarm tune {ready} --out tuned {better}")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -247,9 +252,9 @@ def _show(request: Any, save_recipe: Path | None, json: bool) -> None:
     if json:
         from dataclasses import asdict
 
-        print_json(
-            {"tables": [asdict(t) for t in seen.tables], "recipe": seen.recipe.to_toml(), "notes": seen.notes}
-        )
+        told = {"recipe": seen.recipe.to_toml(), "notes": seen.notes}
+        asked = {"proposal": seen.proposal, "evidence": seen.evidence}
+        print_json({"tables": [asdict(t) for t in seen.tables], **told, **asked})
     else:
         _print_look(seen)
 
@@ -281,6 +286,10 @@ def _print_look(seen: "Look") -> None:
     console.print(recipe or "nothing was recognized; say what is what with --map")
     for note in seen.notes:
         console.print(f"note: {shown(note, 1000)}")
+    if seen.proposal:
+        console.print("\nTo read the rest, add to the command:", style="bold")
+        console.print(shown(seen.proposal, 4000), markup=False)
+        console.print(f"({shown(seen.evidence, 1000)}; nothing of it is done unless you ask for it)")
 
 
 def _short(value: float | None) -> str:

@@ -31,15 +31,14 @@ def plot(
     json
         Print what was written for machines.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.common import print_json, read_known, stdout
     from sigmaswarm.report.draw.png import save
     from sigmaswarm.report.drive_figure import drive_figure
     from sigmaswarm.report.style import check_file
 
     if out is not None:
         check_file(out)
-    read = sigmaswarm.read_drive(drive)
+    read = read_known(drive)
     picture = out or Path(f"{read.name.replace('/', '-')}.png")
     check_file(picture)
     save(drive_figure(read), picture)

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from sigmaswarm import Estimate
 
 
+NOT_WORTH_TELLING = 5.0
+"""s without an estimate that a drive which begins while driving has anyway."""
+
+
 def run(
     tuning: Annotated[Path, Parameter(name="TUNING")],
     drive: Annotated[Path, Parameter(name="DRIVE")],
@@ -19,6 +23,7 @@ def run(
     origin: str | None = None,
     truth: Path | None = None,
     beside: Path | None = None,
+    before: Path | None = None,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
@@ -49,6 +54,8 @@ def run(
     beside
         For --out NAME.ros2: the ROS 2 bag that the drive was imported from; its messages are copied into the new bag
         beside the estimate, byte for byte.
+    before
+        Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
     as_recorded
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is run so.
@@ -56,20 +63,22 @@ def run(
         Print a summary for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout, tuned_as_recorded
+    from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
     from sigmaswarm.errors import InputError
     from sigmaswarm.export.trajectory import (
+        check_fixes_target,
         check_target,
         time_origin_of,
         true_trajectory,
         write_estimate,
+        write_fixes,
         write_pieces,
     )
     from sigmaswarm.filters.run import estimates, replay_of
 
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    read = sigmaswarm.read_drive(drive)
+    read = read_known(drive)
     if place and read.origin:
         raise InputError(f"{drive}: says itself where its x = y = 0 is; leave --origin out")
     place = place or read.origin
@@ -77,15 +86,18 @@ def run(
     check_target(out, place, beside)
     if truth:
         check_target(truth, place)
+    if before:
+        check_fixes_target(before, place)
     began = time_origin_of(read)
     replay = replay_of(read, as_recorded=as_recorded or tuned_as_recorded(tuning))
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []
     pieces = _watched(estimates(replay, parameters), restarts)
-    write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside)
+    write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside, name=read.name)
+    fixes = write_fixes(read, first, before, origin=place, time_origin=began) if before else 0
     if truth and true:
-        write_estimate(true, truth, origin=place, time_origin=began)
+        write_estimate(true, truth, origin=place, time_origin=began, name=f"{read.name}: truth")
     if json:
         ends = {"start_s": first, "end_s": last}
         print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts})
@@ -94,6 +106,17 @@ def run(
             at = ", ".join(f"{t:.2f}" for t in restarts)
             stdout().print(f"the filter lost its way and started anew at t = {at} s")
         stdout().print(f"wrote {len(time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
+        earlier = first - float(read.imu.time[0])
+        if earlier > NOT_WORTH_TELLING:
+            stdout().print(
+                f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 4 s and 20 m of "
+                "forward driving behind it, which tell it the heading; "
+                + (
+                    f"wrote the {fixes} fixes before to {before}"
+                    if before
+                    else "--before NAME.csv writes the fixes"
+                )
+            )
 
 
 def _watched(pieces: "Iterator[Estimate]", restarts: list[float]) -> "Iterator[Estimate]":

@@ -34,9 +34,9 @@ def split(
         Print what was written for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.common import print_json, read_known, stdout
 
-    parts = sigmaswarm.split_time(sigmaswarm.read_drive(drive), train_fraction)
+    parts = sigmaswarm.split_time(read_known(drive), train_fraction)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name)
     if json:
@@ -44,3 +44,6 @@ def split(
     else:
         for part in parts:
             stdout().print(f"wrote {out / part.name} ({part.duration:.0f} s)")
+        better = "--model planar8 --use lateral standstill gate"
+        stdout().print(f"next: sigmaswarm tune {out / parts[0].name} --out tuned {better}")
+        stdout().print(f"then: sigmaswarm evaluate tuned {out / parts[1].name}")

@@ -2,12 +2,15 @@
 
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import TYPE_CHECKING, Annotated, Unpack
 
 from cyclopts import Parameter, validators
 
 from sigmaswarm.cli.options import takes
 from sigmaswarm.tuning.options import DEFAULTS, TuneOptions
+
+if TYPE_CHECKING:
+    from sigmaswarm import Drive
 
 
 @takes(TuneOptions, DEFAULTS)
@@ -20,6 +23,7 @@ def tune(
     paper: Annotated[bool, Parameter(negative=())] = False,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
+    trust_log: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
     **options: Unpack[TuneOptions],
 ) -> None:
@@ -53,6 +57,8 @@ def tune(
         Threads; all cores by default. The result does not depend on it.
     resume
         Go on with a tuning that was interrupted; the result is the same as without the interruption.
+    trust_log
+        Don't ask the doctor whether something is seriously wrong with the drives.
     json
         Print the result for machines.
     """
@@ -64,8 +70,8 @@ def tune(
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
 
-    read = read_drives(drives)
-    held_back = read_drives(validation or [])
+    read = read_drives(drives, trusted=trust_log, gaps=True)
+    held_back = read_drives(validation or [], trusted=trust_log, gaps=True)
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read,
@@ -98,4 +104,20 @@ def tune(
         console.print(f"note: {remark}")
     console.print(f"filter:   {out / 'tuning.toml'}")
     console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
-    console.print(f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...")
+    for line in _next(out, drives, read, alone=not held_back):
+        console.print(line)
+
+
+def _next(out: Path, folders: list[Path], drives: "list[Drive]", *, alone: bool) -> list[str]:
+    """What to do next: with one log, cut it in two, for of other drives nothing is known yet."""
+    if len(drives) > 1 or not alone:
+        return [f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE..."]
+    name, folder = drives[0].name, folders[0]
+    if "cut_from" in drives[0].metadata:
+        rest = folder.parent / f"{name.removesuffix('-train')}-test"
+        return [f"next:     sigmaswarm evaluate {out} {rest if rest.is_dir() else 'HELD_OUT_DRIVE...'}"]
+    return [
+        f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...",
+        f"one log?  this filter has seen all of it: sigmaswarm split {folder} --out parts",
+        f"          then tune on parts/{name}-train, and evaluate on parts/{name}-test",
+    ]

@@ -3,7 +3,7 @@
 import hashlib
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from sigmaswarm.drives.drive import Drive
 
@@ -17,6 +17,12 @@ class DriveRecord(BaseModel):
     fixes: int | None = None
     has_truth: bool | None = None
     sha256: str = ""
+    scored_from_s: float | None = None
+    """Of an evaluated drive: so many s into it filters start, and scores with them."""
+    seen_s: float | None = None
+    """Of an evaluated drive: so many seconds of it are in drives that the filter was tuned on."""
+    seen_in: list[str] = Field(default_factory=list)
+    """Those drives."""
 
 
 def described(drive: Drive) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError, InputError
 
 
@@ -41,10 +42,27 @@ def split_time(drive: Drive, train_fraction: float = 0.7) -> tuple[Drive, Drive]
         Stays as it is.
     train_fraction : float
         Of the drive's duration, in (0, 1).
+
+    Returns
+    -------
+    (Drive, Drive)
+        ``cut_from`` in their metadata says of which drive (name, fingerprint) each is which part (s on its clock).
     """
     _require_fraction(train_fraction)
     cut = drive.imu.time[0] + train_fraction * drive.duration
-    return clip(drive, end=cut, name=f"{drive.name}-train"), clip(drive, start=cut, name=f"{drive.name}-test")
+    parts = (
+        clip(drive, end=cut, name=f"{drive.name}-train"),
+        clip(drive, start=cut, name=f"{drive.name}-test"),
+    )
+    sha256 = fingerprint(drive)
+    return _said_whence(parts[0], drive.name, sha256), _said_whence(parts[1], drive.name, sha256)
+
+
+def _said_whence(part: Drive, name: str, sha256: str) -> Drive:
+    """The part with a note in its metadata of where it comes from."""
+    start, end = float(part.imu.time[0]), float(part.imu.time[-1])
+    whence = {"drive": name, "start_s": start, "end_s": end, "sha256": sha256}
+    return replace(part, metadata={**part.metadata, "cut_from": whence})
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:

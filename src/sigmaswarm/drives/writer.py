@@ -67,7 +67,9 @@ def _require_readable(written: Path, folder: Path) -> None:
         raise DriveError(f"{folder}: the drive could not be read back: {said}") from None
 
 
-def require_replaceable(folder: Path, overwrite: bool) -> None:
+def require_replaceable(
+    folder: Path, overwrite: bool, remedy: str = "delete it, or name another folder"
+) -> None:
     """Refuse to touch anything but an empty place or, if so told, a folder with only a drive in it."""
     if not folder.exists():
         return
@@ -75,7 +77,7 @@ def require_replaceable(folder: Path, overwrite: bool) -> None:
         raise DriveError(f"{folder} is a file; name another folder to write the drive to")
     held = {entry.name for entry in folder.iterdir()}
     if held and not overwrite:
-        raise DriveError(f"{folder} exists and is not empty; delete it, or name another folder")
+        raise DriveError(f"{folder} exists and is not empty; {remedy}")
     if foreign := held - FILES:
         raise DriveError(
             f"{folder} holds {min(foreign)!r}, which is not part of a drive; name another folder"

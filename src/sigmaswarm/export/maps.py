@@ -25,7 +25,7 @@ _EASTMOST = 179.999999999
 """deg: GPX has no longitude of 180; this is 0.1 mm off."""
 
 
-def geojson(time: Array, places: Array, path: Path) -> None:
+def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     """One line, cut at the antimeridian (RFC 7946, 3.1.9); places (n, 2) are latitude and longitude, deg.
 
     ``coordTimes`` is as togeojson writes it: a list, and for a line in parts a list of lists.
@@ -37,7 +37,7 @@ def geojson(time: Array, places: Array, path: Path) -> None:
     whole = len(parts) == 1
     feature = {
         "type": "Feature",
-        "properties": {"name": path.stem, key: times[0] if whole else times},
+        "properties": {"name": name, key: times[0] if whole else times},
         "geometry": {
             "type": "LineString" if whole else "MultiLineString",
             "coordinates": lines[0] if whole else lines,
@@ -46,7 +46,7 @@ def geojson(time: Array, places: Array, path: Path) -> None:
     write_whole(path, json.dumps(feature) + "\n")
 
 
-def gpx(time: Array, places: Array, path: Path) -> None:
+def gpx(time: Array, places: Array, path: Path, name: str) -> None:
     """One track; a new segment where it crosses the antimeridian."""
     segments: list[str] = []
     for t, part in cut(time, places):
@@ -57,12 +57,15 @@ def gpx(time: Array, places: Array, path: Path) -> None:
         ]
         segments += ["</trkseg><trkseg>", *points]
     head = '<gpx version="1.1" creator="sigmaswarm" xmlns="http://www.topografix.com/GPX/1/1">'
-    first = f"<trk><name>{_escaped(path.stem)}</name><trkseg>"
+    first = f"<trk><name>{_escaped(name)}</name><trkseg>"
     _write_xml(path, [head, first, *segments[1:], "</trkseg></trk>", "</gpx>"])
 
 
-def kml(time: Array, places: Array, path: Path) -> None:
-    """One line on the ground, or several where it crosses the antimeridian."""
+def kml(time: Array, places: Array, path: Path, name: str) -> None:
+    """One line on the ground, or several where it crosses the antimeridian; with dates a gx:Track, which has times."""
+    if _stamps(time[:1]):
+        _timed_kml(time, places, path, name)
+        return
     start = "<LineString><tessellate>1</tessellate><coordinates>"
     end = "</coordinates></LineString>"
     lines: list[str] = []
@@ -70,8 +73,20 @@ def kml(time: Array, places: Array, path: Path) -> None:
         lines += [end + start, *(f"{lon:.9f},{lat:.9f}" for lat, lon in part)]
     several = ("<MultiGeometry>", "</MultiGeometry>") if lines.count(end + start) > 1 else ("", "")
     head = '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark>'
-    first = f"<name>{_escaped(path.stem)}</name>{several[0]}{start}"
+    first = f"<name>{_escaped(name)}</name>{several[0]}{start}"
     _write_xml(path, [head, first, *lines[1:], f"{end}{several[1]}", "</Placemark></Document></kml>"])
+
+
+def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
+    """Google's extension of KML 2.2: all times of a track, then all places."""
+    lines = [
+        '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>',
+        f"<Placemark><name>{_escaped(name)}</name><gx:MultiTrack>",
+    ]
+    for t, part in cut(time, places):
+        lines += ["<gx:Track>", *(f"<when>{stamp}</when>" for stamp in _stamps(t))]
+        lines += [*(f"<gx:coord>{lon:.9f} {lat:.9f} 0</gx:coord>" for lat, lon in part), "</gx:Track>"]
+    _write_xml(path, [*lines, "</gx:MultiTrack></Placemark></Document></kml>"])
 
 
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
@@ -121,5 +136,5 @@ def _rounded(degrees: float) -> float:
     return round(float(degrees), 9)
 
 
-MAPS: dict[str, Callable[[Array, Array, Path], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}
-"""By the file's ending: from times (n,) s and places (n, 2) deg to a file."""
+MAPS: dict[str, Callable[[Array, Array, Path, str], None]] = {".geojson": geojson, ".gpx": gpx, ".kml": kml}
+"""By the file's ending: from times (n,) s and places (n, 2) deg to a file, with the track's name in it."""

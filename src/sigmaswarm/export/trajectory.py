@@ -26,6 +26,7 @@ def write_estimate(
     origin: Origin | None = None,
     time_origin: float = 0.0,
     beside: str | Path | None = None,
+    name: str | None = None,
 ) -> None:
     """Write an estimate in the form that the file's ending names.
 
@@ -47,6 +48,8 @@ def write_estimate(
         says it; for bags and maps, which have their times on that clock.
     beside : str or Path, optional
         .ros2: a ROS 2 bag whose messages are copied beside the estimate, byte for byte.
+    name : str, optional
+        What a map calls the track: the drive's name, say; by default the file's.
 
     Raises
     ------
@@ -54,7 +57,7 @@ def write_estimate(
         If the ending is another, the folder does not exist, a needed origin is not given, or ``beside`` can't be used.
     """
     span = (float(estimate.time[0]), float(estimate.time[-1]))
-    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, beside=beside)
+    write_pieces([estimate], span, path, origin=origin, time_origin=time_origin, beside=beside, name=name)
 
 
 def write_pieces(
@@ -65,6 +68,7 @@ def write_pieces(
     origin: Origin | None = None,
     time_origin: float = 0.0,
     beside: str | Path | None = None,
+    name: str | None = None,
 ) -> None:
     """Write an estimate that comes in pieces, which together are over ``span`` (s); the same bytes as whole.
 
@@ -77,12 +81,51 @@ def write_pieces(
         rows = [np.column_stack([piece.time, piece.mean[:, :2]]) for piece in pieces]
         time, east, north = np.concatenate(rows).T
         places = enu_to_geodetic(np.column_stack([east, north, np.zeros(len(time))]), origin)[:, :2]
-        MAPS[path.suffix](time + time_origin, places, path)
+        MAPS[path.suffix](time + time_origin, places, path, name or path.stem)
     elif path.suffix == BAG:
         ros2(pieces, span, path, time_origin=time_origin, beside=Path(beside) if beside else None)
     else:
         with whole_file(path) as file:
             _WRITERS[path.suffix](pieces, file)
+
+
+def write_fixes(
+    drive: Drive,
+    until: float,
+    path: str | Path,
+    *,
+    origin: Origin | None = None,
+    time_origin: float = 0.0,
+) -> int:
+    """Write the fixes before ``until`` (s): all that is known before a filter starts. How many they are.
+
+    ``.csv``: t, x, y (s, m). ``.geojson``, ``.gpx``, ``.kml``: a track of its own, named as fixes of the drive.
+
+    Raises
+    ------
+    InputError
+        As `write_estimate`; other formats hold poses, which fixes are not.
+    """
+    path = Path(path)
+    check_fixes_target(path, origin)
+    gps = drive.gps.select(drive.gps.time < until)
+    if path.suffix in MAPS and origin is not None:
+        places = enu_to_geodetic(np.column_stack([gps.x, gps.y, np.zeros(len(gps))]), origin)[:, :2]
+        MAPS[path.suffix](
+            gps.time + time_origin, places, path, f"{drive.name}: fixes before the filter's start"
+        )
+    else:
+        require_threads()
+        with whole_file(path) as file:
+            pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(file)
+    return len(gps)
+
+
+def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
+    """Raise `InputError` where `write_fixes` could not write, before any work is done."""
+    if path.suffix not in (endings := (".csv", *MAPS)):
+        raise InputError(f"{path}: fixes are no poses; end the name in {', '.join(endings)}")
+    check_target(path, origin)
 
 
 def time_origin_of(drive: Drive) -> float:

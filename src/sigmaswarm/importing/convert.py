@@ -13,6 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
+from sigmaswarm.importing.guess import SAMPLE, time_of, wrong_unit
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
 from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
@@ -104,7 +105,7 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
             path = home_of(role, request)
             there = names_shown(sources[path].tables)
             raise InputError(
-                f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (see --show)"
+                f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
             )
 
 
@@ -177,7 +178,7 @@ def _gather_all(
         for role in ROLES:
             if home_of(role, request) == path:
                 for part in recipe.roles.get(role, ()):
-                    mine.append((role, _with_table(part, source)))
+                    mine.append((role, _with_time(_with_table(part, source), source, role)))
         for role, part in mine:
             check_part(part, source, role)
         share = _share(progress, before / total, size[path] / total)
@@ -199,6 +200,22 @@ def _with_table(part: Part, source: Source) -> Part:
             "write a recipe with table = ..., or choose with --imu-topic and the like"
         )
     return replace(part, table=next(iter(source.tables)))
+
+
+def _with_time(part: Part, source: Source, role: Role) -> Part:
+    """A part that names no time takes the column that looks like it; a time in another unit is refused."""
+    if part.table not in source.tables:
+        return part  # which is told with the part's other mistakes
+    names = source.tables[part.table].columns
+    rows = next((batch.rows for batch in source.batches({part.table: names}) if len(batch.rows)), None)
+    if rows is None:
+        return part
+    rows = rows.head(SAMPLE)
+    if "t" not in part.columns and (time := time_of(rows)) is not None:
+        return replace(part, columns={"t": time, **part.columns})
+    if unit := wrong_unit(part.columns.get("t", ""), rows, role):
+        raise InputError(f"{source.path}: {unit}")
+    return part
 
 
 def _share(progress: Progress, begin: float, part: float) -> Callable[[float], None]:

@@ -62,6 +62,8 @@ _GIVEN_IN = {
     "s": ("m/s", "km/h"),
 }
 """Units that a column of time, acceleration, rate and speed may have; others in its name mean nothing."""
+SAMPLE = 2000
+"""Rows by which units are guessed."""
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 
 
@@ -162,6 +164,8 @@ def _split(column: str) -> tuple[str, str]:
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0}
 """s between samples that is still likely."""
+SHORTEST_STEP = 1e-4
+"""s: no car's sensor is faster."""
 
 _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
@@ -202,15 +206,46 @@ def _time(found: _Found, text: str, role: Role, notes: list[str]) -> str:
     return _SCALES.get(unit, "{}").format(text)
 
 
+_UNITS_OF_TIME = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+
+
 def _time_unit(found: _Found, values: pl.Series, role: Role) -> str:
     """The unit in which a time counts from 1970 to our days, or else makes a likely step between samples."""
-    units = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+    units = _UNITS_OF_TIME
     size = found.median("t")
     for unit, scale in units:
         dates = 3e8 < size * scale < 4e9  # 1979 to 2096
         if dates and (unit != "s" or _step(values) < LONGEST_STEP[role]):
             return unit
     return next((unit for unit, scale in units if _step(values) * scale < LONGEST_STEP[role]), "s")
+
+
+def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
+    """What is wrong with the unit of a time, ``column`` or ``column*number``, and the cure; empty where nothing is.
+
+    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely.
+    """
+    plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
+    name = plain[1].strip("`") if plain else ""
+    if plain is None or name not in rows.columns or not rows[name].dtype.is_numeric():
+        return ""
+    try:
+        scale = float(plain[2] or 1.0) / float(plain[3] or 1.0)
+    except (ValueError, ZeroDivisionError):
+        return ""
+    step = _step(rows[name])
+    if not step or SHORTEST_STEP < step * scale < 4 * LONGEST_STEP[role]:
+        return ""
+    unit = _time_unit(_Found(rows, {"t": name}), rows[name], role)
+    said = _SCALES.get(unit, "{}").format(plain[1])
+    likely = step * dict(_UNITS_OF_TIME)[unit]
+    if not SHORTEST_STEP < likely < 4 * LONGEST_STEP[role]:
+        return ""
+    t = "--time" if role == "imu" else f"--map {role}.t="
+    return (
+        f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is {likely:.4g} s: "
+        f'write {t}{" " if role == "imu" else ""}"{said}"'
+    )
 
 
 def _step(values: pl.Series) -> float:

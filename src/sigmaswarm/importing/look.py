@@ -1,17 +1,20 @@
 """A first look at a log: its tables, their rates, their columns' ranges, and how a drive would be made of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import polars as pl
 
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, time_expression
-from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, open_logs
+from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, import_drive, open_logs
 from sigmaswarm.importing.guess import numbers_of, time_of
+from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Source
+from sigmaswarm.importing.source import ROLES, Role, Source
 
 SAMPLE = 5000
 """Rows of a table by which ranges are told."""
@@ -43,11 +46,16 @@ class Glance:
 
 @dataclass(frozen=True)
 class Look:
-    """What is in the logs of a request, the recipe that would be used, and what that assumes."""
+    """What is in the logs of a request, the recipe that would be used, and what that assumes.
+
+    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them.
+    """
 
     tables: tuple[Glance, ...]
     recipe: Recipe
     notes: tuple[str, ...]
+    proposal: str = ""
+    evidence: str = ""
 
 
 def look(request: Request) -> Look:
@@ -71,9 +79,49 @@ def look(request: Request) -> Look:
             for path, source in sources.items()
             for table, frame in _beginnings(source).items()
         ]
+        columns = {
+            path: {
+                name: {c: c for c in frame.columns} | _time(frame)
+                for name, frame in _beginnings(source).items()
+            }
+            for path, source in sources.items()
+        }
     for guess in guesses.values():
         notes += guess.notes
-    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)))
+    proposal, evidence = _proposal(request, recipe, columns)
+    return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence)
+
+
+def _time(frame: pl.DataFrame) -> dict[str, str]:
+    time = time_of(frame) if len(frame) else None
+    return {} if time is None else {"t": time}
+
+
+def _proposal(
+    request: Request, recipe: Recipe, columns: Mapping[Path, Mapping[str, Mapping[str, str]]]
+) -> tuple[str, str]:
+    """The options that would read what no guess recognized, and how far they were checked; empty where all was."""
+    tables: dict[Role, str] = {}
+    found: dict[Role, Mapping[str, str]] = {}
+    for role in ("imu", "gps"):
+        there = columns[home_of(role, request)]
+        parts = recipe.roles.get(role, ())
+        known = {name: text for part in parts for name, text in part.columns.items()}
+        chosen = {part.table: there[part.table] for part in parts if part.table in there} or there
+        if (one := proposed(chosen, role, known)) is not None:
+            found[role] = one[1]
+            if not parts and len(there) > 1:
+                tables[role] = one[0]
+    if not found:
+        return "", ""
+
+    def make(proposal: Proposal) -> Drive:
+        choice = replace(request.choice, tables={**proposal.tables, **request.choice.tables})
+        asked = replace(request, maps=[*proposal.maps, *request.maps], choice=choice)
+        return import_drive(asked, "proposal").drive
+
+    proposal, evidence = judged(Proposal(tables, found), make)
+    return proposal.options, evidence
 
 
 def _beginnings(source: Source) -> dict[str, pl.DataFrame]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.report.draw.png import figure_of, new_figure, save
 from sigmaswarm.report.style import LABELS
@@ -35,10 +36,11 @@ def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = 
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml, or that of a folder, and the history beside it; the paths of what was copied."""
+    """Copy a tuning.toml, or that of a folder, its history and landmarks; the paths of what was copied."""
     file = tuning / FILE if tuning.is_dir() else tuning
     written: list[Path] = []
-    for name, source in ((FILE, file), (HISTORY_FILE, file.parent / HISTORY_FILE)):
+    beside = (HISTORY_FILE, SEEN_FILE)
+    for name, source in ((FILE, file), *((name, file.parent / name) for name in beside)):
         copy = folder / name
         if source.is_file() and not (copy.exists() and copy.samefile(source)):
             write_whole(copy, source.read_bytes())

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.views.charts import Dash, Look
-from sigmaswarm.scoring.evaluation import METHODS
+from sigmaswarm.scoring.evaluation import METHODS, method_names
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
 BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
@@ -19,6 +19,7 @@ DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
 LOOKS: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),
+    "against": Look(SKY, 1.6),
     "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
     "datasheet": Look(PURPLE, 1.2, "dashdot"),
     "imu_only": Look(VERMILION, 1.2, "dot"),
@@ -36,7 +37,7 @@ STUDY_LOOKS: dict[str, Look] = {
     "raw_gps": LOOKS["raw_gps"],
 }
 """Of the series in a study's tracks, the first one on top."""
-LABELS = {"truth": "truth", **METHODS}
+LABELS = {"truth": "truth", **method_names(own=True), **METHODS}
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:

@@ -99,11 +99,13 @@ def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) ->
 
 
 Kind = Literal["optimistic", "pessimistic", "consistent", "optimistic_position", "unknown"]
-"""Optimistic: errors are larger than the filter's covariances say; pessimistic: they are smaller."""
+"""Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less."""
+FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
+"""What has to be said beside the verdicts where no truth is known."""
 
 VERDICTS: dict[Kind, str] = {
-    "optimistic": "is too sure of itself: its errors are larger than its covariances say",
-    "pessimistic": "is too careful: its errors are smaller than its covariances say",
+    "optimistic": "is too sure of its forecasts: they miss the fixes by more than its covariances say",
+    "pessimistic": "is too careful of its forecasts: they miss the fixes by less than its covariances say",
     "consistent": "is consistent: its forecasts miss the fixes by as much as its covariances say",
     "optimistic_position": (
         "is too sure of its position all the same (NEES): only the truth tells errors that fixes share"
@@ -126,8 +128,10 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
         ),
         "unknown": len(found) - len(known),
     }
+    blind = bool(known) and all(nees is None for *_, nees in known)
     return {
         kind: f"on {count} of {len(found)} drives the filter {VERDICTS[kind]}"
+        + (f" ({FORECASTS})" if blind and kind != "unknown" else "")
         for kind, count in counts.items()
         if count
     }

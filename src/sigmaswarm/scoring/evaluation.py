@@ -10,20 +10,22 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.fingerprint import DriveRecord, described
+from sigmaswarm.drives.overlap import Landmarks, Overlap, landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.drifts import OWN, WATCHED, Outages, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
     ConsistencyRecord,
+    DriftRecord,
     EvaluationRecord,
     ScoresRecord,
 )
@@ -31,8 +33,6 @@ from sigmaswarm.scoring.score import Score, score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import (
     LONG_OUTAGE_LENGTH,
     OUTAGE_LENGTH,
-    drift_reference,
-    outage_replay,
     outage_windows,
     tracking_replay,
 )
@@ -47,6 +47,12 @@ METHODS = {
     "imu_only": "IMU only",
 }
 """The rows of every comparison: what files and what people call them."""
+HOW_MANUAL = (
+    "Nobody tuned the manual filters: they are planar5 UKFs, one with Q = R = I, as people start, one by data sheet, "
+    "with R from the stated accuracy of the fixes (else 2.1 m) and Q from the IMU's noise density (else an "
+    "MPU-6050's), and know no biases"
+)
+"""In a sentence, for people must not take them for what a good engineer reaches in a week."""
 
 KIND_NAMES = {
     "ukf": "UKF",
@@ -57,10 +63,14 @@ KIND_NAMES = {
 """What people call the kinds of filters."""
 
 
-def method_names(kind: str = "ukf", model: str = "planar5") -> dict[str, str]:
-    """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's."""
+def method_names(kind: str = "ukf", model: str = "planar5", *, own: bool = False) -> dict[str, str]:
+    """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's.
+
+    ``own``: the user's own filter first.
+    """
     suffix = "" if model == "planar5" else f", {model}"
-    return METHODS | {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
+    first = {OWN: "your own filter"} if own else {}
+    return first | METHODS | {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
 
 
 @dataclass(frozen=True)
@@ -107,6 +117,22 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     return tuple(said)
 
 
+def said_of_drives(data: Sequence[DriveRecord]) -> str:
+    """What a sentence calls drives: how many they are, and how much of them the tuning saw."""
+    called = f"{len(data)} drive{'s' if len(data) != 1 else ''}"
+    if any(drive.seen_s is None for drive in data):
+        return called
+    if not any(drive.seen_s for drive in data):
+        return f"{called} that the tuning never saw"
+    told = [
+        f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
+        f"{', '.join(drive.seen_in)}"
+        for drive in data
+        if drive.seen_s
+    ]
+    return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(told)})"
+
+
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     """A sentence for each drive on which the tuned filter's position is worse than the fixes that it was given."""
     said: list[str] = []
@@ -146,6 +172,10 @@ class Evaluated:
         s: when a filter was lost and started anew, see `filters.recovery`.
     frozen : int
         Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
+    drifts : mapping of measure to DriftRecord
+        Of the outages: how many there were, and what each placement of them says.
+    seen : Overlap or None
+        How much of it the filter was tuned on; None where nobody said what that was.
     """
 
     scores: Mapping[str, Score]
@@ -156,6 +186,14 @@ class Evaluated:
     data: Mapping[str, Any] = field(default_factory=dict[str, Any])
     restarts: Mapping[str, tuple[float, ...]] = field(default_factory=dict[str, tuple[float, ...]])
     frozen: int = 0
+    drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
+    seen: Overlap | None = None
+
+    @property
+    def record(self) -> DriveRecord:
+        """The drive as files and sentences name it."""
+        of = {} if self.seen is None else {"seen_s": self.seen.seconds, "seen_in": list(self.seen.of)}
+        return DriveRecord.model_validate({**self.data, **of})
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,18 +262,21 @@ class Evaluation:
         told = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
         return ScoresRecord(
             drives={
-                drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in METHODS}
+                drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in self.names}
                 for drive in self.drives
             },
-            mean={m: {k: self.mean(m, k) for k in MEASURES} for m in METHODS},
+            mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
             consistency=told,
             restarts={
-                drive: {m: list(found.restarts.get(m, ())) for m in METHODS if m in found.restarts}
+                drive: {m: list(found.restarts.get(m, ())) for m in self.names if m in found.restarts}
                 for drive, found in self.drives.items()
             },
             improvement_percent={
-                over: {k: self.improvement(over, k) for k in MEASURES} for over in ("defaults", "datasheet")
+                over: {k: self.improvement(over, k) for k in MEASURES}
+                for over in (OWN, "defaults", "datasheet")
+                if over in self.names
             },
+            drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -247,7 +288,7 @@ class Evaluation:
         rows = [
             {"drive": drive, "method": m, **{k: self.value(drive, m, k) for k in MEASURES}}
             for drive in self.drives
-            for m in METHODS
+            for m in self.names
         ]
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
@@ -267,10 +308,7 @@ class Evaluation:
             outage_length_s=self.outage_length,
             outage_seed=self.outage_seed,
             versions=versions(),
-            data=[
-                DriveRecord.model_validate({**found.data, "name": name})
-                for name, found in self.drives.items()
-            ],
+            data=[found.record.model_copy(update={"name": name}) for name, found in self.drives.items()],
         )
 
 
@@ -278,9 +316,11 @@ def evaluate(
     drives: Sequence[Drive] | Drive,
     parameters: FilterParameters,
     *,
+    against: FilterParameters | None = None,
     outage_length: float = OUTAGE_LENGTH,
     outage_seed: int = 0,
     as_recorded: bool = False,
+    seen: Sequence[Landmarks] | None = None,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -291,12 +331,17 @@ def evaluate(
         hidden fixes.
     parameters : FilterParameters
         The tuned ones.
+    against : FilterParameters, optional
+        A filter of your own, of any model: the first row of every table then.
     outage_length : float
         s without fixes; outages of 30 s are tried beside those.
     outage_seed : int
-        Places the outages: the same for every method.
+        Places the outages: the same for every method. They are placed again and again, as `placements` says.
     as_recorded : bool
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
+    seen : sequence of Landmarks, optional
+        What the tuning saw: ``tuning.seen``, or `tuning.record.seen_by` its file. The evaluation then says how much
+        of each drive that is, whatever it is called, and however it was cut or mended.
 
     Raises
     ------
@@ -314,96 +359,77 @@ def evaluate(
     for drive in drives:
         name = _unique(drive.name, found)
         ready = prepared(drive, as_recorded=as_recorded)
-        found[name] = _evaluated(ready, parameters, name, outage_length, outage_seed)
-    names = method_names(parameters.kind, parameters.model)
+        known = None if seen is None else overlap_of(landmarks(drive), seen)
+        filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
+        each = _evaluated(ready, filters, name, outage_length, outage_seed)
+        found[name] = replace(each, seen=known)
+    names = method_names(parameters.kind, parameters.model, own=against is not None)
     return Evaluation(found, names, outage_length, outage_seed)
 
 
 def _evaluated(
-    ready: PreparedDrive, tuned: FilterParameters, name: str, length: float, seed: int
+    ready: PreparedDrive, filters: Mapping[str, FilterParameters], name: str, length: float, seed: int
 ) -> Evaluated:
-    """Every method once over the whole drive, and the filters once more with the outages."""
+    """Every method once over the whole drive, and the filters again with the outages."""
     drive = ready.drive
-    filters = compared(drive, tuned)
     tracker = Tracker(ready, picture=True)
     imu_only = run_imu_only(ready)  # first: it is held whole, and the filters' targets are not yet there
     tracker.keep_estimate("imu_only", imu_only)
-    dead_reckoning = score_imu_only(ready, imu_only, length, seed)
+    outages = {
+        measure: Outages(ready, length=each, seed=seed)
+        for measure, each in (("outage_drift_m", length), ("long_outage_drift_m", LONG_OUTAGE_LENGTH))
+    }
+    for of in outages.values():
+        of.add_estimate("imu_only", imu_only)
+    dead_reckoning = replace(score_estimate(drive, imu_only), failed=False)
     del imu_only
     tracking = tracking_replay(ready)
     # Manual filters go on as they are: what is wrong by hundreds of metres for hours would be set right at each sample.
-    recorded = [tracker.record(m, tracking, p, recover=m == "tuned") for m, p in filters.items()]
+    recorded = [tracker.record(m, tracking, p, recover=m in WATCHED) for m, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
     del recorded, tracking  # the next pass has steps and targets of its own
-    drifts = [_drifts(ready, filters, each, seed) for each in (length, LONG_OUTAGE_LENGTH)]
+    for of in outages.values():
+        of.run(filters)
     each = {
-        method: _joined(whole[i, 0], drifts[0][i], drifts[1][i], tracker.quantiles[method])
+        method: replace(
+            whole[i, 0],
+            position_median=tracker.quantiles[method][0],
+            position_95=tracker.quantiles[method][1],
+            failed=whole[i, 0].failed or any(method in of.failed for of in outages.values()),
+        )
         for i, method in enumerate(filters)
     }
-    others = {"raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
+    scores = {**each, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
+    for method in (*filters, "imu_only"):
+        short, long = (of.drift(method) for of in outages.values())
+        scores[method] = replace(scores[method], outage_drift=short, long_outage_drift=long)
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
-        scores={method: (each | others)[method] for method in METHODS},
+        scores={method: scores[method] for method in (OWN, *METHODS) if method in scores},
         consistency=None if failed else consistency_of(innovations, nees),
         innovations=innovations,
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
-        data=described(drive),
+        data=described(drive) | {"scored_from_s": round(ready.initial.time - float(drive.imu.time[0]), 3)},
         restarts=restarts,
         frozen=int(ready.frozen.sum()),
-    )
-
-
-def _drifts(
-    ready: PreparedDrive, filters: Mapping[str, FilterParameters], length: float, seed: int
-) -> list[Score]:
-    """What outages of a length (s) make of filters; nothing is known where none fits. No steps are kept."""
-    if not len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)):
-        return [Score()] * len(filters)
-    ready.forget()
-    outages = outage_replay(ready, length=length, seed=seed)
-    recordings = [Recording(outages, p, recover=m == "tuned") for m, p in filters.items()]
-    sums = joined([recording.finished().sums for recording in recordings], axis=1)
-    scores = scores_of({"outages": [outages]}, {"outages": sums})
-    ready.forget()
-    return [scores[i, 0] for i in range(len(filters))]
-
-
-def _joined(whole: Score, outages: Score, long_outages: Score, quantiles: tuple[float, float]) -> Score:
-    """One score of a filter's passes."""
-    return replace(
-        whole,
-        position_median=quantiles[0],
-        position_95=quantiles[1],
-        outage_drift=outages.outage_drift,
-        long_outage_drift=long_outages.outage_drift,
-        failed=whole.failed or outages.failed or long_outages.failed,
+        drifts={measure: of.record for measure, of in outages.items() if of.seeds},
     )
 
 
 def score_imu_only(ready: PreparedDrive, estimate: Estimate, length: float, seed: int) -> Score:
     """Dead reckoning from the common start: errors against truth, and the drift at the ends of the outages."""
     drift, long_drift = (
-        _drift(ready, estimate, outage_windows(ready.drive, estimate.initial, length=each, seed=seed)[:, 1])
+        rms_drift(
+            ready, estimate, outage_windows(ready.drive, estimate.initial, length=each, seed=seed)[:, 1]
+        )
         for each in (length, LONG_OUTAGE_LENGTH)
     )
     score = score_estimate(ready.drive, estimate)
     return replace(score, outage_drift=drift, long_outage_drift=long_drift, failed=False)
-
-
-def _drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> float:
-    """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
-    if not len(ends):
-        return float("nan")
-    reference = drift_reference(ready)
-    errors = [
-        np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
-        for i, column in enumerate((reference.x, reference.y))
-    ]
-    return float(np.sqrt(np.mean(np.square(errors).sum(axis=0))))
 
 
 def _unique(name: str, taken: Mapping[str, Any]) -> str:

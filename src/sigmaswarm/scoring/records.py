@@ -45,6 +45,21 @@ class ConsistencyRecord(BaseModel):
         return self.mean_nis, self.nis_band_95, self.mean_nees
 
 
+class DriftRecord(BaseModel):
+    """The drifts over outages of one length on a drive, as placements that chance made tell them.
+
+    ``each``: by method, m, RMS over the outages of each placement; None where a filter failed.
+    """
+
+    outages: int
+    each: dict[str, list[float | None]]
+
+    def spread(self, method: str) -> tuple[float, float] | None:
+        """The least and the greatest that one placement alone would have said, m."""
+        known = [v for v in self.each.get(method, []) if v is not None]
+        return (min(known), max(known)) if known else None
+
+
 class ScoresRecord(BaseModel):
     """scores.json: drive, method, measure; means over the drives; consistency; what the tuning improved."""
 
@@ -54,6 +69,19 @@ class ScoresRecord(BaseModel):
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
     """By drive and method, s: when a filter was lost and started anew."""
+    drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)
+    """By drive and measure: how many outages there were, and what each placement of them says."""
+
+    def drift_said(self, measure: str, method: str = "tuned") -> str:
+        """Of how many outages a drift is the RMS, and what one placement alone would have said; empty if unknown."""
+        found = [of[measure] for of in self.drifts.values() if measure in of]
+        each = [[v for v in one.each.get(method, []) if v is not None] for one in found]
+        count = min(map(len, each), default=0)
+        if not count:
+            return ""
+        means = [sum(one[i] for one in each) / len(each) for i in range(count)]
+        outages = sum(one.outages for one in found)
+        return f"{outages} outages; one placement alone says {min(means):.3g} to {max(means):.3g} m"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         """Over the drives that have it; None where it can't be said."""

@@ -15,6 +15,11 @@ OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
 LONG_OUTAGE_LENGTH = 30.0
 """s: so long that the biases of a filter show."""
+Seed = int | tuple[int, ...]
+OUTAGES_WANTED = 200
+"""On a drive: so many tell its drift to about a tenth."""
+MOST_PLACEMENTS = 8
+"""Of outages on a drive: more would hide the same seconds again."""
 OUTAGE_FIRST_AFTER = 10.0
 """s from the start to the first outage, at least."""
 OUTAGE_APART = 5.0
@@ -27,7 +32,7 @@ def tracking_replay(ready: PreparedDrive) -> Replay:
     return Replay(timeline, ready.initial, _truth_targets(ready.drive, timeline))
 
 
-def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: int = 0) -> Replay:
+def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: Seed = 0) -> Replay:
     """Fixes hidden in seeded windows; compared with truth (without truth: with the fixes) at their ends."""
     drive = ready.drive
     windows = outage_windows(drive, ready.initial, length=length, seed=seed)
@@ -57,7 +62,18 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
     return balanced_windows(initial.time, float(drive.imu.time[-1]), np.random.default_rng(seed))
 
 
-def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: int) -> Array:
+def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
+    """What places outages of ``length`` s anew, again and again: one placement's drift is a draw of chance.
+
+    As many as make `OUTAGES_WANTED`, at most `MOST_PLACEMENTS` and at least two; none where no outage fits. The first
+    is that of ``seed`` alone.
+    """
+    fitting = len(outage_windows(drive, initial, length=length, seed=seed))
+    wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0
+    return [seed, *((seed, i) for i in range(1, wanted))][:wanted]
+
+
+def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
     """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0."""
     reference = (drive.gps if drive.truth is None else drive.truth).time
     last = min(drive.imu.time[-1], reference[-1])

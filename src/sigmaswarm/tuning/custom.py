@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
@@ -78,8 +79,13 @@ class ModelProblem:
         """How much worse costs are than another: 0.01 is 1%."""
         return objective_named(self._config.objective).rise(costs, best, self._elements)
 
-    def remarks(self, point: Array) -> tuple[str, ...]:
-        """Nothing is known of the user's own data."""
+    def doubts(self, point: Array) -> list[str]:
+        """None: what the data of a model of the user's own are is not known."""
+        return []
+
+    @property
+    def seen(self) -> tuple[Landmarks, ...]:
+        """None: a log of a model of the user's own is recognized as a whole only."""
         return ()
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":

@@ -11,16 +11,18 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD, states_accuracy
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std, states_accuracy
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std
+from sigmaswarm.tuning.receiver import FixNoise, fix_noise, said_of_noise
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -62,16 +64,21 @@ class Problem(Landscape, Protocol[P]):
         """Name, length and fingerprint of each drive."""
         ...
 
+    @property
+    def seen(self) -> Sequence[Landmarks]:
+        """What each drive is recognized by; empty for logs of a model of the user's own."""
+        ...
+
     def parameters(self, point: Array) -> P:
         """The filter at a point, shape (d,), in search coordinates."""
         ...
 
-    def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+    def doubts(self, point: Array) -> list[str]:
+        """What the data say against the filter at a point, which the objective does not see, in sentences."""
         ...
 
-    def remarks(self, point: Array) -> tuple[str, ...]:
-        """What a user should know of the data before trusting the filter at a point, shape (d,)."""
+    def rise(self, costs: Array | float, best: float) -> Array:
+        """How much worse costs are than another: 0.01 is 1%."""
         ...
 
     def on(self, data: Sequence[Any]) -> "Problem[P]":
@@ -110,6 +117,11 @@ class CarProblem:
         return np.array([receiver_std(drive) for drive in self.replayer.drives])
 
     @property
+    def seen(self) -> tuple[Landmarks, ...]:
+        """What each drive is recognized by."""
+        return tuple(landmarks(drive) for drive in self.replayer.drives)
+
+    @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, shape (m,)."""
         return self.replayer.steps
@@ -117,6 +129,37 @@ class CarProblem:
     def parameters(self, point: Array) -> FilterParameters:
         """The filter at a point, shape (d,), in search coordinates."""
         return self.space.decode(point[np.newaxis])[0]
+
+    @cached_property
+    def _fix_noise(self) -> list[FixNoise]:
+        return [fix_noise(drive) for drive in self.replayer.drives]
+
+    def doubts(self, point: Array) -> list[str]:
+        """Where no truth was looked at: the prior decided R, or R is far below what the fixes say of themselves."""
+        known = all(drive.truth is not None for drive in self.replayer.drives)
+        if known and "truth" in self.config.objective:
+            return []
+        return self._held(point) or said_of_noise(self.parameters(point), self._fix_noise)
+
+    def _held(self, point: Array) -> list[str]:
+        """Where the prior held R against the likelihood: what it went by."""
+        if not self.config.prior:
+            return []
+        told = prior_costs([self.parameters(point)], self._receiver_std)[0] > HELD
+        held = [drive for drive, is_told in zip(self.replayer.drives, told, strict=True) if is_told]
+        for drive in held:
+            if not states_accuracy(drive) and receiver_std(drive) == stated_std(drive):
+                return [
+                    f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
+                    f"{UNSTATED_GPS_STD:g} m per axis; where yours is another, write gps_std_m into drive.toml"
+                ]
+        for drive in filter(states_accuracy, held):
+            return [
+                f"{drive.name}: the receiver states {max(stated_std(drive)):.2g} m per axis, and its fixes agree far "
+                "better from one to the next: their errors last, and no log without truth can tell how far off they "
+                "are together; R was held near what is stated"
+            ]
+        return []
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
@@ -138,25 +181,6 @@ class CarProblem:
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""
         return self.objective.rise(costs, best)
-
-    def remarks(self, point: Array) -> tuple[str, ...]:
-        """Where the prior held R against the likelihood: what it went by."""
-        if not self.config.prior:
-            return ()
-        told = prior_costs([self.parameters(point)], self._receiver_std)[0] > HELD
-        held = [drive for drive, is_told in zip(self.replayer.drives, told, strict=True) if is_told]
-        silent = [drive for drive in held if not states_accuracy(drive)]
-        if silent:
-            return (
-                f"{silent[0].name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
-                f"{UNSTATED_GPS_STD:g} m per axis; where yours is another, write gps_std_m into drive.toml",
-            )
-        if held:
-            return (
-                f"{held[0].name}: the fixes agree from one to the next better than the receiver states, so their "
-                "errors last; R was held near what it states, since no log without truth can tell",
-            )
-        return ()
 
     def on(self, data: Sequence[Drive]) -> "CarProblem":
         """The same filters and objective on other drives."""

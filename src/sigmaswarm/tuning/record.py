@@ -10,8 +10,10 @@ from pydantic import BaseModel, BeforeValidator, Field
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
+from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.result import Tuning
 
@@ -35,6 +37,8 @@ class ResultRecord(BaseModel):
     )
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
+    doubts: list[str] = Field(default_factory=list)
+    """Those of the remarks that the data make."""
     best_trial: int = 0
     trial_costs: list[float] = Field(default_factory=list)
     evaluations: int = 0
@@ -52,6 +56,23 @@ class TuningRecord(BaseModel):
     config: dict[str, Any] = Field(default_factory=dict)
     versions: dict[str, str] = Field(default_factory=dict)
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
+
+
+def seen_by(file: Path) -> list[Landmarks]:
+    """What the drives are recognized by that a filter's file says it was tuned on.
+
+    A file that was copied without seen.npz, or is of an earlier version, knows whole drives only.
+
+    Raises
+    ------
+    InputError
+        If seen.npz is there but can't be read.
+    """
+    data = load_record(TuningRecord, file).data
+    kept = load_landmarks(file.parent / SEEN_FILE)
+    if kept is not None and [marks.sha256 for marks in kept] == [drive.sha256 for drive in data]:
+        return kept
+    return [whole_drive(d.name, d.sha256, d.duration_s or 0.0) for d in data if d.sha256]
 
 
 @dataclass(frozen=True, eq=False)

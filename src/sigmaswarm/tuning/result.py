@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 from typing_extensions import TypeVar
 
+from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.tuning.box import TouchedBound
@@ -68,6 +69,10 @@ class Tuning(Generic[P]):
     config : TuneConfig, or ModelTuneConfig for a model of your own
     data : list of dict
         Name, length and fingerprint of each drive.
+    seen : tuple of Landmarks
+        What each drive is recognized by, whole or in parts: for `evaluate`.
+    doubts : tuple of str
+        What the drives say against the filter, and the objective does not see.
     sensitivities : tuple of Sensitivity
         How far each parameter can move before the cost rises by 1%.
     validation : Validation or None
@@ -76,8 +81,6 @@ class Tuning(Generic[P]):
         Filter steps that one parameter set takes on all drives.
     raised_by : float
         The factor by which the option ``margin`` has raised all process noises; 1 without it.
-    of_the_data : tuple of str
-        What the data could not tell, in sentences; part of `remarks`.
     """
 
     parameters: P
@@ -87,11 +90,12 @@ class Tuning(Generic[P]):
     best_trial: int
     config: SearchConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    seen: tuple[Landmarks, ...] = ()
+    doubts: tuple[str, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
     steps_per_set: int = 0
     raised_by: float = 1.0
-    of_the_data: tuple[str, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -112,9 +116,12 @@ class Tuning(Generic[P]):
     def remarks(self) -> list[str]:
         """What a user should know before trusting the result, in sentences."""
         remarks = [
-            f"{touched}: the optimum may lie outside the box"
-            for touched in self.touched_bounds
-            if touched.parameter not in self.unidentified
+            *self.doubts,
+            *(
+                f"{touched}: the optimum may lie outside the box"
+                for touched in self.touched_bounds
+                if touched.parameter not in self.unidentified
+            ),
         ]
         if names := ", ".join(name for name in self.unidentified if name != NOISE_SCALE):
             remarks.append(
@@ -136,7 +143,6 @@ class Tuning(Generic[P]):
                 f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
                 "search longer, with more trials, or polish"
             )
-        remarks += self.of_the_data
         if self.validation is None:
             remarks.append(NOT_VALIDATED)
         elif not np.isfinite(self.validation.cost):
@@ -170,6 +176,7 @@ class Tuning(Generic[P]):
                 "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,
+                "doubts": list(self.doubts),
                 "best_trial": self.best_trial,
                 "trial_costs": [trial.cost for trial in self.trials],
                 "evaluations": sum(trial.evaluations for trial in self.trials),

@@ -10,6 +10,7 @@ from typing import Any, TypeVar, Unpack, overload
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.overlap import SEEN_FILE, overlap_of, save_landmarks
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
@@ -104,13 +105,15 @@ def tune(
     problem, settings = _problem(data, others, papers_config(config) if paper else config)
     held_back = problem.on(others) if others else None
     if held_back:
-        _check_apart(problem, held_back)
+        check_apart(problem, held_back)
     with ExitStack() as stack:
         folder = None
         if out is not None:  # made only once nothing is left that the user could have got wrong
             folder = tuning_folder(
                 stack.enter_context(held_folder(Path(out))), problem, settings, resume=resume
             )
+            if problem.seen:
+                save_landmarks(problem.seen, folder.path / SEEN_FILE)
         pool = executor or stack.enter_context(ThreadPoolExecutor())
         return tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
 
@@ -199,12 +202,19 @@ def objective_for(data: Sequence[Drive | Log], asked: str, use: Sequence[str] = 
     return likelihood if blind else "truth-rmse"
 
 
-def _check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
+def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     """What was tuned on validates nothing."""
     seen = {entry["sha256"] for entry in problem.data}
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
         raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
+    known = problem.seen
+    for drive in held_back.seen:
+        if found := overlap_of(drive, known):
+            raise InputError(
+                f"{drive.name}: {found.seconds:.0f} s of it are in the training drives, too ({', '.join(found.of)}); "
+                "hold others back for validation"
+            )
 
 
 def _chosen(
@@ -237,9 +247,10 @@ def _chosen(
         best_trial=best,
         config=config,
         data=problem.data,
+        seen=tuple(problem.seen),
+        doubts=tuple(problem.doubts(point)),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         steps_per_set=int(problem.steps.sum()),
         raised_by=factor,
-        of_the_data=problem.remarks(point),
     )

@@ -34,7 +34,11 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         "gps.csv, t",
         evidence.span,
         confidence_of(late / std),
-        move.format(size) + " the fixes' times" + ("" if clear else " if other drives say so too"),
+        move.format(size)
+        + " the fixes' times"
+        + ("" if clear else " if other drives say so too")
+        + ", or let the tuning find it anew (--use latency): its figure makes the filter forecast best, this one fits "
+        "turns and accelerations best; they may differ by a few deviations",
         Repair("shift-fixes", (-late,)) if clear else None,
     )
 

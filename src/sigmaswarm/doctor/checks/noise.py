@@ -13,8 +13,6 @@ TOO_SMALL = 2.0
 """Observed noise over the stated one."""
 TOO_LARGE = 6.5
 """Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
-TOO_LARGE_IF_SLOW = 20.0
-"""The same where it is not: slow errors are then likely."""
 LASTS = 2.5
 """The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
 WHITE = 0.7
@@ -41,14 +39,14 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     interval = float(np.median(np.diff(gps.time)))
     # what the IMU itself can't follow between fixes
     unseen = 0.02 + 0.15 * interval**2
-    white = noise > WHITE * scatter or scatter - noise < LEAST_NOISE  # that little may be the IMU's own
-    limit = TOO_LARGE if white else TOO_LARGE_IF_SLOW
+    # A smooth receiver's errors last: what it states may be right, however little the fixes scatter.
+    white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
         how = "smaller than"
         confidence = confidence_of(3 + noise / stated / TOO_SMALL)
-    elif stated > limit * scatter:
+    elif white and stated > TOO_LARGE * scatter:
         how = "larger than"
-        confidence = confidence_of(2 * stated / limit / scatter)
+        confidence = confidence_of(2 * stated / TOO_LARGE / scatter)
     else:
         if stated > LASTS * max(scatter, LEAST_NOISE):
             yield _lasting(evidence, stated, scatter, where)

@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
-from sigmaswarm.drives.drive import Array, Imu
+from sigmaswarm.drives.drive import Array, Gps, Imu
 
 SLOW_IMU = 8.0
 """Hz: slower, turns are lost between samples."""
@@ -18,6 +18,10 @@ HELD = 0.2
 LONG_GAP = 0.5
 """s without IMU samples, after which a step is no longer harmless."""
 FEWEST_STALE = 3
+LEAST_MISSED = 0.3
+"""Of the usual time between fixes: so much longer is the interval in which they miss what the IMU misses."""
+LEAST_WAY = 3.0
+"""m that a car would have gone in the missing time, to tell a pause from a jump."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -32,6 +36,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield from _gaps(
         "gps", gps.time, GPS_GAP, "a filter runs on the IMU alone there; nothing to do if it was so meant"
     )
+    yield from _clock_jumps(imu.time, gps)
     yield from _held(imu)
     yield from _stale(evidence)
 
@@ -61,6 +66,45 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
     what = f"{many} {gaps.length:.2g} s (usual interval {gaps.usual:.3g} s)"
     severity = "warning" if sensor == "imu" and gaps.length > LONG_GAP else "note"
     yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
+
+
+def _clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
+    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not.
+
+    Where the car went no farther between the two fixes than in a usual interval, no time has passed.
+    """
+    interval, fix_interval = np.diff(imu), np.diff(gps.time)
+    usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
+    for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
+        j = int(np.searchsorted(gps.time, imu[i], side="right")) - 1
+        if not 1 <= j < len(fix_interval):
+            continue
+        missed, fix_missed = float(interval[i]) - usual, float(fix_interval[j]) - fix_usual
+        if abs(missed - fix_missed) > 1.1 * fix_usual or fix_missed < LEAST_MISSED * fix_usual:
+            continue
+        before, across = (
+            float(np.hypot(*(np.diff(v[k : k + 2])[0] for v in (gps.x, gps.y)))) for k in (j - 1, j)
+        )
+        speed = before / float(fix_interval[j - 1])
+        stood = speed * missed < LEAST_WAY
+        jumped = not stood and across < before + 0.5 * speed * missed
+        if stood:
+            what = "the logger paused, or its clock jumped: the car stood, so nobody can tell"
+        elif jumped:
+            what = "the logger's clock jumped: between these fixes the car went no farther than usual"
+        else:
+            what = "the logger paused: the car drove on"
+        yield Finding(
+            "clock-jump" if jumped else "logger-pause",
+            "warning" if jumped else "note",
+            f"IMU and fixes both miss {missed:.2g} s after t = {imu[i]:.2f} s: {what}",
+            "imu.csv, gps.csv, t",
+            (float(imu[i]), float(imu[i + 1])),
+            0.9,
+            "take the jump off all later times of both files"
+            if jumped
+            else "nothing to do, or split the drive there",
+        )
 
 
 def _held(imu: Imu) -> Iterator[Finding]:

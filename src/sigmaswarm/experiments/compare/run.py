@@ -29,7 +29,7 @@ from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
-from sigmaswarm.tuning.tune import objective_for, tune_problem, tuning_folder
+from sigmaswarm.tuning.tune import check_apart, objective_for, tune_problem, tuning_folder
 from sigmaswarm.versions import versions
 
 
@@ -87,6 +87,8 @@ def compare(
     rivals = contenders(optimizers, scales, {**config, "objective": objective})
     problem = car_problem(drives, rivals[0].config)
     beside = problem.on(held_out) if held_out else None
+    if beside:
+        check_apart(problem, beside)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=2)
     asked = _asked(rivals, seeds, problem, beside)

@@ -12,6 +12,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
+from sigmaswarm.drives.overlap import landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import drive_folders, read_drive
 from sigmaswarm.drives.split import split_drives
@@ -128,6 +129,8 @@ def make_design(config: StudyConfig, executor: Executor | None = None) -> Design
             )
         )
     _check(drives, config)
+    if config.drives:  # of those that are simulated no two are the same
+        _check_apart(drives)
     conditions = tuple(_condition(drive) for drive in drives)
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
@@ -135,6 +138,17 @@ def make_design(config: StudyConfig, executor: Executor | None = None) -> Design
         raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
     # Where a condition has one drive only, conditions can't be split by themselves.
     return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config)
+
+
+def _check_apart(drives: Sequence[Drive]) -> None:
+    """Refuse drives that share a part: it would be in training and test drives."""
+    marks = [landmarks(drive) for drive in drives]
+    for i, one in enumerate(marks):
+        if found := overlap_of(one, marks[:i]):
+            raise InputError(
+                f"{one.name}: {found.seconds:.0f} s of it are in {', '.join(found.of)}, too; a study trains on some "
+                "drives and tests on others: leave one of them out"
+            )
 
 
 def _condition(drive: Drive) -> tuple[str, str]:

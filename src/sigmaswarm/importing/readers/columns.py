@@ -11,14 +11,12 @@ import polars as pl
 
 from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import guess_roles
+from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Batch, Choice, Guess, Source, Table, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
-SAMPLE = 2000
-"""Rows by which units are guessed."""
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 """What polars raises on damaged tables: on some bytes of Parquet its own assertions fail."""
 CHUNK = 100_000

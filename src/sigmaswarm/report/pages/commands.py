@@ -40,10 +40,13 @@ def tune_command(
     return shlex.join(words), "Drives are called by their names: put the ways to your folders instead."
 
 
-def evaluate_command(drives: Sequence[str], outage_length: float, outage_seed: int) -> tuple[str, str]:
+def evaluate_command(
+    drives: Sequence[str], outage_length: float, outage_seed: int, *, own: bool = False
+) -> tuple[str, str]:
     """The command of an evaluation, and what it can't say."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
+    words += ["--against", "against.toml"] if own else []
     note = (
         "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
         "folders instead."

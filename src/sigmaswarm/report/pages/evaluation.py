@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
 from sigmaswarm.report.pages.commands import evaluate_command
@@ -18,8 +19,17 @@ from sigmaswarm.report.pages.tuning import (
 from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
-from sigmaswarm.scoring.consistency import verdicts
-from sigmaswarm.scoring.evaluation import METHODS, Measure, measures, method_names, restarted, worse_than_raw
+from sigmaswarm.scoring.consistency import FORECASTS, verdicts
+from sigmaswarm.scoring.drifts import OWN
+from sigmaswarm.scoring.evaluation import (
+    HOW_MANUAL,
+    Measure,
+    measures,
+    method_names,
+    restarted,
+    said_of_drives,
+    worse_than_raw,
+)
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
@@ -27,13 +37,14 @@ from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
 
 MANUAL = ("defaults", "datasheet")
-LINES = ("truth", "tuned", "datasheet", "defaults", "imu_only", "raw_gps")
+LINES = ("truth", "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
-    "fixes are hidden from it, measured against those fixes, and whether the tuned filter knows its own errors (NIS)."
+    "fixes are hidden from it, measured against those fixes, and whether its forecasts miss the fixes by as "
+    "much as it says (NIS)."
 )
-SHOWN = ("truth", "tuned", "datasheet", "raw_gps")
+SHOWN = ("truth", "tuned", OWN, "datasheet", "raw_gps")
 """Those that are shown from the start."""
 
 
@@ -42,8 +53,11 @@ def evaluation_report(folder: Path) -> Report:
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     asked = load_record(EvaluationRecord, folder / ASKED_FILE)
     file = load_record(TuningRecord, folder / FILE)
-    names = method_names(str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")))
-    lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES)
+    own = OWN in scores.mean
+    names = method_names(
+        str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")), own=own
+    )
+    lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if own or m != OWN)
     tracks = TrackView(tuple(load_tracks(folder / TRACKS_FILE)), lines, "tuned")
     if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
         t.name for t in tracks.drives
@@ -52,20 +66,19 @@ def evaluation_report(folder: Path) -> Report:
             f"{folder}: scores.json, evaluation.json and tracks.npz are not of the same drives; "
             "repeat `sigmaswarm evaluate`"
         )
-    seen = frozenset(d.sha256 for d in file.data)
-    held_out = [d.sha256 not in seen for d in asked.data]
+    data = tuple(_with_what_was_seen(drive, file.data) for drive in asked.data)
     blind = all(d.has_truth is False for d in asked.data)
     without = (
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
     )
     shown = measures(asked.outage_length_s)
-    command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed)
+    command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, own=own)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(_result(scores, held_out, known=bool(seen)), *without, what_was_tuned(file)),
+        lead=(_result(scores, data), *without, what_was_tuned(file)),
         figures=_figures(scores, shown),
         remarks=(
-            *_remarks(scores, held_out),
+            *_remarks(scores, data),
             *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
         ),
         sections=(
@@ -74,7 +87,7 @@ def evaluation_report(folder: Path) -> Report:
             _consistency(scores),
             parameters_section(file),
             *convergence_section(file, folder),
-            data_section("Drives of the evaluation", asked.data, seen if seen else None),
+            data_section("Drives of the evaluation", data),
             *((data_section("Drives of the tuning", file.data),) if file.data else ()),
         ),
         config=shown_config(file.config)
@@ -85,32 +98,38 @@ def evaluation_report(folder: Path) -> Report:
     )
 
 
-def _remarks(scores: ScoresRecord, held_out: list[bool]) -> list[str]:
+def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
+    """The drive as it is, or, where an earlier version evaluated it, by whether it is one of the training drives."""
+    if drive.seen_s is not None or not tuned_on:
+        return drive
+    same = [one.name for one in tuned_on if one.sha256 == drive.sha256]
+    return drive.model_copy(update={"seen_s": (drive.duration_s or 0.0) if same else 0.0, "seen_in": same})
+
+
+def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
     said = (
-        [] if all(held_out) else ["some of the drives are ones that the filter was tuned on: they flatter it"]
+        ["the filter was tuned on some of what it is evaluated on: that flatters it"]
+        if any(drive.seen_s for drive in data)
+        else []
     )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
     said += [*worse_than_raw(scores), *restarted(scores)]
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
 
 
-def _result(scores: ScoresRecord, held_out: list[bool], *, known: bool) -> str:
+def _result(scores: ScoresRecord, data: Sequence[DriveRecord]) -> str:
     """The result in a sentence: position where truth is known, else the drift over outages."""
-    n = len(held_out)
-    drives = f"{n} drive{'s' if n != 1 else ''}"
-    if known and all(held_out):
-        drives += " that the tuning never saw"
-    elif known:
-        drives += f", {n - sum(held_out)} of them seen by the tuning"
+    drives = said_of_drives(data)
     for measure, what in (
         ("position_rmse_m", "is {} m (RMS) from the truth"),
         ("outage_drift_m", "drifts {} m (RMS) over an outage"),
     ):
         tuned = scores.mean_of("tuned", measure)
         if tuned is not None:
-            rivals = [m for m in (_best_manual(scores, measure), "raw_gps") if m]
+            rivals = [m for m in (_rival(scores, measure), "raw_gps") if m]
             against = [_against(tuned, other, m) for m in rivals if (other := scores.mean_of(m, measure))]
-            said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}"
+            spread = scores.drift_said(measure)
+            said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
             return f"{said}: {', and '.join(against)}." if against else f"{said}."
     return f"On {drives} nothing can be said of the tuned filter: it failed, or there is no truth."
 
@@ -120,8 +139,10 @@ def _against(tuned: float, other: float, method: str) -> str:
     return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {LABELS[method]} ({other:.3g} m)"
 
 
-def _best_manual(scores: ScoresRecord, measure: str) -> str | None:
-    """The manual filter that a tuning has to beat; None where none can be scored."""
+def _rival(scores: ScoresRecord, measure: str) -> str | None:
+    """What a tuning has to beat: the user's own filter, else the best manual one; None where none can be scored."""
+    if OWN in scores.mean:
+        return OWN
     values = {m: v for m in MANUAL if (v := scores.mean_of(m, measure)) is not None}
     return min(values, key=values.__getitem__) if values else None
 
@@ -129,15 +150,20 @@ def _best_manual(scores: ScoresRecord, measure: str) -> str | None:
 def _figures(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[Figure, ...]:
     figures: list[Figure] = []
     for name, measure in shown.items():
-        tuned, rival = scores.mean_of("tuned", name), _best_manual(scores, name)
+        tuned, rival = scores.mean_of("tuned", name), _rival(scores, name)
         if tuned is None:
             continue
-        note = f"{LABELS[rival]}: {scores.mean_of(rival, name):.3g} {measure.unit}" if rival else ""
+        other = scores.mean_of(rival, name) if rival else None
+        note = f"{LABELS[rival]}: {other:.3g} {measure.unit}" if rival and other is not None else ""
+        if spread := scores.drift_said(name):
+            note = f"{spread}; {note}" if note else spread
         figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
     known = [c for c in scores.consistency.values() if c]
     if known:
         nis = sum(c.mean_nis for c in known) / len(known)
-        figures.append(Figure("mean NIS", f"{nis:.3g}", "2 where the filter knows its errors"))
+        figures.append(
+            Figure("mean NIS", f"{nis:.3g}", "2 where forecasts miss the fixes by as much as the filter says")
+        )
     return tuple(figures)
 
 
@@ -145,8 +171,8 @@ def _comparison(
     scores: ScoresRecord, names: Mapping[str, str], shown: Mapping[str, Measure], outage_length: float
 ) -> Section:
     """Of what can be told: without truth there is neither a column of errors nor a row of raw GPS."""
-    told = [m for m in shown if any(scores.mean_of(method, m) is not None for method in METHODS)] or [*shown]
-    methods = [m for m in METHODS if m != "raw_gps" or any(scores.mean_of(m, t) is not None for t in told)]
+    told = [m for m in shown if any(scores.mean_of(method, m) is not None for method in names)] or [*shown]
+    methods = [m for m in names if m != "raw_gps" or any(scores.mean_of(m, t) is not None for t in told)]
     columns = (
         Column("drive"),
         Column("method"),
@@ -168,8 +194,38 @@ def _comparison(
         if "position_rmse_m" in told
         else ""
     )
-    text = (f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{rmse}",)
+    outages = (
+        " Each method is run again with the fixes hidden, by as many placements of the outages as the drive has room "
+        "for, eight at most; a drift is the RMS over all of them, at the end of each."
+        if scores.drifts
+        else ""
+    )
+    text = (
+        f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse}",
+        f"{HOW_MANUAL}. `sigmaswarm evaluate --against mine.toml` compares with a filter of yours.",
+    )
+    if scores.drifts:
+        tables.append(_drifts(scores, names, shown))
     return Section("Comparison", text, tuple(tables), method_bars(scores, names, shown))
+
+
+def _drifts(scores: ScoresRecord, names: Mapping[str, str], shown: Mapping[str, Measure]) -> Table:
+    """Each drift with the number of its outages, and the least and greatest that one placement alone would say."""
+    known = [m for m in shown if any(m in of for of in scores.drifts.values())]
+    columns = [Column("drive"), Column("method")]
+    for m in known:
+        columns += [Column("outages"), Column(shown[m].title, "m"), Column("one placement alone", "m")]
+    rows: list[tuple[Cell, ...]] = []
+    for drive, of in scores.drifts.items():
+        for method, name in names.items():
+            cells: list[Cell] = []
+            for m in known:
+                one = of.get(m)
+                value = scores.drives[drive].get(method, {}).get(m)
+                cells += [one and float(one.outages), value, one and one.spread(method)]
+            if method != "raw_gps":
+                rows.append((drive, name, *cells))
+    return _scores("Drifts: how many outages, and what chance makes of them", tuple(columns), rows, names)
 
 
 def _scores(
@@ -197,8 +253,10 @@ def _consistency(scores: ScoresRecord) -> Section:
             (drive, c.n_fixes, c.mean_nis, *c.nis_band_95, inside, *known, c.autocorrelation[0], c.white_p)
         )
     text = (
-        f"Does the tuned filter know its own errors? {'NIS and NEES average' if nees else 'NIS averages'} 2 where it "
-        "does; above 2 it is too sure of itself, below too careful. Innovations of a consistent filter are white: no "
+        f"Do the tuned filter's {'forecasts and errors' if nees else 'forecasts'} come out as its covariances say? "
+        f"{'NIS (of forecasts of the fixes) and NEES (of errors) average' if nees else 'NIS averages'} 2 where they "
+        f"do; above 2 it is too sure of itself, below too careful.{'' if nees else f' Beware: {FORECASTS}.'} "
+        "Innovations of a consistent filter are white: no "
         "correlation from fix to fix.",
     )
     return Section("Consistency", text, (Table("", tuple(columns), tuple(rows)),))

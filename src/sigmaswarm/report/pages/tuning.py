@@ -1,7 +1,7 @@
 """The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,13 @@ from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
 
-MEANINGS = {"rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it"}
+MEANINGS = {
+    "latency": (
+        "how old the fixes' positions are where this filter forecasts best; the doctor's clock offset is another "
+        "estimate of it, from turns and accelerations alone"
+    ),
+    "rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it",
+}
 """Of parameters whose name and unit leave open what they measure, or from where."""
 
 
@@ -172,8 +178,9 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
     )
 
 
-def data_section(title: str, data: list[DriveRecord], seen: frozenset[str] | None = None) -> Section:
-    """The drives; with ``seen``, fingerprints of the training drives, whether each was held out."""
+def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
+    """The drives; of evaluated ones whether they were held out, where that is known."""
+    known = all(d.seen_s is not None for d in data)
     columns = [
         Column("drive"),
         Column("length", "s"),
@@ -181,13 +188,21 @@ def data_section(title: str, data: list[DriveRecord], seen: frozenset[str] | Non
         Column("fixes"),
         Column("truth"),
     ]
-    columns += [] if seen is None else [Column("held out")]
+    started = any(d.scored_from_s is not None for d in data)
+    columns += [Column("scored from", "s")] if started else []
+    columns += [Column("held out")] if known else []
     rows: list[tuple[Cell, ...]] = []
     for d in data:
-        known = "" if d.has_truth is None else "yes" if d.has_truth else "no"
-        row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, known)
-        rows.append(row if seen is None else (*row, "no: tuned on it" if d.sha256 in seen else "yes"))
-    return Section(title, (), (Table("", tuple(columns), tuple(rows)),))
+        truth = "" if d.has_truth is None else "yes" if d.has_truth else "no"
+        row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, truth)
+        row = (*row, d.scored_from_s) if started else row
+        held_out = f"no: tuned on {d.seen_s:.0f} s of it" if d.seen_s else "yes"
+        rows.append((*row, held_out) if known else row)
+    text = (
+        "Filters start, and scores with them, at the first fix with 4 s and 20 m of forward driving behind it, which "
+        "tell the heading."
+    )
+    return Section(title, (text,) if started else (), (Table("", tuple(columns), tuple(rows)),))
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:

@@ -20,11 +20,11 @@ from sigmaswarm.report.views.charts import (
     short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.evaluation import METHODS, Evaluated, Measure
+from sigmaswarm.scoring.evaluation import Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, Columns, Picture
 
-DRAWN = ("raw_gps", "datasheet", "defaults", "tuned", "truth")
+DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 
 
@@ -34,7 +34,7 @@ def method_bars(
     """Bars of the means over the drives, a chart for each measure that any method has; logarithmic."""
     charts: list[Chart] = []
     for name, measure in measures.items():
-        values = {m: v for m in METHODS if (v := scores.mean_of(m, name))}
+        values = {m: v for m in names if (v := scores.mean_of(m, name))}
         if not values:
             continue
         bars = Bars(

@@ -1,0 +1,231 @@
+"""A whole ``--map`` for columns that no guess recognizes: read from their names, tried, and judged by the doctor.
+
+A proposal is shown and never applied: names lie about signs and units. So the drive that it makes is put before the
+doctor, whose evidence on signs, axes and units (how the fixes moved) corrects the expressions before anybody sees them.
+"""
+
+import math
+import re
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.doctor.findings import Diagnosis, Repair
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import SigmaswarmError
+from sigmaswarm.importing.source import Role
+
+FORWARD = {
+    "fwd": 1,
+    "forward": 1,
+    "forwards": 1,
+    "front": 1,
+    "longitudinal": 1,
+    "long": 1,
+    "x": 1,
+    "backward": -1,
+    "rear": -1,
+}
+LEFT = {"left": 1, "lateral": 1, "lat": 1, "port": 1, "y": 1, "right": -1, "starboard": -1}
+UP = {"up": 1, "upward": 1, "vertical": 1, "vert": 1, "z": 1, "down": -1, "downward": -1}
+TURNING = {"ccw": 1, "anticlockwise": 1, "counterclockwise": 1, "cw": -1, "clockwise": -1}
+"""Words for directions, and the sign of what goes there in x forward, y left, z up."""
+AXES = (("x", FORWARD), ("y", LEFT), ("z", UP))
+
+FORCE = {"a", "acc", "accel", "acceleration", "accelerometer", "force"}
+RATE = {
+    "gyro",
+    "gyr",
+    "gyroscope",
+    "omega",
+    "w",
+    "rate",
+    "angular",
+    "rot",
+    "rotation",
+    "angvel",
+    "yawrate",
+    "yaw",
+    "turn",
+}
+ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
+UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
+    *(
+        (words, "radians({})")
+        for words in (("dps",), ("deg", "s"), ("deg", "sec"), ("degps",), ("deg", "per", "s"))
+    ),
+    *(
+        (words, "{}")
+        for words in (("rad", "s"), ("radps",), ("rps",), ("mps2",), ("m", "s2"), ("m", "s", "2"), ("ms2",))
+    ),
+    (("mg",), "{}*0.00980665"),
+    (("g",), "{}*9.80665"),
+    *((words, "{}/3.6") for words in (("kmh",), ("kph",), ("km", "h"))),
+    *((words, "{}") for words in (("mps",), ("m", "s"), ("deg",), ("m",), ("rad",))),
+    *((words, "{}*1e-3") for words in (("mm",),)),
+    *((words, "{}*1e-2") for words in (("cm",),)),
+)
+"""The last words of a name that are a unit, and what makes it the drive's."""
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a column seems to be: a role's column, and the expression that makes it."""
+
+    role: Role
+    column: str
+    expression: str
+
+
+def meaning_of(name: str) -> Meaning | None:
+    """What a column's name says, word by word; None where it says nothing that a drive has."""
+    words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
+    turn = [TURNING[w] for w in words if w in TURNING]
+    words = [w for w in words if w not in TURNING]
+    text, unit = (name if re.fullmatch(r"[A-Za-z_]\w*", name) else f"`{name}`"), "{}"
+    for ending, scale in UNITS:
+        if len(words) > len(ending) and tuple(words[-len(ending) :]) == ending:
+            words, unit = words[: -len(ending)], scale
+            break
+    rest, said = set(words), unit.format(text)
+    if rest & {"lat", "latitude"} and not rest & FORCE:
+        return Meaning("gps", "lat", text)
+    if rest & {"lon", "lng", "longitude"} or (rest == {"long"}):
+        return Meaning("gps", "lon", text)
+    horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
+    if (rest & ACCURACY or horizontal) and not rest & {"v", "vertical", "speed", "time", "heading"}:
+        return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+    if rest & RATE and not rest & FORCE:
+        for axis, directions in (
+            ("z", {**UP, "yaw": 1, "yawrate": 1, "turn": 1}),
+            ("x", {**FORWARD, "roll": 1}),
+            ("y", {**LEFT, "pitch": 1}),
+        ):
+            if signs := [directions[w] for w in words if w in directions]:
+                return _of_imu(f"g{axis}", said, math.prod(signs) * math.prod(turn))
+        return _of_imu("gz", said, math.prod(turn)) if turn else None
+    if rest & FORCE:
+        for axis, directions in AXES:
+            if signs := [directions[w] for w in words if w in directions]:
+                return _of_imu(f"a{axis}", said, math.prod(signs))
+    return None
+
+
+def _of_imu(column: str, said: str, sign: int) -> Meaning:
+    return Meaning("imu", column, said if sign > 0 else f"-{said}")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A way to read a log.
+
+    Attributes
+    ----------
+    tables : mapping of role to the table that is to be chosen, where a log has several
+    columns : by role, the expressions of a drive's columns
+    """
+
+    tables: Mapping[Role, str]
+    columns: Mapping[Role, Mapping[str, str]]
+
+    @property
+    def maps(self) -> list[str]:
+        """As ``--map`` takes them."""
+        return [
+            f"{f'{role}.' if column == 't' else ''}{column}={expression}"
+            for role, columns in self.columns.items()
+            for column, expression in columns.items()
+        ]
+
+    @property
+    def options(self) -> str:
+        """As the command line takes it."""
+        tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
+        return " ".join([*tables, "--map", *(f'"{one}"' for one in self.maps)])
+
+
+def proposed(
+    tables: Mapping[str, Mapping[str, str]], wanted: Role, known: Mapping[str, str]
+) -> tuple[str, dict[str, str]] | None:
+    """The table that has most of a role, and the columns that its names say beside those that are ``known``.
+
+    Parameters
+    ----------
+    tables : by their names, the columns' names and what is their time (``t``), if that was found
+    """
+    best: tuple[str, dict[str, str]] | None = None
+    for table, columns in tables.items():
+        found: dict[str, str] = {}
+        for name in columns:
+            meaning = meaning_of(name) if name != "t" else None
+            if meaning and meaning.role == wanted and meaning.column not in {**known, **found}:
+                found[meaning.column] = meaning.expression
+        if found and (best is None or len(found) > len(best[1])):
+            best = table, ({"t": columns["t"]} if "t" in columns and "t" not in known else {}) | found
+    return best
+
+
+def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str]:
+    """The proposal as the doctor would have it, and a sentence on what the evidence was.
+
+    Parameters
+    ----------
+    make : callable
+        Imports the drive; nothing is written.
+    """
+    try:
+        first = diagnose(make(proposal))
+        corrected = _corrected(proposal, first)
+        last = diagnose(make(corrected)) if corrected != proposal else first
+    except SigmaswarmError as error:
+        return proposal, f"read from the columns' names alone, and not checked: {error}"
+    if corrected != proposal and len(_serious(last)) >= len(_serious(first)):
+        corrected, last = proposal, first
+    changed = "corrected by" if corrected != proposal else "checked with"
+    said = f"read from the columns' names, {changed} how the fixes move"
+    if left := _serious(last):
+        return corrected, f"{said}; the doctor still finds {', '.join(left)}"
+    unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
+    blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
+    return corrected, f"{said}: signs, axes and units agree{blind}"
+
+
+def _serious(diagnosis: Diagnosis) -> list[str]:
+    return [f.code for f in diagnosis.findings if f.severity == "serious"]
+
+
+def _corrected(proposal: Proposal, diagnosis: Diagnosis) -> Proposal:
+    """With the expressions turned, exchanged and scaled as the doctor's repairs say."""
+    imu = dict(proposal.columns.get("imu", {}))
+    for finding in diagnosis.findings:
+        if finding.repair is not None:
+            imu |= dict(_mended(imu, finding.repair))
+    return Proposal(proposal.tables, {**proposal.columns, "imu": imu} if imu else proposal.columns)
+
+
+def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]:
+    values = repair.values
+    if repair.action == "gyro" and values[0] == 2 and "gz" in imu:
+        yield "gz", _times(imu["gz"], values[1])
+    if repair.action == "accelerometer" and {"ax", "ay"} <= imu.keys():
+        matrix = np.array(values[:4]).reshape(2, 2)
+        if np.count_nonzero(matrix) == 2:
+            for row, column in zip(matrix, ("ax", "ay"), strict=True):
+                k = int(np.flatnonzero(row)[0])
+                yield column, _times(imu[("ax", "ay")[k]], float(row[k]))
+        if "az" in imu and values[4] != 1.0:
+            yield "az", _times(imu["az"], values[4])
+
+
+def _times(expression: str, factor: float) -> str:
+    """The expression times a factor: a sign, g, or degrees."""
+    if factor < 0:
+        expression = expression[1:] if expression.startswith("-") else f"-{expression}"
+    size = abs(factor)
+    if math.isclose(size, math.pi / 180, rel_tol=1e-6):
+        return f"radians({expression})"
+    return expression if size == 1.0 else f"{expression}*{'9.80665' if size == GRAVITY else f'{size:.9g}'}"

@@ -1,0 +1,85 @@
+"""What methods drift while fixes are hidden: outages placed again and again, for one placement is a draw of chance."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import joined
+from sigmaswarm.filters.run import Estimate
+from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.records import DriftRecord
+from sigmaswarm.scoring.targets import Seed, drift_reference, outage_replay, outage_windows, placements
+
+OWN = "against"
+"""The method that is a filter of the user's own."""
+WATCHED = ("tuned", OWN)
+"""The methods that start anew where they lost their way."""
+
+
+class Outages:
+    """The outages of one length on a drive, placed again and again, and what methods drift over them.
+
+    Attributes
+    ----------
+    seeds : list
+        Of the placements; empty where no outage fits.
+    failed : set of str
+        The methods that failed in one of them.
+    """
+
+    def __init__(self, ready: PreparedDrive, *, length: float, seed: int) -> None:
+        self._ready, self._length = ready, length
+        self.seeds = placements(ready.drive, ready.initial, length=length, seed=seed)
+        self._ends = [self._windows(each)[:, 1] for each in self.seeds]
+        self._each: dict[str, list[float]] = {}
+        self.failed: set[str] = set()
+
+    def _windows(self, seed: Seed) -> Array:
+        return outage_windows(self._ready.drive, self._ready.initial, length=self._length, seed=seed)
+
+    def add_estimate(self, method: str, estimate: Estimate) -> None:
+        """What an estimate drifts that never sees a fix: it needs no run of its own for that."""
+        self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
+
+    def run(self, filters: Mapping[str, FilterParameters]) -> None:
+        """Run filters with the fixes hidden. No steps are kept."""
+        for seed in self.seeds:
+            self._ready.forget()
+            outages = outage_replay(self._ready, length=self._length, seed=seed)
+            recordings = [Recording(outages, p, recover=m in WATCHED) for m, p in filters.items()]
+            sums = joined([recording.finished().sums for recording in recordings], axis=1)
+            scores = scores_of({"outages": [outages]}, {"outages": sums})
+            for i, method in enumerate(filters):
+                self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
+                if scores[i, 0].failed:
+                    self.failed.add(method)
+            self._ready.forget()
+
+    def drift(self, method: str) -> float:
+        """RMS over the outages of all placements, m; NaN where none fits or the method failed."""
+        if not self.seeds or method in self.failed:
+            return float("nan")
+        counts = [len(ends) for ends in self._ends]
+        return float(np.sqrt(np.average(np.square(self._each[method]), weights=counts)))
+
+    @property
+    def record(self) -> DriftRecord:
+        """As scores.json holds it."""
+        each = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._each.items()}
+        return DriftRecord(outages=sum(map(len, self._ends)), each=each)
+
+
+def rms_drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> float:
+    """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
+    if not len(ends):
+        return float("nan")
+    reference = drift_reference(ready)
+    errors = [
+        np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
+        for i, column in enumerate((reference.x, reference.y))
+    ]
+    return float(np.sqrt(np.mean(np.square(errors).sum(axis=0))))

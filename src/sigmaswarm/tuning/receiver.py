@@ -1,0 +1,81 @@
+"""Whether a tuned R can be what a receiver's errors are: a filter that forecasts fixes well may only copy them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import DriveError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import stated_std, states_accuracy
+
+FAR_BELOW = 3.0
+"""Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
+LASTS = 2.5
+"""Times by which a stated deviation is larger than the scatter, from which on most of the error lasts."""
+SMOOTH = 0.5
+"""m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
+REMEDY = (
+    "no log without truth can tell how far off they are together: tune with --use accuracy where the receiver states "
+    "its deviation, or score against a reference receiver"
+)
+
+
+@dataclass(frozen=True)
+class FixNoise:
+    """What a drive says of its fixes' errors.
+
+    Attributes
+    ----------
+    stated : float
+        m per axis, the median of what the receiver states; NaN where it states nothing.
+    scatter : float
+        m per axis, about a path of ten seconds that the IMU can follow; NaN where that can't be told.
+    """
+
+    stated: float
+    scatter: float
+
+
+def fix_noise(drive: Drive) -> FixNoise:
+    """What a drive says of its fixes' errors; truth is not looked at."""
+    stated = float(np.mean(stated_std(drive))) if states_accuracy(drive) else np.nan
+    try:
+        scatter = gather(drive).scatter or np.nan
+    except DriveError:
+        scatter = np.nan
+    return FixNoise(stated, float(scatter))
+
+
+def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
+    """Sentences on R beside what the fixes of the training drives say of themselves; for tunings without truth."""
+    if parameters.accuracy_scale is not None or not drives:
+        return []
+    r = float(np.mean(parameters.measurement_noise)) ** 0.5
+    stated, scatter = (_median([getattr(one, what) for one in drives]) for what in ("stated", "scatter"))
+    lasting = stated > LASTS * scatter
+    if r * FAR_BELOW < stated:
+        why = f"the receiver states {stated:.2g} m"
+    elif r * FAR_BELOW < scatter:
+        why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
+    elif lasting:
+        return [
+            f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m: their errors last, "
+            f"and {REMEDY}"
+        ]
+    elif np.isnan(stated) and scatter < SMOOTH:
+        return [
+            f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation: errors that last "
+            f"scatter as little, and {REMEDY}"
+        ]
+    else:
+        return []
+    said = f"the filter copies the fixes: its R takes them for right to {r:.2g} m per axis, and {why}"
+    return [f"{said}; errors that last look like none in forecasts, and {REMEDY}"]
+
+
+def _median(values: list[float]) -> float:
+    known = [v for v in values if np.isfinite(v)]
+    return float(np.median(known)) if known else float("nan")

@@ -1,0 +1,122 @@
+"""A --map that is proposed: read from names, corrected by the doctor's evidence, and never applied by itself."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import enu_to_geodetic
+from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.look import look
+from sigmaswarm.importing.proposal import Meaning, meaning_of
+from sigmaswarm.importing.source import Choice
+from sigmaswarm.simulation.scenarios import simulate
+
+START = 1_700_000_000
+G = 9.80665
+DRIVE = simulate("urban", duration=90.0, run=1, gps="white-1m")
+
+
+def write_log(folder: Path, drive: Drive = DRIVE, *, clockwise: float = -1.0, right: float = -1.0) -> Path:
+    """As a company's logger has it: stamps in us, g, deg/s clockwise, and the fixes in a table of their own."""
+    imu, gps = drive.imu, drive.gps
+    lat, lon, _ = enu_to_geodetic(np.column_stack([gps.x, gps.y, 0 * gps.x]), (50.0, 8.0, 100.0)).T
+    folder.mkdir()
+    stamp = [np.round((START + time) * 1e6).astype(np.int64) for time in (imu.time, gps.time)]
+    columns = {"stamp_us": stamp[0], "acc_fwd_g": imu.ax / G, "acc_right_g": right * imu.ay / G}
+    columns |= {"yaw_rate_dps_cw": clockwise * np.degrees(imu.gz)}
+    pl.DataFrame(columns).write_csv(folder / "imu.csv")
+    fixes = {"stamp_us": stamp[1], "lat_deg": lat, "lon_deg": lon, "hacc_m": np.full(len(gps), 1.414)}
+    pl.DataFrame(fixes).write_csv(folder / "fixes.csv")
+    return folder
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_what_is_proposed_makes_the_drive_that_was_logged(tmp_path: Path, together: bool):
+    folder = write_log(tmp_path / "log")
+    asked = Request(folder) if together else Request(folder / "imu.csv", gps=folder / "fixes.csv")
+    seen = look(asked)
+    assert not seen.recipe.roles.get("imu")  # nothing of it is done
+    table, entries = seen.proposal.split("--map ")
+    assert table == ("--imu-table imu.csv " if together else "")
+    maps = shlex.split(entries)
+    assert maps == [
+        "imu.t=stamp_us*1e-6",
+        "ax=acc_fwd_g*9.80665",
+        "ay=-acc_right_g*9.80665",
+        "gz=-radians(yaw_rate_dps_cw)",
+        "std_x=hacc_m/sqrt(2)",
+    ]
+    assert seen.evidence == (
+        "read from the columns' names, checked with how the fixes move: signs, axes and units agree"
+    )
+    choice = Choice({"imu": "imu.csv"}) if together else Choice()
+    drive = import_drive(replace(asked, maps=maps, choice=choice), "again").drive
+    for name in ("ax", "ay", "gz"):
+        np.testing.assert_allclose(getattr(drive.imu, name), getattr(DRIVE.imu, name), rtol=1e-9, atol=1e-12)
+    assert drive.gps.std_x == pytest.approx(np.full(len(drive.gps), 1.0), abs=1e-3)
+
+
+def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path: Path):
+    folder = write_log(tmp_path / "log", clockwise=1.0, right=1.0)
+    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    maps = shlex.split(seen.proposal.removeprefix("--map "))
+    assert maps[2:4] == ["ay=acc_right_g*9.80665", "gz=radians(yaw_rate_dps_cw)"]
+    assert "corrected by how the fixes move: signs, axes and units agree" in seen.evidence
+
+
+def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
+    folder = write_log(tmp_path / "log")
+    pl.read_csv(folder / "fixes.csv").with_columns(pl.col("stamp_us") + 10**12).write_csv(folder / "late.csv")
+    seen = look(Request(folder / "imu.csv", gps=folder / "late.csv"))
+    assert "gz=-radians(yaw_rate_dps_cw)" in seen.proposal
+    assert "from the columns' names alone, and not checked: " in seen.evidence
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("accel_forward_mps2", ("imu", "ax", "accel_forward_mps2")),
+        ("AccLeft[mg]", ("imu", "ay", "`AccLeft[mg]`*0.00980665")),
+        ("acc_lat_g", ("imu", "ay", "acc_lat_g*9.80665")),
+        ("acc_down_g", ("imu", "az", "-acc_down_g*9.80665")),
+        ("gyro_z_deg_s", ("imu", "gz", "radians(gyro_z_deg_s)")),
+        ("yawRate_ccw_rad_s", ("imu", "gz", "yawRate_ccw_rad_s")),
+        ("roll_rate_dps", ("imu", "gx", "radians(roll_rate_dps)")),
+        ("gnss_lat", ("gps", "lat", "gnss_lat")),
+        ("lng_deg", ("gps", "lon", "lng_deg")),
+        ("horizontal_accuracy_mm", ("gps", "std_x", "horizontal_accuracy_mm*1e-3/sqrt(2)")),
+        ("temperature_c", None),
+        ("speed_accuracy", None),
+        ("battery_rate", None),
+    ],
+)
+def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | None):
+    assert meaning_of(name) == (None if meaning is None else Meaning(*meaning))  # pyright: ignore[reportArgumentType]
+
+
+MAPS = ("ax=acc_fwd_g*g", "ay=-acc_right_g*g", "gz=-radians(yaw_rate_dps_cw)")
+
+
+@pytest.mark.parametrize("time", ["stamp_us", "stamp_us*1e-3", "stamp_us/1000", "stamp_us*1e-9"])
+def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time: str):
+    folder = write_log(tmp_path / "log")
+    asked = Request(folder / "imu.csv", gps=folder / "fixes.csv", maps=MAPS, time=time)
+    with pytest.raises(InputError) as caught:
+        import_drive(asked, "monday")
+    assert f"{time} in s would put" in str(caught.value)
+    assert 'in us it is 0.01 s: write --time "stamp_us*1e-6"' in str(caught.value)
+    drive = import_drive(replace(asked, time="stamp_us*1e-6"), "monday").drive
+    assert (
+        import_drive(replace(asked, time=None), "monday").drive.imu.time.tolist() == drive.imu.time.tolist()
+    )
+    wrong = replace(asked, time=None, maps=(*MAPS, "gps.t=stamp_us*1e-3"))
+    with pytest.raises(
+        InputError, match=r"between two rows of the gps; in us it is 0\.2 s: write --map gps\.t="
+    ):
+        import_drive(wrong, "monday")

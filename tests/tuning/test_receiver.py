@@ -1,0 +1,73 @@
+"""A tuned R beside what the fixes say of themselves: whoever copies the fixes is told so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.receiver import FixNoise, fix_noise, said_of_noise
+from sigmaswarm.tuning.tune import tune
+
+DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+BLIND = replace(DRIVE, truth=None, metadata={}, gps=replace(DRIVE.gps, std_x=None, std_y=None))
+NONE = float("nan")
+
+
+def stating(drive: Drive, std: float) -> Drive:
+    column = np.full(len(drive.gps), std)
+    return replace(drive, gps=replace(drive.gps, std_x=column, std_y=column))
+
+
+def with_r(std: float):
+    return replace(DEFAULTS, measurement_noise=(std**2, std**2))
+
+
+@pytest.mark.parametrize(
+    ("std", "noise", "said"),
+    [
+        (0.05, FixNoise(1.8, 0.1), "right to 0.05 m per axis, and the receiver states 1.8 m"),
+        (0.05, FixNoise(NONE, 1.0), "scatter by 1 m about a path that the IMU can follow"),
+        (0.9, FixNoise(1.8, 0.1), "states 1.8 m per axis and its fixes scatter by 0.1 m: their errors last"),
+        (0.1, FixNoise(NONE, 0.1), "scatter by 0.1 m per axis and their receiver states no deviation"),
+        (0.9, FixNoise(1.0, 1.0), ""),
+        (0.9, FixNoise(NONE, 1.0), ""),
+        (0.9, FixNoise(NONE, NONE), ""),
+    ],
+)
+def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNoise, said: str):
+    found = said_of_noise(with_r(std), [noise])
+    assert len(found) == bool(said)
+    assert all(said in one and "no log without truth can tell" in one for one in found)
+    scaled = replace(with_r(std), accuracy_scale=1.0)
+    assert said_of_noise(scaled, [noise]) == []
+
+
+def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
+    found = fix_noise(stating(BLIND, 3.0))
+    assert found.stated == 3.0
+    assert found.scatter == pytest.approx(1.0, rel=0.2)  # white noise of 1 m
+    assert np.isnan(fix_noise(BLIND).stated)
+    assert fix_noise(replace(BLIND, metadata={"gps_std_m": 2.0})).stated == 2.0
+
+
+def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
+    blind = tune(stating(BLIND, 30.0), particles=2, generations=1)
+    assert "the receiver states 30 m" in blind.remarks[0]
+    assert blind.to_dict()["result"]["doubts"] == list(blind.doubts)
+    assert not tune(stating(DRIVE, 30.0), objective="truth-pose", particles=2, generations=1).doubts
+
+
+def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
+    """Errors that last don't scatter: a receiver's 3 m must not be mended into 0.05 m."""
+    time = DRIVE.gps.time
+    truth = DRIVE.truth
+    assert truth is not None
+    x, y = (np.interp(time, truth.time, column) + 2.0 for column in (truth.x, truth.y))
+    smooth = stating(replace(BLIND, gps=replace(BLIND.gps, x=x, y=y)), 3.0)
+    assert "gps-noise" not in diagnose(smooth).codes
+    assert "gps-correlated" in diagnose(smooth).codes
+    assert "gps-noise" in diagnose(stating(BLIND, 30.0)).codes  # white noise shows whole
