@@ -60,6 +60,7 @@ def uninterrupted(tmp_path_factory) -> dict[str, bytes]:
 def test_a_finished_tuning_leaves_these_files(uninterrupted: dict[str, bytes]):
     assert sorted(uninterrupted) == [
         "config.json",
+        "seen.npz",
         "trial-000/history.npz",
         "trial-000/result.json",
         "trial-001/history.npz",

@@ -6,6 +6,7 @@ A folder of results holds
     checkpoint-000.npz   the optimizer's whole state after the last generation, while a trial runs
     trial-000/           result.json and history.npz of a finished trial
     tuning.toml          the best trial's filter, once all trials are done
+    seen.npz             what its drives are recognized by, whole or in parts (`drives.overlap`)
 """
 
 import json
