@@ -2,6 +2,9 @@
 
 import platform
 import re
+import shutil
+import subprocess
+import tempfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,6 +22,7 @@ from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import lanes, layout, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.rows import CACHE_LINE, new_rows
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, run_replays
 from sigmaswarm.scoring.batch import Replayer
@@ -114,18 +118,29 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 # --- The machine code --------------------------------------------------------------------------------------
 
 
+def machine_code(model: ModelName) -> str:
+    """A kernel's instructions. Numba itself reads none of code that came from the cache: it would compile once more."""
+    kernel = run.KERNELS[model]
+    signature = kernel.signatures[0]
+    code = getattr(kernel.overloads[signature].library, "_compiled_object", None)
+    if not code or not shutil.which("objdump"):
+        options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
+        fresh = numba.njit(**options)(kernel.py_func)
+        fresh.compile(signature)
+        return fresh.inspect_asm(signature)
+    with tempfile.NamedTemporaryFile(suffix=".o") as file:
+        file.write(code)
+        file.flush()
+        read = ["objdump", "--disassemble", "--no-show-raw-insn", file.name]
+        return subprocess.run(read, capture_output=True, text=True, check=True).stdout
+
+
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 instructions")
 @compiled
 @pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
 def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
     run_replays([short_replay()], [parameters])  # so that it has a signature
-    # Machine code that came from the cache can't be read: compile once more, without one.
-    kernel = run.KERNELS[parameters.model]
-    options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
-    fresh = numba.njit(**options)(kernel.py_func)
-    signature = kernel.signatures[0]
-    fresh.compile(signature)
-    instructions = Counter(re.findall(r"^\s+(v?f?n?m?[a-z]+\d*[ps]d)\b", fresh.inspect_asm(signature), re.M))
+    instructions = Counter(re.findall(r"\s(v?f?n?m?[a-z]+\d*[ps]d)\s", machine_code(parameters.model)))
     for operation in ("mul", "madd", "sqrt", "div"):  # madd: fused, vfmadd231pd and its like
         packed, scalar = (
             sum(n for name, n in instructions.items() if operation in name and name.endswith(kind))
