@@ -65,7 +65,7 @@ def test_all_forms_start_from_the_same_state(name: str):
     assert mean[:5].tolist() == initial.mean.tolist()
     assert np.diag(covariance)[5:].tolist() == [0.2**2, 0.2**2, 0.004**2][: p.n_states - 5]
     rows = start_rows([initial], [0.01], Chunk((p,)))[0]
-    means, covariances = unpack_states(rows[: layout.N_STATE], p.n_states)
+    means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
     assert all(m.tolist() == mean.tolist() for m in means)
     assert all(c.tolist() == covariance.tolist() for c in covariances)
 

@@ -5,6 +5,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale
 
@@ -63,6 +64,13 @@ class TuneConfig(SearchConfig):
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
     as_recorded: bool = DEFAULTS["as_recorded"]
     margin: float = Field(default=DEFAULTS["margin"], ge=0, le=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_kind(cls, asked: Any) -> Any:
+        """Where none is asked for, the kind that is usual for the model."""
+        model = MODELS.get(asked.get("model", DEFAULTS["model"])) if isinstance(asked, dict) else None  # pyright: ignore
+        return {"kind": model.kinds[0], **asked} if model else asked
 
     @model_validator(mode="after")
     def _margin_needs_logarithms(self) -> Self:
