@@ -5,10 +5,10 @@
 
 KITTI's drives: each is held out once; colorado-1: the first 70% of the time to tune on, the rest to test. Ours is
 tuned on the training drives as in `switches.py` (medians over the seeds). GTSAM's noises are searched, too, on the
-shortest training drive's first minute, which is what a user with an evening would do: the best of `--tries` random draws around
-typical values, by position RMSE + 0.1 m/deg x heading error. Drift is the RMS over the windows of seeds 0 to 3 (5
-s) and 0 to 5 (30 s). The time is processor time per IMU sample, on one core, of running over the test drives once.
-GTSAM is in the dependency group `bench-gtsam`; without it only our rows are made.
+shortest training drive's first minute, which is what a user with an evening would do: the best of `--tries` random
+draws around typical values, by position RMSE + 0.1 m/deg x heading error. Drift is the RMS over the windows of
+seeds 0 to 3 (5 s) and 0 to 5 (30 s). The time is processor time per IMU sample, on one core, of running over the
+test drives once. GTSAM is in the dependency group `bench-gtsam`; without it only our rows are made.
 """
 
 import argparse

@@ -19,6 +19,8 @@ from sigmaswarm.drives.drive import Array
 
 NODES = 0.2
 """s between nodes, where no fix comes."""
+SOON = 2e-3
+"""s: no two nodes are nearer."""
 FREE = 1e3
 """m: deviation of the fixes' height, which drives here don't have."""
 TILT = math.radians(3.0)
@@ -101,6 +103,7 @@ class Smoother:
         self.noise, self.count = noise, 0
         options = gtsam.ISAM2Params()
         options.setRelinearizeThreshold(0.01)
+        options.setFactorization("QR")  # Cholesky's gives up on long outages
         self.isam = gtsam.ISAM2(options)
         x, y, vx, vy, theta = start.mean
         self.pose = gtsam.Pose3(gtsam.Rot3.Ypr(theta, 0.0, 0.0), np.array([x, y, 0.0]))
@@ -131,20 +134,26 @@ class Smoother:
         i, j = self.count, self.count + 1
         here = self.predicted()
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), self.sums))
+        if (
+            self.sums.deltaTij() < SOON
+        ):  # a step as short would be all but certain: the fix goes to the node before
+            j = i
+        else:
+            graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), self.sums))
+            graph.add(_no_slide(X(j), V(j), rate - self.bias.gyroscope(), self.noise))
+            values.insert(X(j), here.pose())
+            values.insert(V(j), here.velocity())
+            values.insert(B(j), self.bias)
         if fix is not None:
             height = here.position()[2]
             deviations = _diagonal([self.noise.fix, self.noise.fix, FREE])
             graph.add(gtsam.GPSFactorArm(X(j), np.array([fix[0], fix[1], height]), arm, deviations))
-        graph.add(_no_slide(X(j), V(j), rate - self.bias.gyroscope(), self.noise))
-        values.insert(X(j), here.pose())
-        values.insert(V(j), here.velocity())
-        values.insert(B(j), self.bias)
         self.isam.update(graph, values)
         self.pose = self.isam.calculateEstimatePose3(X(j))
         self.velocity = self.isam.calculateEstimateVector(V(j))
         self.bias = self.isam.calculateEstimateConstantBias(B(j))
-        self.sums.resetIntegrationAndSetBias(self.bias)
+        if j > i:
+            self.sums.resetIntegrationAndSetBias(self.bias)
         self.count = j
 
 

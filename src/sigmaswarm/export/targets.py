@@ -22,7 +22,7 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
-WITH_TILTS: frozenset[Target] = frozenset()
+WITH_TILTS: frozenset[Target] = frozenset({"c99"})
 """Those that know models with tilts."""
 
 
@@ -78,7 +78,7 @@ def export_filter(
         raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
     texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, as_recorded=as_recorded)
+        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
     folder = make_folder(Path(folder))
     for name, text in texts.items():
         write_whole(folder / name, text)
