@@ -55,7 +55,7 @@ SCRATCH = (
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it
-    *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 12)),  # tilted12's
+    *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
 )  # fmt: skip
 
 _BLOCKS = {

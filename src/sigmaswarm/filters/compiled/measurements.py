@@ -284,8 +284,11 @@ def absorb_velocity(w, z, *, n):
     _take_velocity(w, z[FIX_U], z[FIX_V], R.R_VELOCITY)
 
 
-def absorb_standstill(w, u, *, n, gyro_biases):
-    """The car stands: it has no velocity, and all that the gyro shows is its biases, if they are states."""
+def absorb_standstill(w, u, *, n, gyro_biases, tilted):
+    """The car stands: it has no velocity, and all that the gyro shows is its biases, if they are states.
+
+    These are linear in the error, so one after the other is all at once, if the error is folded in at the end.
+    """
     _take_velocity(w, 0.0, 0.0, R.R_STANDSTILL)
     for row in gyro_biases:
         shown = u[axis_of(row)]
@@ -295,6 +298,8 @@ def absorb_standstill(w, u, *, n, gyro_biases):
             for i in range(n):
                 w[C1 + i, l] = w[at(i, row), l]
         _absorb_one(w)
+    if tilted:
+        fold(w)
 
 
 def _take_velocity(w, zu, zv, variance, *, n):
@@ -353,9 +358,10 @@ def _absorb_lateral_tilted(w, u):
     """As `absorb_lateral`, on a road that is not flat."""
     measure_lateral_tilted(w, u)
     _absorb_one(w)
+    fold(w)
 
 
-def _absorb_one(w, *, n, tilted):
+def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
         g = 1.0 / w[R.S11, l]
@@ -364,8 +370,6 @@ def _absorb_one(w, *, n, tilted):
             w[j, l] += gain * w[R.N1, l]
             for i in range(j + 1):
                 w[at(i, j), l] -= gain * w[C1 + i, l]
-    if tilted:
-        fold(w)
 
 
 def _absorb_two(w, *, n, tilted):

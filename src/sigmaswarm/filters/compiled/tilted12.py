@@ -37,12 +37,13 @@ from sigmaswarm.filters.compiled.layout import C1, C2, FP, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
-"""States that a step moves; it leaves the biases as they are."""
+KEPT = (R.A, R.B, R.W, R.K, R.L)
+"""States that a step moves, and the biases, which it leaves as they are."""
 
 
 def fp(i, j):
-    """Row of (F P)[i, j], in scratch; i among MOVED."""
-    return FP + N * MOVED.index(i) + j
+    """Row of (F P)[i, j], i among MOVED: in scratch, but where it is P' already."""
+    return at(i, j) if j in KEPT else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
 @kernel
@@ -89,7 +90,7 @@ def predict_tilted12(w, u):
     """One step of the process model."""
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
-    for j in range(N):
+    for j in (*MOVED, *KEPT):  # the columns that are done after it at the end, for the others read them
         for l in range(LANES):
             pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
             pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
@@ -126,8 +127,6 @@ def predict_tilted12(w, u):
             if i != R.J:
                 w[at(i, R.I), l] = bi - w[R.D11, l] * bk - w[R.D12, l] * bl - w[R.D13, l] * bw
             w[at(i, R.J), l] = bj - w[R.D21, l] * bk - w[R.D22, l] * bl - w[R.D23, l] * bw
-            w[at(i, R.A), l], w[at(i, R.B), l] = ba, bb
-            w[at(i, R.W), l], w[at(i, R.K), l], w[at(i, R.L), l] = bw, bk, bl
     for l in range(LANES):
         for i in range(N):
             w[at(i, i), l] += q_scale * w[Q0 + i, l]
