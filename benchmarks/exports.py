@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from exported import build, distance, replay, run_script, tuned, twin
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate
+from sigmaswarm.filters.models import MODELS
 
 KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
 REAL = ("kitti-09-30-0033", "colorado-1", "dresden")
@@ -51,7 +52,8 @@ int main(void)
                 if (fixes) {
                     ins_gps_update(&f, t, (ins_gps_real)(10.0 * t), 0, 0);
                 }
-                ins_gps_predict(&f, t, (ins_gps_real)(k % 7 - 3), (ins_gps_real)(k % 5 - 2), (ins_gps_real)(k % 3 - 1));
+                ins_gps_predict(&f, t, (ins_gps_real)(k % 7 - 3), (ins_gps_real)(k % 5 - 2),
+                                @MORE@(ins_gps_real)(k % 3 - 1));
             }
             const double each = (now() - start) / 20000;
             best[fixes] = each < best[fixes] ? each : best[fixes];
@@ -75,16 +77,17 @@ def drives(folder: Path) -> list[Drive]:
 def parity(drive: Drive, p: FilterParameters, folder: Path, *, quick: bool) -> list[float]:
     """Largest differences of the twin, C in double, C in float, and the script."""
     ours, of_twin = twin(drive, p)
-    double = distance(replay(build(folder, p), drive).mean, ours)
-    single = replay(build(folder, p, "-DINS_GPS_FLOAT"), drive).mean
+    double = distance(replay(build(folder, p), drive, p.model).mean, ours)
+    single = replay(build(folder, p, "-DINS_GPS_FLOAT"), drive, p.model).mean
     metres = float(np.max(np.hypot(*(single[:, :2] - ours[:, :2]).T)))
-    script = np.nan if quick else distance(run_script(folder, p, drive).mean, ours)
+    script = np.nan if quick or p.model == "tilted12" else distance(run_script(folder, p, drive).mean, ours)
     return [of_twin, double, script, metres]
 
 
 def cost(p: FilterParameters, folder: Path, *flags: str) -> list[int]:
     """ns per predict and per update, bytes of state and of code."""
-    main = TIMER.replace("@DT@", repr(p.nominal_interval))
+    more = "(ins_gps_real)9.8, (ins_gps_real)0.01, (ins_gps_real)0.02, " if p.model == "tilted12" else ""
+    main = TIMER.replace("@DT@", repr(p.nominal_interval)).replace("@MORE@", more)
     program = build(folder, p, *flags, main=main)
     ns_predict, ns_update, state = map(int, subprocess.check_output([program], text=True).split())
     command = ["gcc", "-std=c99", "-Os", *flags, "-c", folder / "ins_gps.c", "-o", folder / "ins_gps.o"]
@@ -102,8 +105,8 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         for drive in drives(arguments.drives):
-            for model in ("planar5", "planar8"):
-                for kind in KINDS:
+            for model in MODELS if drive.imu.az is not None else ("planar5", "planar8"):
+                for kind in (kind for kind in KINDS if kind in MODELS[model].kinds):
                     p = tuned(model, kind, drive.nominal_interval)
                     folder = Path(name) / f"{drive.name}-{model}-{kind}"
                     twin_, double, script, metres = parity(drive, p, folder, quick=arguments.quick)
@@ -117,6 +120,8 @@ def main() -> None:
             ("planar8", "ukf", False),
             ("planar8", "ukf", True),
             ("planar8", "adaptive-ukf", True),
+            ("tilted12", "ekf", False),
+            ("tilted12", "ekf", True),
         ):
             for flags in ((), ("-DINS_GPS_HISTORY=0",), ("-DINS_GPS_HISTORY=0", "-DINS_GPS_FLOAT")):
                 p = tuned(model, kind, 0.01, everything=everything)

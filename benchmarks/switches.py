@@ -47,6 +47,9 @@ FILTERS = (
     ("planar8", ("lateral", "standstill", "robust")),
     ("planar8", ("lateral", "standstill", "accuracy")),
     ("planar8", ("lateral", "standstill", "robust", "accuracy")),
+    ("tilted12", ("lateral", "standstill")),
+    ("tilted12", ("lateral", "standstill", "gate")),
+    ("tilted12", ("lateral", "standstill", "robust")),
 )
 GRADES = ("white-1m", "ublox-m8", "f9p-rtk")
 WINDOWS = {5.0: range(4), 30.0: range(6)}
@@ -78,6 +81,8 @@ def main() -> None:
         for name, splits in cases(options.drives, options.seeds, options.only):
             print(f"| {name} | raw fixes | {shown([*quantities(raw(splits[0][1]))])} |", flush=True)
             for model, use in (FILTERS[i] for i in options.filters):
+                if any(drive.imu.gx is None for part in splits[0] for drive in part) and model == "tilted12":
+                    continue
                 if "accuracy" in use and any(d.gps.std_x is None for part in splits[0] for d in part):
                     continue
                 asked = {

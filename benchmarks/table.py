@@ -19,7 +19,7 @@ import llvmlite.binding as llvm
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- written by benchmarks/table.py: begin -->", "<!-- end -->"
-PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "kalman-py", "jax")
+PACKAGES = ("sigmaswarm", "numpy", "numba", "scipy", "filterpy", "pyswarms", "kalman-py", "jax", "gtsam")
 
 FILTERS = {
     "test_filterpy_predict": "FilterPy, one predict",
@@ -27,6 +27,7 @@ FILTERS = {
     "test_filterpy": "FilterPy, predicts and updates of the drive",
     "test_textbook": "sigmaswarm's textbook filter, the same",
     "test_numba": "Numba, the textbook's form in loops, one filter at a time, the same",
+    "test_gtsam": "GTSAM's iSAM2 with attitude, 30 s of the drive (a smoother: its graph grows)",
     "test_batch": "**sigmaswarm's compiled batch of 32, the same, scored**",
 }
 CROWDED = {

@@ -103,6 +103,18 @@ def test_numba(measure, drive, part, parameter_sets):
     measure(lambda: rival_numba.means(whole, parameter_sets[0]), work=whole.n_samples, rounds=3)
 
 
+@pytest.mark.benchmark(group="filter")
+def test_gtsam(measure, drive):
+    rival_gtsam = pytest.importorskip("rival_gtsam")
+    initial = initial_state(drive)
+    short = clip(drive, drive.imu.time[0], initial.time + 6 * PART)
+    samples = int((short.imu.time > initial.time).sum())
+    found = rival_gtsam.run(short, initial, rival_gtsam.Noise(fix=2.0))
+    truth = np.interp(found.time, drive.truth.time, drive.truth.x)
+    assert np.sqrt(np.mean((found.x - truth) ** 2)) < 5.0  # the receiver's errors are 2.1 m
+    measure(lambda: rival_gtsam.run(short, initial, rival_gtsam.Noise(fix=2.0)), work=samples, rounds=1)
+
+
 @pytest.mark.benchmark(group="fix at every sample")
 def test_kalman_py(measure, crowded, parameter_sets):
     rival_kalman_py = pytest.importorskip("rival_kalman_py")

@@ -15,6 +15,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.export.c99 import replay_rows
 from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 
@@ -54,9 +56,10 @@ def build(
     return program
 
 
-def replay(program: Path, drive: Drive) -> Replayed:
-    """Run the C program over a drive."""
-    done = subprocess.run([program], input=replay_rows(drive), capture_output=True, text=True, check=False)
+def replay(program: Path, drive: Drive, model: ModelName = "planar5") -> Replayed:
+    """Run the C program over a drive; the rows of planar models are the same."""
+    rows = replay_rows(drive, model)
+    done = subprocess.run([program], input=rows, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     rows = np.loadtxt(done.stdout.splitlines(), delimiter=",", skiprows=1)
     n = (rows.shape[1] - 1) // 2
@@ -110,8 +113,8 @@ def distance(one: np.ndarray, other: np.ndarray) -> float:
 
 def tuned(model: str, kind: str, interval: float, *, everything: bool = True) -> FilterParameters:
     """A sensible filter for fixes of about a metre: about what tunings on real drives end with."""
-    per_second = (1e-3, 1e-3, 0.05, 0.05, 1e-5) + ((1e-5, 1e-5, 1e-9) if model == "planar8" else ())
-    q = tuple(variance * interval for variance in per_second)
+    per_second = (1e-3, 1e-3, 0.05, 0.05, 1e-5, 1e-5, 1e-5, 1e-9, 1e-5, 1e-5, 1e-9, 1e-9)
+    q = tuple(variance * interval for variance in per_second[: len(MODELS[model].states)])
     p = FilterParameters(0.5, 2.0, 0.0, q, (1.0, 1.2), model, kind=kind, nominal_interval=interval)
     if not everything:
         return p

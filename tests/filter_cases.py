@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
 
@@ -31,9 +32,12 @@ WEIGHED_CASES += [("strong-tracking-ukf", "accuracy")]
 
 
 def parameters(model: str, **more) -> FilterParameters:
+    more = {"kind": MODELS[model].kinds[0], **more}
     if more.get("kind") == "strong-tracking-ukf":
         more = {"forgetting": 0.5, **more}  # so that it has something to do on a drive that is as modelled
-    q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6) + ((1e-8, 2e-8, 1e-10) if model == "planar8" else ())
+    q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6, 1e-8, 2e-8, 1e-10, 1e-7, 2e-7, 1e-11, 2e-11)[
+        : len(MODELS[model].states)
+    ]
     return FilterParameters(0.5, 2.0, 1.0, q, (0.25, 0.36), model, **more)
 
 

@@ -24,7 +24,7 @@ from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters import packing, schedule
 from sigmaswarm.filters.compiled import lanes, layout, run
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.compiled.live import live_step
+from sigmaswarm.filters.compiled.live import live_calls
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.simulation.gps import find_gps
@@ -116,14 +116,14 @@ class CompiledCars:
         self.rows[part, : layout.N_KEPT] = rows.T
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
-        t, step = self.line, live_step
-        z = (0.0,) * 6 if fix is None else tuple(fix.tolist())
+        t, step = self.line, live_calls(self.model).step
+        z = np.zeros(6) if fix is None else fix
         for row in self.rows[part]:
-            step(row, self.n, *t.steps[i], happens, *z, *t.lever, since)
+            step(row, t.steps[i], happens, z, t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return packing.unpack_states(self.rows[:, : layout.N_STATE].T, self.n)
+        return packing.unpack_states(self.rows[:, layout.state_rows(self.model)].T, self.model)
 
     @property
     def noise(self) -> np.ndarray:

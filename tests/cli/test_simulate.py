@@ -13,7 +13,7 @@ import sigmaswarm as library
 from sigmaswarm.cli.simulate import JITTER, VIBRATION
 from sigmaswarm.cli.simulate import simulate as command
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.simulation import ENVIRONMENTS, GPS_GRADES, IMU_GRADES, MANEUVERS, VEHICLES
+from sigmaswarm.simulation import ENVIRONMENTS, GPS_GRADES, IMU_GRADES, MANEUVERS, TERRAINS, VEHICLES
 from support import make_drive
 
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
@@ -67,6 +67,7 @@ def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
         (("--jitter",), "jitter 0.0, not 0.002"),
         (("--vibration",), "vibration 0.0, not 1.0"),
         (("--gnss-degradation",), "gnss_degradation False, not True"),
+        (("--terrain", "hilly"), "terrain flat, not hilly"),
     ],
     ids=lambda v: str(v[0]) if isinstance(v, tuple) else "",
 )
@@ -123,7 +124,7 @@ def test_the_defaults_are_the_library_s():
 
 def test_help_names_every_choice(sigmaswarm):
     said = "".join(line.strip("│ ") + " " for line in sigmaswarm("simulate", "--help").out.splitlines())
-    for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES):
+    for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES, TERRAINS):
         assert [name for name in choices if name not in said] == []
 
 

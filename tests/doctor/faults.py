@@ -67,7 +67,30 @@ def pitched(drive: Drive) -> Drive:
 def turned(drive: Drive) -> Drive:
     """The sensor mounted 15 deg to the left."""
     imu, (c, s) = drive.imu, (np.cos(np.radians(15)), np.sin(np.radians(15)))
-    return _imu(drive, ax=c * imu.ax + s * imu.ay, ay=c * imu.ay - s * imu.ax)
+    drive = _imu(drive, ax=c * imu.ax + s * imu.ay, ay=c * imu.ay - s * imu.ax)
+    if imu.gx is None or imu.gy is None:
+        return drive
+    return _imu(drive, gx=c * imu.gx + s * imu.gy, gy=c * imu.gy - s * imu.gx)
+
+
+def rolls_reversed(drive: Drive) -> Drive:
+    return _imu(drive, gx=-drive.imu.gx)
+
+
+def pitches_reversed(drive: Drive) -> Drive:
+    return _imu(drive, gy=-drive.imu.gy)
+
+
+def rates_swapped(drive: Drive) -> Drive:
+    return _imu(drive, gx=drive.imu.gy, gy=-drive.imu.gx)
+
+
+def up_in_g(drive: Drive) -> Drive:
+    return _imu(drive, az=-drive.imu.az / G)
+
+
+def up_too_large(drive: Drive) -> Drive:
+    return _imu(drive, az=1.15 * drive.imu.az)
 
 
 def stated(factor: float) -> Callable[[Drive], Drive]:
@@ -126,3 +149,15 @@ MORE: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "fixes held": (held, {"gps-repeats"}),
 }
 """Others of the same sort."""
+
+THIRD_AXES: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
+    "gx reversed": (rolls_reversed, {"gyro-tilt"}),
+    "gy reversed": (pitches_reversed, {"gyro-tilt"}),
+    "gx, gy swapped": (rates_swapped, {"gyro-tilt"}),
+    "az in -g": (up_in_g, {"accelerometer-up"}),
+    "az x 1.15": (up_too_large, {"gravity-size"}),
+    "right and down": (right_and_down, {"gyro-tilt", "accelerometer-up"}),
+    "deg/s": (degrees_per_second, {"gyro-unit"}),
+    "g": (in_g, {"accelerometer-unit"}),
+}
+"""Faults of az, gx and gy, for drives that have them: planar filters do not feel them."""

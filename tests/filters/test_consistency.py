@@ -84,7 +84,7 @@ def draw(p: FilterParameters, runs: int, seed: int) -> tuple[np.ndarray, np.ndar
     """True states at the ends of steps (k, runs, n), and fixes (f, runs, 2)."""
     rng, line, initial = np.random.default_rng(seed), time_line(), start(p.n_states)
     s = rng.multivariate_normal(initial.mean, initial.covariance, runs)
-    forward, left = line.lever
+    forward, left = line.lever[:2]
     states, fixes = [], []
     for i, dt in enumerate(line.dt):
         a, b, w = s[:, 5:].T if p.n_states == 8 else np.zeros((3, runs))

@@ -97,10 +97,10 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
         rows[R.T] = chunk
         run.run_lanes(
             "planar5",
-            np.array([[1.0, 1.0, 0.0, 0.0, 1.0, 0.0]]),
+            np.array([[1.0, 1.0, 0.0, 1.0, 0.0, 0.0]]),  # dt, Q's scale, gap; ax, ay, gz
             np.array([schedule.IMU]),
             np.empty((0, 4)),
-            np.zeros(2),
+            np.zeros(3),
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
             rows,

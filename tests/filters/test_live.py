@@ -26,7 +26,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.compiled.live import take_fix, take_sample
+from sigmaswarm.filters.compiled.live import live_calls
 from sigmaswarm.filters.live import MOST_WAITING, LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
@@ -195,7 +195,8 @@ def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
     mixed.update(np.float64(t0 + 0.5), np.array([1, 2]))
     mixed.predict(t0 + 1, (0, np.float32(1.0), np.float16(0.5)))
     assert mixed.state.mean.tobytes() == plain.state.mean.tobytes()
-    assert len(take_sample.signatures) == len(take_fix.signatures) == 1
+    calls = live_calls("planar5")
+    assert len(calls.sample.signatures) == len(calls.fix.signatures) == 1
 
 
 def test_fixes_older_than_the_history_are_left_out_and_counted():

@@ -46,13 +46,15 @@ def test_rows_are_numbered_by_their_names_without_gaps():
 
 @EACH_MODEL
 def test_constants_stand_in_the_rows_of_their_names(name: str):
+    kind = MODELS[name].kinds[min(2, len(MODELS[name].kinds) - 1)]
     p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
-                   standstill_noise=0.6, kind="adaptive-ukf", forgetting=0.875)  # fmt: skip
+                   standstill_noise=0.6, kind=kind, forgetting=0.875)  # fmt: skip
     rows = start_rows([initial_state(equipped())], [0.01], Chunk((p,)))[0, :, 0]
     n = p.n_states
     wanted = {"RX": 0.25, "RY": 0.36, "GATE": 7.0, "LATENCY": 0.125, "R_VELOCITY": 0.3, "R_LATERAL": 0.4,
-              "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FORGETTING": 0.875,
-              "FADING": -1.0, "SECOND": 1.0, "GAMMA": np.sqrt(0.25 * (n + 1)), "INV_GAMMA2": 1 / (0.25 * (n + 1)),
+              "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FADING": -1.0,
+              "FORGETTING": 0.875 if kind == "adaptive-ukf" else 1.0, "SECOND": 0.0 if kind == "ekf" else 1.0,
+              "GAMMA": np.sqrt(0.25 * (n + 1)), "INV_GAMMA2": 1 / (0.25 * (n + 1)),
               "SPREAD": 0.25 * n + 2.0, "OK": 1.0, "DET": 1.0, "RECENT": -1.0}  # fmt: skip
     assert {row: rows[getattr(R, row)] for row in wanted} == wanted
     assert tuple(rows[layout.Q0 : layout.Q0 + n]) == p.process_noise
@@ -63,10 +65,14 @@ def test_all_forms_start_from_the_same_state(name: str):
     initial, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
     mean, covariance = start_of(initial, p)
     assert mean[:5].tolist() == initial.mean.tolist()
-    assert np.diag(covariance)[5:].tolist() == [0.2**2, 0.2**2, 0.004**2][: p.n_states - 5]
+    tilt, gyro = np.radians(3.0) ** 2, 0.004**2
+    assert (
+        np.diag(covariance)[5:].tolist() == [0.2**2, 0.2**2, gyro, tilt, tilt, gyro, gyro][: p.n_states - 5]
+    )
     rows = start_rows([initial], [0.01], Chunk((p,)))[0]
-    means, covariances = unpack_states(rows[: layout.N_STATE], p.n_states)
-    assert all(m.tolist() == mean.tolist() for m in means)
+    means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
+    off = 1e-15 if MODELS[name].tilts else 0.0  # an attitude is turned into a quaternion and back
+    assert np.max(np.abs(means - mean)) <= off
     assert all(c.tolist() == covariance.tolist() for c in covariances)
 
 
@@ -77,13 +83,13 @@ def test_units_densities_and_box_are_those_of_the_states(name: str):
     assert said["states"] == [s.name for s in states]
     assert said["process_noise"][2] == "m2/s2 per nominal IMU step"
     assert [text.split()[1] for text in densities(p).values()] == [f"{s.unit}/sqrt(s)" for s in states]
-    space = search_space(name, "log10")
+    space = search_space(name, "log10", kind=MODELS[name].kinds[0])
     entries = sum(d.entries for d in space.dimensions if d.field == "process_noise")
     assert entries == len(states)
 
 
 def test_the_textbook_knows_nothing_of_the_compiled_filter():
-    for part in ("car", "loop", "ukf", "ekf", "adaptive", "gaussian", "custom"):
+    for part in ("car", "loop", "ukf", "ekf", "manifold", "adaptive", "gaussian", "custom"):
         module = importlib.import_module(f"sigmaswarm.filters.textbook.{part}")
         homes = {getattr(value, "__module__", "") or "" for value in vars(module).values()}
         assert not [home for home in homes if ".compiled" in home or home.endswith("packing")], part

@@ -44,7 +44,8 @@ from support import make_drive, needs_shared
 WHOLE_DRIVES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes without the compiler")
 EACH_DRIVE = pytest.mark.parametrize("name", [SIMULATED, pytest.param(REAL, marks=needs_shared)])
 EACH_STOP = pytest.mark.parametrize("name", ["urban", pytest.param("colorado", marks=needs_shared)])
-EACH_MODEL = pytest.mark.parametrize("model", ["planar5", "planar8"])
+PLANAR = ("planar5", "planar8")
+EACH_MODEL = pytest.mark.parametrize("model", PLANAR)
 
 
 def ordinary(n: int, seed: int = 1) -> np.ndarray:
@@ -82,8 +83,7 @@ def test_compiled_filter_takes_the_oracles_steps_everywhere_in_the_papers_box(na
 
 
 @EACH_STOP
-@pytest.mark.parametrize("kind", KINDS)
-@EACH_MODEL
+@pytest.mark.parametrize(("model", "kind"), [*product(PLANAR, KINDS), ("tilted12", "ekf")])
 def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     model: str, kind: str, name: str
 ):
@@ -114,8 +114,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
 
 
 @EACH_STOP
-@pytest.mark.parametrize("kind", ["ukf", "ekf"])
-@EACH_MODEL
+@pytest.mark.parametrize(("model", "kind"), [*product(PLANAR, ("ukf", "ekf")), ("tilted12", "ekf")])
 def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, name: str):
     timeline, initial = ready(name)
     timeline = replace(timeline, fixes=straying(timeline))

@@ -56,6 +56,13 @@ def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParamet
         states = 8
         low = np.array([*LOWER[:3], *[1e-12] * 5, *[1e-16] * 3, *LOWER[8:]])
         high = np.array([*UPPER[:8], *[1e-4] * 3, *UPPER[8:]])
+    if model == "tilted12":
+        states, position = 12, [1e-12] * 2
+        low = np.array(
+            [*LOWER[:3], *position, *[1e-7] * 2, *[1e-12] * 3, 1e-16, *[1e-12] * 2, *[1e-16] * 2, *LOWER[8:]]
+        )
+        walks = [1e-3, 1e-3, 1e-3, 1e-6, 1e-4, 1e-4, 1e-6, 1e-6]  # from theta on
+        high = np.array([*UPPER[:3], 10.0, 10.0, 1.0, 1.0, *walks, *UPPER[8:]])
     low, high = np.concatenate([low, _MORE[0]]), np.concatenate([high, _MORE[1]])
     return [_equipped(_draw(rng, low, high, corner=i % 2 == 1), states, model, kind) for i in range(n)]
 

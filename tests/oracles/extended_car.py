@@ -91,7 +91,7 @@ def newton_jacobian(mean: np.ndarray, dt: Extended, imu: np.ndarray) -> np.ndarr
 
 def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
     """The antenna's position, z (2,), ``lever`` (2,) m forward and left of the IMU, ``latency`` (s,) s ago."""
-    forward, left = lever.astype(Extended)
+    forward, left = lever[:2].astype(Extended)
 
     def arm(c: np.ndarray, s: np.ndarray) -> np.ndarray:
         return np.stack([c * forward - s * left, s * forward + c * left], axis=-1)

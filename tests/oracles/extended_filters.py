@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oracles import extended_car
 from oracles.extended import Extended, cholesky, diagonal, transposed, whiten
-from oracles.extended_car import Measurement, coasted, fix, lateral, linear, newton, newton_jacobian
+from oracles.extended_car import Measurement, coasted, newton, newton_jacobian
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
@@ -118,6 +119,12 @@ class ExtendedCar:
 
         self.line, self.kind, self.n = timeline, sets[0].kind, sets[0].n_states
         self.form = JacobianForm() if self.kind == "ekf" else SigmaPointForm(sets)
+        self.axes, self.car = ("ax", "ay", "gz"), extended_car
+        if self.n == 12:
+            from oracles import extended_tilted  # it is made of this file's forms
+
+            self.form, self.car = extended_tilted.TiltedForm(), extended_tilted
+            self.axes = ("ax", "ay", "az", "gx", "gy", "gz")
         nominal = Extended(timeline.nominal_interval)
         self.q = np.array([p.process_noise for p in sets], dtype=Extended)
         self.q *= (nominal / column("nominal_interval", timeline.nominal_interval))[:, None]
@@ -139,24 +146,26 @@ class ExtendedCar:
         """The time line's step i: predict, then absorb what ``happens`` says there is at its end."""
         line = self.line
         dt, scale = Extended(line.dt[i]), Extended(line.q_scale[i])
-        imu = np.array([line.ax[i], line.ay[i], line.gz[i]], dtype=Extended)
+        imu = line.imu(self.axes)[i].astype(Extended)
         q = np.eye(self.n, dtype=Extended) * (self.q * scale)[:, None]
         self.mean, self.covariance = self.form.predict(self.mean, self.covariance, q, dt, imu)
         self.covariance = self.covariance + self._unseen(dt, Extended(line.gap[i]))
         self.prior = self.covariance
         self.since += scale
         if happens & FIX and z is not None:
-            self._absorb_fix(fix(z[:2], line.lever, self.latency), z[4:].astype(Extended))
+            self._absorb_fix(self.car.fix(z[:2], line.lever, self.latency), z[4:].astype(Extended))
             self.since = Extended(0)
             if happens & VELOCITY:
-                self._absorb(linear(z[2:4], [2, 3]), self.velocity_noise)
+                self._absorb(self.car.linear(z[2:4], [2, 3]), self.velocity_noise)
         if happens & LATERAL:
-            self._absorb(lateral(line.gz[i], self.axle), self.lateral_noise)
+            self._absorb(self.car.lateral(line.gz[i], self.axle), self.lateral_noise)
         if happens & STANDSTILL:
-            self._absorb(linear(np.zeros(2), [2, 3]), self.standstill_noise)
-            if self.n == 8:
+            self._absorb(self.car.linear(np.zeros(2), [2, 3]), self.standstill_noise)
+            biases = {5: [], 8: [7], 12: [7, 10, 11]}[self.n]
+            if biases:
+                shown = line.imu(("gz", "gx", "gy"))[i] if self.n == 12 else line.imu(("gz",))[i]
                 noise = np.full(len(self.mean), GYRO_AT_REST)
-                self._absorb(linear(np.array([line.gz[i]]), [7]), noise)
+                self._absorb(self.car.linear(shown, biases), noise)
 
     def _unseen(self, dt: Extended, gap: Extended) -> np.ndarray:
         """What a gap adds: G a G^T + turn, with the acceleration's variance a = (sigma^2 gap / dt) over the step."""

@@ -110,7 +110,7 @@ class FilterPyCar:
                 self._update(np.array([gz]), lambda s: s[7:], rate, noise)
 
     def _antenna(self, s: np.ndarray) -> np.ndarray:
-        cos, sin, (forward, left) = np.cos(s[4]), np.sin(s[4]), self.line.lever
+        cos, sin, (forward, left) = np.cos(s[4]), np.sin(s[4]), self.line.lever[:2]
         arm = np.array([cos * forward - sin * left, sin * forward + cos * left])
         return s[:2] + arm - self.p.latency * s[2:4]
 

@@ -49,7 +49,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
     start = initial_state(drive)
     line = build_timeline(drive, start.time).hiding(hidden)
     car = TextbookCar(line, parameters, start)
-    h = gps_position(tuple(line.lever), parameters.latency)
+    h = gps_position(tuple(line.lever[:2]), parameters.latency)
     found, fixes = [], iter(line.fixes)
     for i in range(len(line.dt)):
         absorbed, line.absorbs[i] = line.absorbs[i], False

@@ -8,6 +8,7 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS
 from sigmaswarm.simulation.journey import take_journey
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.motion import motion_at, sample
+from sigmaswarm.simulation.terrain import TERRAINS, drive_on, lay_road
 from sigmaswarm.simulation.vehicle import MODEL_3
 
 PLACE = (0.8, -0.4, 0.3)  # off the centre in every direction, so that each term of the lever arm counts
@@ -19,13 +20,21 @@ def integrate(values, start):
     )
 
 
-@pytest.fixture(scope="module", params=MANEUVERS)
+@pytest.fixture(
+    scope="module",
+    params=[*((name, "flat") for name in MANEUVERS), ("urban", "hilly"), ("brake", "rolling")],
+    ids="-".join,
+)
 def motion(request):
+    maneuver, terrain = request.param
     rng = np.random.default_rng(3)
     journey = take_journey(
-        request.param, ENVIRONMENTS["rain"], MODEL_3, rng, 60.0 if request.param == "urban" else None
+        maneuver, ENVIRONMENTS["rain"], MODEL_3, rng, 60.0 if maneuver == "urban" else None
     )
-    return motion_at(journey.record, MODEL_3, PLACE)
+    record = journey.record
+    if terrain != "flat":
+        record = drive_on(record, lay_road(journey.path[:, 3], TERRAINS[terrain], rng), MODEL_3)
+    return motion_at(record, MODEL_3, PLACE)
 
 
 def test_specific_force_integrated_with_the_true_attitude_returns_the_path(motion):
@@ -34,7 +43,7 @@ def test_specific_force_integrated_with_the_true_attitude_returns_the_path(motio
     length = np.linalg.norm(np.diff(motion.position, axis=0), axis=1).sum()
     error = np.linalg.norm(position - motion.position, axis=1).max()
     print(f"{error:.4f} m of {length:.0f} m: {error / length:.5%}")
-    assert error < 1e-3 * length
+    assert error < 1e-5 * length
 
 
 def test_angular_rate_turns_the_attitude(motion):

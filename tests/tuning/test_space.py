@@ -157,3 +157,22 @@ def test_the_interval_is_passed_on():
 def test_an_unknown_scale_is_refused():
     with pytest.raises(InputError, match="scale must be log10 or linear, not 'cubic'"):
         search_space("planar5", "cubic")  # pyright: ignore
+
+
+def test_the_box_of_tilted12_is_per_second_whatever_the_imus_rate():
+    box = {
+        interval: {d.name: d for d in search_space("tilted12", "log10", interval, kind="ekf").dimensions}
+        for interval in (0.01, 0.02)
+    }
+    per_second = {
+        "q_vxy": (1e-5, 1e2), "q_theta": (1e-10, 1e-1), "q_accel_bias": (1e-10, 1e-1), "q_gyro_bias_z": (1e-14, 1e-4),
+        "q_tilt": (1e-10, 1e-2), "q_gyro_bias_xy": (1e-14, 1e-4),
+    }  # fmt: skip
+    names = ["q_xy", *per_second, "r_xy", "accel_bias_std", "gyro_bias_std"]
+    assert list(box[0.01]) == names
+    for interval, dimensions in box.items():
+        for name, (low, high) in per_second.items():
+            assert dimensions[name].lowest == pytest.approx(low * interval)
+            assert dimensions[name].highest == pytest.approx(high * interval)
+        assert (dimensions["q_xy"].lowest, dimensions["q_xy"].highest) == (1e-12, 10.0)
+    assert sum(d.entries for d in box[0.01].values() if d.field == "process_noise") == 12

@@ -29,6 +29,7 @@ def simulate(
     jitter: _Flag = False,
     vibration: _Flag = False,
     gnss_degradation: _Flag = False,
+    terrain: str = "flat",
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: _Flag = False,
     json: _Flag = False,
@@ -42,6 +43,7 @@ def simulate(
         sigmaswarm simulate --out drives
         sigmaswarm simulate --out town --maneuver urban --environment clear --runs 8 --gps white-1m --vibration
         sigmaswarm simulate --out wet --maneuver brake turns --environment rain slippery --imu mpu-6050 --runs 5
+        sigmaswarm simulate --out hills --maneuver urban --environment clear --runs 8 --terrain hilly --vibration
 
     Parameters
     ----------
@@ -70,6 +72,9 @@ def simulate(
         Let road and engine shake the IMU as in two recordings of real cars.
     gnss_degradation
         Let weather spoil the fixes: an assumption, no measurement is behind its factors.
+    terrain
+        flat, rolling or hilly: hills and banked roads tilt the car, and let gravity into the IMU's level axes. The
+        way in the map's plane is that of the flat road.
     workers
         Threads; all cores by default. The result does not depend on it.
     resume
@@ -93,6 +98,7 @@ def simulate(
         "jitter": JITTER if jitter else 0.0,
         "vibration": VIBRATION if vibration else 0.0,
         "gnss_degradation": gnss_degradation,
+        "terrain": terrain,
     }
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
     kept = _kept(out, names, resume, options)
@@ -155,6 +161,7 @@ def _require_made_with(file: Path, options: dict[str, Any]) -> None:
             "jitter": scenario["jitter_s"],
             "vibration": scenario["vibration"],
             "gnss_degradation": scenario["gnss_degradation"],
+            "terrain": scenario.get("terrain", "flat"),
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None

@@ -1,13 +1,23 @@
 """All checks over one drive."""
 
-from sigmaswarm.doctor.checks import accelerometer, clock, gyro, noise, observability, sampling, use, velocity
+from sigmaswarm.doctor.checks import (
+    accelerometer,
+    clock,
+    gyro,
+    noise,
+    observability,
+    sampling,
+    tilt,
+    use,
+    velocity,
+)
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.doctor.findings import SEVERITIES, Diagnosis, finding_of
 from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
-CHECKS = (gyro, accelerometer, clock, velocity, noise, sampling, observability, use)
+CHECKS = (gyro, accelerometer, tilt, clock, velocity, noise, sampling, observability, use)
 """In the order in which findings of one severity are told."""
 
 

@@ -10,7 +10,16 @@ SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 """serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
 
 Action = Literal[
-    "gyro", "accelerometer", "level", "shift-fixes", "drop-fixes", "drop-samples", "state-noise", "velocity"
+    "gyro",
+    "tilt-rates",
+    "accelerometer",
+    "turn",
+    "level",
+    "shift-fixes",
+    "drop-fixes",
+    "drop-samples",
+    "state-noise",
+    "velocity",
 ]
 
 

@@ -1,5 +1,6 @@
 """Mending a drive as its findings say. The drive handed in stays as it is; truth stays as it is."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -49,11 +50,25 @@ def _gyro(drive: Drive, values: Values) -> Drive:
     return replace(drive, imu=replace(imu, **changed))
 
 
+def _tilt_rates(drive: Drive, values: Values) -> Drive:
+    """The matrix (2, 2), row by row, for gx and gy."""
+    imu, (a, b, c, d) = drive.imu, values
+    if imu.gx is None or imu.gy is None:
+        return drive
+    return replace(drive, imu=replace(imu, gx=a * imu.gx + b * imu.gy, gy=c * imu.gx + d * imu.gy))
+
+
 def _accelerometer(drive: Drive, values: Values) -> Drive:
     """The matrix (2, 2), row by row, for ax and ay, and a factor for az."""
     imu, (a, b, c, d, up) = drive.imu, values
     az = None if imu.az is None else up * imu.az
     return replace(drive, imu=replace(imu, ax=a * imu.ax + b * imu.ay, ay=c * imu.ax + d * imu.ay, az=az))
+
+
+def _turn(drive: Drive, values: Values) -> Drive:
+    """rad, by which the sensor's level axes are turned back about z, those of the gyro with them."""
+    c, s = math.cos(values[0]), math.sin(values[0])
+    return _tilt_rates(_accelerometer(drive, (c, -s, s, c, 1.0)), (c, -s, s, c))
 
 
 def _level(drive: Drive, values: Values) -> Drive:
@@ -103,7 +118,9 @@ ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "drop-samples": _drop_samples,
     "drop-fixes": _drop_fixes,
     "gyro": _gyro,
+    "tilt-rates": _tilt_rates,
     "accelerometer": _accelerometer,
+    "turn": _turn,
     "level": _level,
     "shift-fixes": _shift_fixes,
     "state-noise": _state_noise,

@@ -149,6 +149,12 @@ class Drive:
         return np.array(self.metadata.get("gps_lever_arm_m", (0.0, 0.0))[:2], dtype=np.float64)
 
     @property
+    def antenna_height(self) -> float:
+        """From the IMU up to the antenna, m: the third number of ``gps_lever_arm_m``, or none."""
+        arm = self.metadata.get("gps_lever_arm_m", ())
+        return float(arm[2]) if len(arm) > 2 else 0.0
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last IMU sample, s."""
         return float(self.imu.time[-1] - self.imu.time[0])

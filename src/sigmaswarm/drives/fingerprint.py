@@ -42,6 +42,8 @@ def fingerprint(drive: Drive) -> str:
     digest = hashlib.sha256()
     if drive.lever_arm.any():
         digest.update(b"lever arm" + drive.lever_arm.tobytes())
+    if drive.antenna_height:
+        digest.update(b"antenna height" + repr(drive.antenna_height).encode())
     for table in (drive.imu, drive.gps, drive.truth):
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:

@@ -9,6 +9,7 @@ A gap in the IMU's samples is driven by the mean of the two around it, and marke
 (`drives.gaps`). Frozen fixes are left out (`drives.frozen`). Both rules hold unless the drive is asked for as recorded.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +21,14 @@ from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
 from sigmaswarm.drives.standstill import standing
+
+DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
+"""Columns of a step. The last three are there where the IMU has them."""
+N_STEP = 9
+AXES = ("ax", "ay", "gz", "az", "gx", "gy")
+"""The IMU's axes as they stand in a step; every IMU has the first three."""
+FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y = range(6)
+"""Columns of a fix."""
 
 CORNERING = 4.0
 """m/s2 of lateral acceleration: above it, tires slip too much for a constraint on the lateral velocity."""
@@ -33,9 +42,9 @@ class Timeline:
     ----------
     start : s
     end : (k,) s: when each step ends
-    steps : (k, 6) the columns dt (s), ax, ay (m/s2), gz (rad/s), q_scale and gap (s), which have properties of their
-        names: how long each step is, what drives it, dt / nominal interval of the drive, and how long the gap in the
-        IMU's samples is that it is a part of, 0 where it is of none
+    steps : (k, 6) or (k, 9) the columns dt (s), q_scale, gap (s), and the IMU's ``axes`` in m/s2 and rad/s: how long
+        each step is, dt / nominal interval of the drive, how long the gap in the IMU's samples is that it is a part of,
+        0 where it is of none, and what drives it. See DT ... GY; those of every drive have properties of their names
     absorbs : (k,) bool: a fix is absorbed at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
@@ -44,7 +53,7 @@ class Timeline:
     fix_time : (f,) s
     has_velocity : bool
     states_accuracy : bool: the receiver states the accuracy of each fix
-    lever : (2,) m forward and left from the IMU to the antenna
+    lever : (3,) m forward, left and up from the IMU to the antenna
     cornering : (k,) bool: lateral acceleration so high that tires slip
     sample : (k,) int: the number of the sample that drives each step
     drive : Drive
@@ -75,32 +84,41 @@ class Timeline:
     @property
     def dt(self) -> Array:
         """How long each step is, (k,) s."""
-        return self.steps[:, 0]
+        return self.steps[:, DT]
 
     @property
     def ax(self) -> Array:
         """Forward specific force, (k,) m/s2."""
-        return self.steps[:, 1]
+        return self.steps[:, AX]
 
     @property
     def ay(self) -> Array:
         """Specific force to the left, (k,) m/s2."""
-        return self.steps[:, 2]
+        return self.steps[:, AY]
 
     @property
     def gz(self) -> Array:
         """Yaw rate, (k,) rad/s."""
-        return self.steps[:, 3]
+        return self.steps[:, GZ]
 
     @property
     def q_scale(self) -> Array:
         """Length of each step in nominal intervals, (k,)."""
-        return self.steps[:, 4]
+        return self.steps[:, Q_SCALE]
 
     @property
     def gap(self) -> Array:
         """The gap in the IMU's samples that each step is a part of, (k,) s; 0: of none."""
-        return self.steps[:, 5]
+        return self.steps[:, GAP]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of the IMU's axes, in the order of their columns."""
+        return AXES[: self.steps.shape[1] - AX]
+
+    def imu(self, axes: Sequence[str]) -> Array:
+        """What drives each step, (k, len(axes)) m/s2 and rad/s."""
+        return self.steps[:, [AX + AXES.index(axis) for axis in axes]]
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
@@ -158,7 +176,7 @@ def build_timeline(
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
     gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
-    ax, ay, gz = (_across(gaps, column) for column in (imu.ax, imu.ay, imu.gz))
+    axes = [_across(gaps, column)[sample] for column in _axes(drive)]
     has_velocity = drive.gps.speed is not None and drive.gps.course is not None
     velocity = np.zeros((2, len(drive.gps)))
     if drive.gps.speed is not None and drive.gps.course is not None:
@@ -167,7 +185,7 @@ def build_timeline(
     return Timeline(
         start=start,
         end=ends,
-        steps=np.column_stack([dt, ax[sample], ay[sample], gz[sample], dt / nominal, gaps[sample]]),
+        steps=np.column_stack([dt, dt / nominal, gaps[sample], *axes]),
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
@@ -175,14 +193,20 @@ def build_timeline(
         fix_time=fix_time,
         has_velocity=has_velocity,
         states_accuracy=stated,
-        lever=drive.lever_arm,
-        cornering=np.abs(ay[sample]) > CORNERING,
+        lever=np.array([*drive.lever_arm, drive.antenna_height]),
+        cornering=np.abs(axes[1]) > CORNERING,
         sample=sample,
         drive=drive,
         kinds=kinds,
         imu_time=imu_time,
         nominal_interval=nominal,
     )
+
+
+def _axes(drive: Drive) -> list[Array]:
+    """The columns of the IMU in the order of `AXES`: all six, or the three that every IMU has."""
+    columns = [getattr(drive.imu, axis) for axis in AXES]
+    return columns[:3] if any(column is None for column in columns) else columns
 
 
 def _stated_variance(gps: Gps) -> tuple[Array, bool]:

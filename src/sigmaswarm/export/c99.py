@@ -15,6 +15,7 @@ from sigmaswarm.export.template import fill
 from sigmaswarm.filters import recovery, schedule
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
 FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
@@ -38,24 +39,43 @@ def c99(parameters: FilterParameters, interval: float, as_recorded: bool = False
             f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
             f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
         )
+    kinds = MODELS[parameters.model].kinds
+    if parameters.kind not in kinds:
+        raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
     features = features_of(parameters)
     features |= {"USE_DOUBLE": not _fits_float(parameters), "USE_AS_RECORDED": as_recorded}
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
-def replay_rows(drive: Drive, *, as_recorded: bool = False) -> str:
+def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False) -> str:
     """A drive as the rows that replay.c reads: where a filter starts, then samples and fixes by time.
+
+    Parameters
+    ----------
+    drive : Drive
+    model : {"planar5", "planar8", "tilted12"}
+        Whose axes of the IMU and of the lever arm the rows hold.
+    as_recorded : bool
+        See `PreparedDrive`.
 
     Raises
     ------
+    InputError
+        If the drive's IMU lacks an axis that the model reads.
     AlignmentError
         If the drive never moves far enough for a start.
     """
+    schedule.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
     start = (initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel())
+    axes = ["ax", "ay", "gz"]
+    if MODELS[model].tilts is not None:
+        start = (*start, drive.antenna_height)
+        axes += ["az", "gx", "gy"]
     events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
-    events += [(t, 1, _row("imu", (t, *u))) for t, *u in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True)]
+    samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
+    events += [(t, 1, _row("imu", (t, *u))) for t, *u in samples]
     return (
         "\n".join([_row("start", start), *(row for *_, row in sorted(events, key=itemgetter(0, 1)))]) + "\n"
     )
@@ -97,6 +117,7 @@ def _fits_float(p: FilterParameters) -> bool:
 
 def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     stands, names = p.standstill_noise is not None, MODELS[p.model].names
+    tilted = MODELS[p.model].tilts is not None
     gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
     derived: dict[str, float | None] = {
         "GAMMA_SQUARED": gamma_squared,
@@ -146,5 +167,11 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GYRO_NOTE": ", and all that the gyro shows is its bias"
         if MODELS[p.model].gyro_bias is not None
         else "",
+        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+        "LEVER_AXES": ", left and up" if tilted else " and left",
+        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+        "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
+        if tilted
+        else "m/s2 forward and left, rad/s",
         "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
     }

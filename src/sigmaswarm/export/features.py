@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from sigmaswarm.drives import timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import schedule, student
+from sigmaswarm.filters import schedule, student, tilted
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -14,10 +14,13 @@ from sigmaswarm.versions import __version__
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
     velocity, lateral, stands = schedule.switches(p)
+    tilted = MODELS[p.model].tilts is not None
     biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
     adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
     used = {
         "UNSCENTED": p.kind != "ekf",
+        "TILTED": tilted,
+        "HEADING_ALONE": not tilted,
         "BIASES": biases,
         "BIASES_OR_LATERAL": biases or lateral,
         "ADAPTIVE": adaptive,
@@ -62,6 +65,8 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "STANDSTILL_NOISE": p.standstill_noise,
         "STANDSTILL_INTERVAL": schedule.STANDSTILL_INTERVAL,
         "STANDSTILL_RATE_NOISE": schedule.STANDSTILL_RATE_NOISE,
+        "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
+        "GRAVITY": tilted.GRAVITY,
     }
     return plain(numbers) | {
         "VERSION": __version__,

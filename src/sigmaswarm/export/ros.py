@@ -5,7 +5,6 @@ The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``,
 """
 
 import heapq
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from operator import itemgetter
@@ -16,6 +15,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
+from sigmaswarm.export.attitude import quaternions
 from sigmaswarm.export.beside import RawMessage, recording
 from sigmaswarm.files import whole_folder
 from sigmaswarm.filters.models import THETA
@@ -119,11 +119,10 @@ def _odometry(types: Any, nanoseconds: int, mean: Array, pose: Array, twist: Arr
     def vector(x: float, y: float) -> Any:
         return types["geometry_msgs/msg/Vector3"](x, y, 0.0)
 
-    half = float(mean[THETA]) / 2
     forward, left = (float(v) for v in body_velocity(mean))
     stamp = types["builtin_interfaces/msg/Time"](nanoseconds // 10**9, nanoseconds % 10**9)
     position = types["geometry_msgs/msg/Point"](float(mean[0]), float(mean[1]), 0.0)
-    orientation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
+    orientation = types["geometry_msgs/msg/Quaternion"](*quaternions(mean).tolist())
     return types["nav_msgs/msg/Odometry"](
         types["std_msgs/msg/Header"](stamp, "map"),
         "base_link",

@@ -10,6 +10,7 @@ from sigmaswarm.export.c99 import c99, replay_rows
 from sigmaswarm.export.filterpy import filterpy
 from sigmaswarm.export.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
@@ -21,6 +22,8 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
+WITH_TILTS: frozenset[Target] = frozenset({"c99"})
+"""Those that know models with tilts."""
 
 
 def export_filter(
@@ -53,11 +56,15 @@ def export_filter(
     Raises
     ------
     InputError
-        If the target is unknown, the parameters do not say which interval Q refers to, a variance can't be used, or
-        ``replay`` is given for a target that does not take it.
+        If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
+        variance can't be used, or ``replay`` is given for a target that does not take it.
     """
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
+    if MODELS[parameters.model].tilts and target not in WITH_TILTS:
+        raise InputError(
+            f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
+        )
     if parameters.nominal_interval is None:
         raise InputError(
             "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "
@@ -71,7 +78,7 @@ def export_filter(
         raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
     texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
-        texts["replay.csv"] = replay_rows(replay, as_recorded=as_recorded)
+        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
     folder = make_folder(Path(folder))
     for name, text in texts.items():
         write_whole(folder / name, text)

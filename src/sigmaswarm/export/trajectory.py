@@ -10,10 +10,11 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.export.attitude import quaternions, rotations
 from sigmaswarm.export.maps import MAPS, Origin
 from sigmaswarm.export.ros import ros2
 from sigmaswarm.files import whole_file
-from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.forking import require_threads
 from sigmaswarm.geodesy import enu_to_geodetic
@@ -30,9 +31,10 @@ def write_estimate(
 ) -> None:
     """Write an estimate in the form that the file's ending names.
 
-    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise.
+    ``.csv``: t, x, y, vx, vy, theta and std_x ... std_theta (s, m, m/s, rad); planar8's biases likewise, and
+    tilted12's roll and pitch.
     ``.mat``: for MATLAB: t, the states by name, and covariance (n, states, states).
-    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the heading as a quaternion.
+    ``.tum``: one line ``t x y z qx qy qz qw`` per estimate, z = 0 and the attitude as a quaternion.
     ``.kitti``: one line of 12 numbers per estimate, the pose's 3 x 4 matrix row by row; it has no times.
     ``.ros2``: a ROS 2 bag, which is a folder, with the estimate as nav_msgs/Odometry.
     ``.geojson``, ``.gpx``, ``.kml``: the track in degrees.
@@ -203,28 +205,16 @@ def _tum(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _tum_rows(estimate: Estimate) -> Array:
-    half = estimate.mean[:, THETA] / 2
-    zero = np.zeros_like(half)
-    rows = [
-        estimate.time,
-        estimate.mean[:, 0],
-        estimate.mean[:, 1],
-        zero,
-        zero,
-        zero,
-        np.sin(half),
-        np.cos(half),
-    ]
-    return np.column_stack(rows)
+    x, y = estimate.mean[:, 0], estimate.mean[:, 1]
+    return np.column_stack([estimate.time, x, y, np.zeros_like(x), quaternions(estimate.mean)])
 
 
 def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
     for estimate in pieces:
-        x, y = estimate.mean[:, 0], estimate.mean[:, 1]
-        c, s = np.cos(estimate.mean[:, THETA]), np.sin(estimate.mean[:, THETA])
-        zero, one = np.zeros_like(c), np.ones_like(c)
-        pose = [c, -s, zero, x, s, c, zero, y, zero, zero, one, zero]
-        np.savetxt(file, np.column_stack(pose), fmt="%.9f")
+        place = np.zeros((len(estimate.time), 3, 1))
+        place[:, :2, 0] = estimate.mean[:, :2]
+        pose = np.concatenate([rotations(estimate.mean), place], axis=2)
+        np.savetxt(file, pose.reshape(-1, 12), fmt="%.9f")
 
 
 BAG = ".ros2"

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from operator import itemgetter
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
+from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
-from sigmaswarm.filters.compiled.layout import N_KEPT, R
-from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import Chunk, plausible, start_rows
+from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.packing import Chunk, believed, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import LATEST_LOOK, Lately, Recovery, Seen, at_fix, slot_of
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
@@ -78,7 +79,7 @@ class LiveFilter:
     nominal_interval : float
         s between IMU samples.
     lever_arm : sequence of float
-        m forward and left from the IMU to the antenna.
+        m forward and left, and perhaps up, from the IMU to the antenna.
     history : float
         s that are kept for late fixes.
     recover : bool
@@ -111,7 +112,11 @@ class LiveFilter:
     ) -> None:
         p = parameters
         self.parameters = p
-        self._n = p.n_states
+        self._calls = live.live_calls(p.model)
+        self._state = state_rows(p.model)
+        self._axes = MODELS[p.model].imu
+        # In the order of AXES, of the model's and a 0 behind them, which stands for those that it does not read.
+        self._in_order = itemgetter(*(self._axes.index(axis) if axis in self._axes else -1 for axis in AXES))
         self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
@@ -121,7 +126,6 @@ class LiveFilter:
         self._belief = _believe(p, initial, nominal_interval, lever_arm)
         self._belief[live.AS_RECORDED] = as_recorded
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
-        counts[live.N_STATES] = p.n_states
         self._memory = (
             self._belief,
             counts,
@@ -135,22 +139,36 @@ class LiveFilter:
         self._history = history
         self._last_fix, self._came_late = -np.inf, False
         self._looked = -1.0  # the interval between looks in which the last one was
-        live.ready()
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Take an IMU sample: ax, ay (m/s2), yaw rate (rad/s). One that is not after the last one is left out.
-
-        One more than 10 s ahead is held back: see the class.
+        """Take an IMU sample. One that is not after the last one is left out, one more than 10 s ahead held back.
 
         Samples before the start only teach the filter what calm is, for the standstill.
+
+        Parameters
+        ----------
+        t : float
+            s
+        imu : sequence of float
+            The axes that the model reads, in its order (m/s2, rad/s): ax, ay, gz for the planar ones.
+
+        Raises
+        ------
+        InputError
+            If these are not as many numbers as the model reads.
         """
-        ax, ay, gz = imu
+        if len(imu) != len(self._axes):
+            raise InputError(
+                f"an IMU sample of {len(imu)} numbers: {self.parameters.model} reads {', '.join(self._axes)}; "
+                "give these, in this order"
+            )
+        ax, ay, gz, az, gx, gy = self._in_order((*imu, 0.0))
         before = float(self._belief[live.LAST_SAMPLE])
-        _take_sample(*self._memory, t, ax, ay, gz)
+        self._calls.sample(*self._memory, t, ax, ay, gz, az, gx, gy)
         if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
             held = self._belief[live.SAMPLE_AHEAD]
             if t - before > live.LEAP and before < held[0] < t:  # it had waited for this one
-                self._lately.sample(*held.tolist())
+                self._lately.sample(*held[:4].tolist())
                 self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
             self._lately.sample(t, ax, ay, gz)
             # Most samples bring nothing to look at.
@@ -181,9 +199,10 @@ class LiveFilter:
         """
         var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
         if velocity is None or not self._takes_velocity:
-            kept = _take_fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
+            kept = self._calls.fix(*self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
         else:
-            kept = _take_fix(*self._memory, t, fix[0], fix[1], velocity[0], velocity[1], 1.0, var_x, var_y)
+            seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
+            kept = self._calls.fix(*self._memory, t, *seen, var_x, var_y)
         begun = t > self._belief[live.START]
         if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
             self._came_late = begun and t <= self._belief[live.TIME]
@@ -216,7 +235,7 @@ class LiveFilter:
             if start is not None:
                 self._start_anew(start)
         if recovery.lost:
-            theta = float(self._belief[THETA])
+            theta = float(self._believed()[0][THETA])
             self._start_anew(at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever))
 
     def _variance_of(self, fix: tuple[float, ...]) -> Array:
@@ -225,8 +244,7 @@ class LiveFilter:
 
     def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
         alignments = cache(lambda: self._lately.alignments)
-        mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
-        _read_state(self._belief, mean, covariance)
+        mean, covariance = self._believed()
         return Seen(
             time=now,
             mean=mean,
@@ -247,6 +265,11 @@ class LiveFilter:
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory[1]
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+
+    def _believed(self) -> tuple[Array, Array]:
+        """Mean (n,) and covariance (n, n), the heading as it is."""
+        mean, covariance = believed(self._belief[self._state, np.newaxis], self.parameters.model)
+        return mean[0], covariance[0]
 
     @property
     def restarts(self) -> list[float]:
@@ -271,18 +294,14 @@ class LiveFilter:
     @property
     def state(self) -> LiveState:
         """What the filter believes after the last IMU sample and all fixes up to then."""
-        mean, covariance = np.empty(self._n), np.empty((self._n, self._n))
-        sound = _read_state(self._belief, mean, covariance) and self._plausible
+        mean, covariance = self._believed()
+        sound = self._belief[live.OK] == 1.0 and np.isfinite(mean).all() and np.isfinite(covariance).all()
         if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
             mean[THETA] = wrap_angle(float(mean[THETA]))
         lost = self._recovery is not None and self._recovery.lost
-        return LiveState(float(self._belief[live.TIME]), mean, covariance, not sound, lost)
-
-
-# Numba's types say nothing of what they call.
-_take_sample: Any = live.take_sample
-_take_fix: Any = live.take_fix
-_read_state: Any = live.read_state
+        return LiveState(
+            float(self._belief[live.TIME]), mean, covariance, not (sound and self._plausible), lost
+        )
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
@@ -304,7 +323,7 @@ def _believe(
     v[live.TIME] = v[live.START] = initial.time
     v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = -1.0
     v[live.NOMINAL] = nominal_interval
-    v[live.LEVER_X], v[live.LEVER_Y] = lever_arm[0], lever_arm[1]
+    v[live.LEVER][: len(lever_arm)] = lever_arm
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
     v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
     v[live.LAST_SAMPLE] = -np.inf

@@ -4,15 +4,21 @@ A new model is a function, a line in MODELS, and its closed form in `compiled/`.
 models before it, so that measurements find them at the same places.
 
 `UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled filter
-knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame.
+knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model whose attitude
+is more than a heading has a file of its own: `tilted`.
 """
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sigmaswarm.filters import tilted
+from sigmaswarm.filters.names import FilterKind
 
 Array = NDArray[np.float64]
 
@@ -44,7 +50,7 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
-def gps_position(lever: tuple[float, float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
+def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
     """The fix that a state predicts: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
     def h(state: Array) -> Array:
@@ -74,6 +80,26 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 def gyro_bias(state: Array) -> Array:
     """What the gyro shows while the car stands, rad/s."""
     return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
+
+
+@dataclass(frozen=True)
+class Tilts:
+    """What the textbook's filters need of a model whose attitude is more than a heading.
+
+    Attributes
+    ----------
+    plus, minus : callable
+        An error added to a state, and the error between two: see `textbook.manifold`.
+    transition : callable
+        F of the error, (n, n), of a state, dt and imu.
+    as_angles : callable
+        The covariance of means (..., n) and covariances (..., n, n) of the error, as that of the states.
+    """
+
+    plus: Callable[[Array, Array], Array]
+    minus: Callable[[Array, Array], Array]
+    transition: Callable[[Array, float, Array], Array]
+    as_angles: Callable[[Array, Array], Array]
 
 
 VARIANCE = (1e-5, 10.0)
@@ -107,10 +133,14 @@ class State:
     name, unit : str
     variance : (lowest, highest)
         Box of its process noise, unit squared per nominal IMU step.
+    per_second : bool
+        That box is per second instead.
     shared : str
         The name under which it is searched together with its like, where east and north have the same noise.
     bias_of : str or None
         The sensor in `SENSORS` whose bias it is: it starts at 0.
+    start_std : float
+        How unsure it is at the start, where an alignment says nothing of it and it is no bias.
     """
 
     name: str
@@ -118,6 +148,8 @@ class State:
     variance: tuple[float, float]
     shared: str
     bias_of: str | None = None
+    per_second: bool = False
+    start_std: float = 0.0
 
     @property
     def variance_unit(self) -> str:
@@ -141,6 +173,13 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
+    position, velocity, lateral, rates_at_rest : callable
+        Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
+        the rear axle's distance, `gyro_bias`; those of a tilted model have a ``jacobian``.
+    tilts : Tilts or None
+        Of a model whose attitude is more than a heading.
+    kinds : tuple of str
+        The kinds of filters that are compiled for it, the usual one first.
     fix_variance : (lowest, highest)
         m2: box of R, the variance of a fix per axis.
     blind : bool
@@ -152,6 +191,12 @@ class CarModel:
     fix_variance: tuple[float, float]
     imu: tuple[str, ...] = ("ax", "ay", "gz")
     blind: bool = True
+    position: Callable[[Sequence[float], float], Any] = gps_position
+    velocity: Callable[[Array], Array] = velocity
+    lateral: Callable[[float, float], Any] = lateral_velocity
+    rates_at_rest: Callable[[Array], Array] = gyro_bias
+    tilts: Tilts | None = None
+    kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -167,6 +212,12 @@ class CarModel:
     def gyro_bias(self) -> int | None:
         """Where the bias of the gyro (z) stands: at standstill it is measured."""
         return GYRO_BIAS if len(self.states) > GYRO_BIAS else None
+
+    @cached_property
+    def gyro_axes(self) -> dict[str, int]:
+        """The axes of the gyro whose biases it estimates, as a time line names them, and where these stand."""
+        names = enumerate(self.states)
+        return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
 
 def _plane(variance: tuple[float, float]) -> tuple[State, ...]:
@@ -184,8 +235,43 @@ _BIASES = tuple(
     for name, sensor in (("accel_bias_x", "accel"), ("accel_bias_y", "accel"), ("gyro_bias_z", "gyro"))
 )
 
+
+def _per_second(state: State, variance: tuple[float, float], shared: str | None = None) -> State:
+    return replace(state, variance=variance, per_second=True, shared=shared or state.shared)
+
+
+_X, _Y, _VX, _VY, _THETA = _plane(SMALL_VARIANCE)
+_FORWARD, _LEFT, _YAW = _BIASES
+_TILT = (1e-10, 1e-2)
+_TILT_START = np.radians(3.0)
+"""rad: the slopes of roads. Searched, it fits the start of the training's drives."""
+_WALKS = {"accel": (1e-10, 1e-1), "gyro": (1e-14, 1e-4)}
+_TILTED = (
+    *(_X, _Y),
+    *(_per_second(state, (1e-5, 1e2)) for state in (_VX, _VY)),
+    _per_second(_THETA, (1e-10, 1e-1)),
+    *(_per_second(state, _WALKS["accel"], "accel_bias") for state in (_FORWARD, _LEFT)),
+    _per_second(_YAW, _WALKS["gyro"]),
+    State("roll", "rad", _TILT, "tilt", per_second=True, start_std=_TILT_START),
+    State("pitch", "rad", _TILT, "tilt", per_second=True, start_std=_TILT_START),
+    State("gyro_bias_x", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
+    State("gyro_bias_y", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
+)
+
 MODELS: dict[str, CarModel] = {
     "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, blind=False),
     "planar8": CarModel((*_plane(SMALL_VARIANCE), *_BIASES), planar8, CITY_VARIANCE),
+    "tilted12": CarModel(
+        _TILTED,
+        tilted.tilted12,
+        CITY_VARIANCE,
+        imu=tilted.AXES,
+        position=lambda lever, latency: tilted.Antenna((lever[0], lever[1], lever[2]), latency),
+        velocity=tilted.States((2, 3)),
+        lateral=tilted.RearAxle,
+        rates_at_rest=tilted.States((7, 10, 11)),
+        tilts=Tilts(tilted.plus, tilted.minus, tilted.transition, tilted.as_angles),
+        kinds=("ekf",),
+    ),
 }
 """By name. planar5 is the paper's, with the paper's box."""

@@ -2,5 +2,5 @@
 
 from typing import Literal
 
-ModelName = Literal["planar5", "planar8"]
+ModelName = Literal["planar5", "planar8", "tilted12"]
 FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"]

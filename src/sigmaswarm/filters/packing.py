@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.lanes import LANES
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N_KEPT, N_STATE, P0, R
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N_KEPT, N_STATE, R, state_rows
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, converted, starts_of, switches
 from sigmaswarm.filters.student import OUTLIERS_SPAN
@@ -32,11 +35,24 @@ class Chunk:
     sets: tuple[FilterParameters, ...]
     _constants: dict[float, Array] = field(default_factory=dict[float, Array])
 
+    def __post_init__(self) -> None:
+        p = self.sets[0]
+        kinds = MODELS[p.model].kinds
+        if p.kind not in kinds:
+            raise InputError(
+                f"{p.model} is not compiled as {p.kind}; take kind {' or '.join(kinds)}, or run_textbook"
+            )
+
     def constants(self, nominal_interval: float) -> Array:
         """As `pack_constants`."""
         if nominal_interval not in self._constants:
             self._constants[nominal_interval] = pack_constants(self.sets, nominal_interval)
         return self._constants[nominal_interval]
+
+    @property
+    def model(self) -> ModelName:
+        """Of all its sets."""
+        return self.sets[0].model
 
     @cached_property
     def takes_accuracy(self) -> bool:
@@ -122,33 +138,47 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
 def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[float], chunk: Chunk) -> Array:
     """All that LANES filters are at m starts, shape (m, N_KEPT, LANES); intervals (s) are the drives'."""
     rows = np.zeros((len(initial), N_KEPT, LANES))
-    model, bias_std = MODELS[chunk.sets[0].model], np.array([p.bias_std for p in _padded(chunk.sets)])
+    model, bias_std = chunk.model, np.array([p.bias_std for p in _padded(chunk.sets)])
     for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
-        each[:N_STATE] = pack_states(*starts_of(start, model, bias_std))
+        each[:N_STATE] = pack_states(*starts_of(start, MODELS[model], bias_std), model)
         each[CONSTANT_ROWS] = chunk.constants(interval)
     rows[:, [R.DET, R.TAIL, R.OK]] = 1.0
     rows[:, R.RECENT] = -1.0
+    rows[:, R.HEADING] = np.array([start.mean[THETA] for start in initial])[:, np.newaxis]
     return rows
 
 
-def pack_states(mean: Array, covariance: Array) -> Array:
+def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
     """State rows (..., N_STATE, LANES) of means (..., LANES, n) and covariances (..., LANES, n, n)."""
-    n = mean.shape[-1]
-    rows, columns = _upper(n)
+    rows, columns = _upper(mean.shape[-1])
     state = np.zeros((*mean.shape[:-2], N_STATE, LANES))
-    state[..., :n, :] = mean.swapaxes(-1, -2)
-    state[..., P0 : P0 + len(rows), :] = covariance[..., rows, columns].swapaxes(-1, -2)
+    parts = [mean]
+    if MODELS[model].tilts:
+        parts = [mean.copy(), tilted.quaternion_of(mean)]
+        parts[0][..., tilted.ATTITUDE] = 0.0  # the error's place
+    packed = np.concatenate([*parts, covariance[..., rows, columns]], axis=-1)
+    state[..., state_rows(model), :] = packed.swapaxes(-1, -2)
     return state
 
 
-def unpack_states(state: Array, n: int) -> tuple[Array, Array]:
-    """Means (..., r, n) and covariances (..., r, n, n) of state rows (..., N_STATE, r)."""
+def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
+    """Means (..., r, n) and covariances (..., r, n, n), as a filter has them, of its `state_rows`, (..., s, r)."""
+    n = len(MODELS[model].states)
     rows, columns = _upper(n)
-    packed = state[..., P0 : P0 + len(rows), :].swapaxes(-1, -2)
+    mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
+    if MODELS[model].tilts:
+        mean[..., tilted.ATTITUDE] = tilted.angles_of(state[..., n : n + 4, :].swapaxes(-1, -2))
     covariance = np.empty((*packed.shape[:-1], n, n))
     covariance[..., rows, columns] = packed
     covariance[..., columns, rows] = packed
-    return state[..., :n, :].swapaxes(-1, -2).copy(), covariance
+    return mean, covariance
+
+
+def believed(state: Array, model: ModelName) -> tuple[Array, Array]:
+    """As `unpack_states`, with the covariance of the mean itself: of a tilted model's angles."""
+    mean, covariance = unpack_states(state, model)
+    tilts = MODELS[model].tilts
+    return mean, tilts.as_angles(mean, covariance) if tilts else covariance
 
 
 @cache
@@ -161,15 +191,15 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
     """The columns of `Sums`, (9, m, n_sets), NaN where a set failed, and where one did, of final rows of m replays."""
     n_sets = len(chunk.sets)
-    sound = _sound(rows, chunk.sets[0].n_states)[:, :n_sets] & chunk.plausible
+    sound = _sound(rows, chunk.model)[:, :n_sets] & chunk.plausible
     return np.where(sound, rows[:, _SHOWN, :n_sets].swapaxes(0, 1), np.nan), ~sound
 
 
-def _sound(rows: Array, n: int) -> NDArray[np.bool_]:
+def _sound(rows: Array, model: ModelName) -> NDArray[np.bool_]:
     """Which lanes never failed and end with a positive definite covariance, shape (m, LANES)."""
-    final = rows[:, :N_STATE]
+    final = rows[:, state_rows(model)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(rows[:, _SHOWN]).all(axis=1)
-    return finite & (rows[:, R.OK] == 1.0) & definite(unpack_states(final, n)[1])
+    return finite & (rows[:, R.OK] == 1.0) & definite(unpack_states(final, model)[1])
 
 
 def plausible(p: FilterParameters) -> bool:

@@ -45,9 +45,10 @@ class FilterParameters:
         Diagonal of Q: the variance added per nominal IMU step, in the units of the state squared.
     measurement_noise : tuple of float, length 2
         Diagonal of R, m2 east and north.
-    model : {"planar5", "planar8"}
+    model : {"planar5", "planar8", "tilted12"}
         planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU. planar8: and the biases of the accelerometer,
-        forward and left (m/s2), and of the gyro (rad/s), as random walks.
+        forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: and roll and pitch (rad), and the
+        other two biases of the gyro; for an IMU with all six axes, and compiled as ``kind="ekf"`` only.
     nominal_interval : float or None
         s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning
         stores it, so that the same filter on an IMU of another rate adds the same variance per second.
@@ -57,7 +58,7 @@ class FilterParameters:
     forgetting : float
         In (0, 1): how much of the past an adaptive or strong tracking filter keeps from fix to fix.
     bias_std : tuple of float, length 2
-        planar8: standard deviation of the biases at the start, m/s2 and rad/s.
+        planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.compiled.layout import N_STATE, R
+from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_place
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import Chunk, definite, start_rows, unpack_states, unpack_sums
+from sigmaswarm.filters.packing import Chunk, believed, definite, start_rows, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
 from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
@@ -109,6 +109,7 @@ class Recording:
     ) -> None:
         self._replay, self._chunk, self._samples = replay, Chunk((parameters,)), samples
         self._rows, self._place = start_replays([replay], self._chunk), new_place()
+        self._state = state_rows(parameters.model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._looks = looks_of(replay.timeline) if recover else None
         self._recovery = Recovery()
@@ -134,7 +135,7 @@ class Recording:
     def _run(self) -> Iterator[Piece]:
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
-        record = np.empty((min(self._samples, len(ends)), N_STATE + 1, 1))
+        record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
         for first in range(0, len(ends), self._samples):
             stops = ends[first : first + self._samples]
             part = record[: len(stops)]
@@ -159,7 +160,7 @@ class Recording:
             if (looks and self._look(step)) or self._recovery.lost:
                 if self._recovery.lost:
                     self._hold(step)
-                record[last, :N_STATE, 0] = self._rows[0, :N_STATE, 0]
+                record[last, :-1, 0] = self._rows[0, self._state, 0]
             lost[last] = self._recovery.lost
             row = last + 1
         return lost
@@ -175,17 +176,17 @@ class Recording:
         time = float(line.fix_time[fix])
         alignments = line.alignments
         ends = int(np.searchsorted(alignments.time, time, side="right")) - 1
-        mean, covariance = unpack_states(self._rows[0, :N_STATE, :1], p.n_states)
+        mean, covariance = self._believed()
         seen = Seen(
             time=float(line.end[step]),
-            mean=mean[0],
-            covariance=covariance[0],
+            mean=mean,
+            covariance=covariance,
             fix_time=time,
             fix=line.fixes[fix, :2],
             fix_variance=self._variance_of(fix),
             lever=line.lever,
             latency=p.latency,
-            since=np.array([[line.end[step] - time, *line.steps[step, 1:4]]]),
+            since=np.array([[line.end[step] - time, line.ax[step], line.ay[step], line.gz[step]]]),
             course=lambda: float(alignments.course[ends]),
             align=lambda: alignments.at(ends),
         )
@@ -194,11 +195,16 @@ class Recording:
             self._start_anew(start)
         return start is not None
 
+    def _believed(self) -> tuple[Array, Array]:
+        """Mean (n,) and covariance (n, n), the heading as it is."""
+        mean, covariance = believed(self._rows[0, self._state, :1], self._chunk.model)
+        return mean[0], covariance[0]
+
     def _hold(self, step: int) -> None:
         """Take the last fix for the estimate."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
-        theta = float(self._rows[0, R.T, 0])
+        theta = float(self._believed()[0][THETA])
         self._start_anew(at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever))
 
     def _variance_of(self, fix: int) -> Array:
@@ -214,8 +220,8 @@ class Recording:
         self._rows[0] = fresh
 
     def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
-        mean, covariance = unpack_states(record[:, :N_STATE, 0].T, self._chunk.sets[0].n_states)
-        sound = (record[:, N_STATE, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._chunk.plausible
+        mean, covariance = believed(record[:, :-1, 0].T, self._chunk.model)
+        sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._chunk.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         mean[~sound], covariance[~sound] = np.nan, np.nan

@@ -13,7 +13,7 @@ from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import flags_of, require_accuracy, switches
+from sigmaswarm.filters.schedule import flags_of, require_accuracy, require_axes, switches
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +135,11 @@ def run_steps(
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
     """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    require_axes(replay.timeline.drive, chunk.model)
     if chunk.takes_accuracy:
         require_accuracy(replay.timeline)
     arrays = replay.arrays(*switches(chunk.sets[0]))
-    run.run_lanes(chunk.sets[0].model, *arrays, rows, place, stop, record, innovations)
+    run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
 
 
 def joined(parts: Sequence[Sums], axis: int) -> Sums:

@@ -187,4 +187,6 @@ def run_textbook(
     run = run_steps(car, rows.tolist(), n_rows=len(line.imu_time))
     run.mean[:, THETA] = wrap_angle(run.mean[:, THETA])
     failure = failure_at(line, line.end[run.failed]) if run.failed >= 0 else None
-    return Estimate(line.imu_time, run.mean, run.covariance, replay.initial, failure)
+    tilts = car.model.tilts
+    covariance = tilts.as_angles(run.mean, run.covariance) if tilts else run.covariance
+    return Estimate(line.imu_time, run.mean, covariance, replay.initial, failure)

@@ -4,10 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
 # What happens at the end of a step, as bits.
@@ -52,6 +53,22 @@ def require_accuracy(line: Timeline) -> None:
         raise InputError(
             f"{line.drive.name}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale), "
             "and gps.csv has no std_x and std_y for all fixes; take a filter that was tuned without accuracy"
+        )
+
+
+def require_axes(drive: Drive, model: ModelName) -> None:
+    """Refuse a drive whose IMU lacks an axis that a model reads.
+
+    Raises
+    ------
+    InputError
+        Naming the drive, the axes and the remedy.
+    """
+    lacking = [axis for axis in MODELS[model].imu if getattr(drive.imu, axis) is None]
+    if lacking:
+        raise InputError(
+            f"{drive.name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
+            "take planar8, which needs ax, ay and gz only"
         )
 
 
@@ -101,7 +118,7 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[Array, Array]:
     """Means (..., n) and covariances (..., n, n) for bias_std of shape (..., 2).
 
-    What a start does not say is a bias: it is 0, as unsure as ``bias_std`` says.
+    What a start does not say is 0: a bias, as unsure as ``bias_std`` says, or roll and pitch, as their states say.
     """
     n, known = len(model.states), min(len(model.states), len(initial.mean))
     mean, covariance = np.zeros((*bias_std.shape[:-1], n)), np.zeros((*bias_std.shape[:-1], n, n))
@@ -111,6 +128,8 @@ def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[
     for i, state in enumerate(model.states[known:], known):
         if state.bias_of is not None:
             covariance[..., i, i] = bias_std[..., sensors.index(state.bias_of)] ** 2
+        else:
+            covariance[..., i, i] = state.start_std**2
     return mean, covariance
 
 

@@ -1,6 +1,6 @@
 """The simulator: drives of a Tesla Model 3 with seeded sensors, without a CARLA server.
 
-    maneuvers -> planning -> dynamics -> journey -> motion -> imu, gps -> scenarios -> Drive
+    maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps -> scenarios -> Drive
 
 `simulate` makes one drive, `simulate_many` all conditions; `with_outliers` spoils some fixes of any drive. What is
 modelled, and what is not: docs/simulator.md.
@@ -13,6 +13,7 @@ from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.outliers import with_outliers
 from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.simulation.terrain import TERRAINS, Terrain
 from sigmaswarm.simulation.vehicle import VEHICLES
 
 __all__ = [
@@ -21,10 +22,12 @@ __all__ = [
     "IMU_GRADES",
     "MANEUVERS",
     "PAPER_MANEUVERS",
+    "TERRAINS",
     "VEHICLES",
     "Environment",
     "GpsGrade",
     "ImuGrade",
+    "Terrain",
     "Triad",
     "simulate",
     "simulate_many",

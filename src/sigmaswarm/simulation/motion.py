@@ -1,9 +1,10 @@
 """From the car's recorded states to the motion of a point that is fixed to its body.
 
-The body pitches and rolls about its centre of gravity while that moves in the plane. Attitude: yaw, then
-pitch (positive nose down), then roll (positive left side up), each about the body's new axis; so positive
-lateral acceleration (a left turn) rolls the body to the right, and gravity leaks into the sensor in the
-direction of the acceleration. Everything here is exact rigid-body kinematics, in closed form.
+The body pitches and rolls about its centre of gravity while that moves in the plane, or on the road where that
+is not flat. Attitude: yaw, then pitch (positive nose down), then roll (positive left side up), each about the
+body's new axis; so positive lateral acceleration (a left turn) rolls the body to the right, and gravity leaks into
+the sensor in the direction of the acceleration. The road's pitch and roll add to the suspension's. Everything here
+is exact rigid-body kinematics, in closed form.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from sigmaswarm.simulation.dynamics import (
     PITCH,
     PITCH_ACCEL,
     PITCH_RATE,
+    RECORDED,
     ROLL,
     ROLL_ACCEL,
     ROLL_RATE,
@@ -31,9 +33,23 @@ from sigmaswarm.simulation.dynamics import (
     X,
     Y,
 )
+from sigmaswarm.simulation.terrain import (
+    CLIMB,
+    CLIMB_ACCEL,
+    HEIGHT,
+    ROAD_PITCH,
+    ROAD_PITCH_ACCEL,
+    ROAD_PITCH_RATE,
+    ROAD_ROLL,
+    ROAD_ROLL_ACCEL,
+    ROAD_ROLL_RATE,
+)
 
 Array = NDArray[np.float64]
 LeverArm = tuple[float, float, float]
+
+_ROAD_ROLL = (ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL)
+_ROAD_PITCH = (ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL)
 
 
 @dataclass(frozen=True)
@@ -61,7 +77,7 @@ class Motion:
 
 
 def sample(record: Array, times: Array) -> Array:
-    """Rows of the record (n, 20) at any times (k,) in s, linearly between milliseconds."""
+    """Rows of the record (n, 20 or 29) at any times (k,) in s, linearly between milliseconds."""
     place = np.clip(times / STEP, 0, len(record) - 1)
     before = np.minimum(place.astype(np.intp), len(record) - 2)
     weight = (place - before)[:, None]
@@ -85,8 +101,8 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
 
     Parameters
     ----------
-    rows : ndarray, shape (n, 20)
-        Recorded states, see `sigmaswarm.simulation.dynamics`.
+    rows : ndarray, shape (n, 20) or (n, 29)
+        Recorded states, see `sigmaswarm.simulation.dynamics`; with the road's, see `sigmaswarm.simulation.terrain`.
     vehicle : Vehicle
         Whose roll and pitch gains apply.
     lever_arm : tuple of float
@@ -97,6 +113,12 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
     r1, r2 = rows[:, YAW_RATE], rows[:, YAW_ACCEL]
     roll, f1, f2 = (vehicle.roll_gain * rows[:, i] for i in (ROLL, ROLL_RATE, ROLL_ACCEL))
     pitch, p1, p2 = (-vehicle.pitch_gain * rows[:, i] for i in (PITCH, PITCH_RATE, PITCH_ACCEL))
+    level = np.zeros(len(yaw))
+    height, climb, climb_rate = level, level, level
+    if rows.shape[1] > RECORDED:
+        roll, f1, f2 = (a + rows[:, i] for a, i in zip((roll, f1, f2), _ROAD_ROLL, strict=True))
+        pitch, p1, p2 = (a + rows[:, i] for a, i in zip((pitch, p1, p2), _ROAD_PITCH, strict=True))
+        height, climb, climb_rate = (rows[:, i] for i in (HEIGHT, CLIMB, CLIMB_ACCEL))
     cp, sp, cr, sr = np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
 
     # Angular rate of a yaw-pitch-roll sequence, and its derivative.
@@ -109,17 +131,16 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
         ]
     )
     rotation = _rotation(yaw, pitch, roll)
-    level = np.zeros(len(yaw))
     east = np.cos(yaw) * rows[:, AX] - np.sin(yaw) * rows[:, AY]
     north = np.sin(yaw) * rows[:, AX] + np.cos(yaw) * rows[:, AY]
-    force = np.column_stack([east, north, level + GRAVITY])
+    force = np.column_stack([east, north, climb_rate + GRAVITY])
     along = np.cross(rate, arm)
-    center = np.column_stack([rows[:, X], rows[:, Y], level])
+    center = np.column_stack([rows[:, X], rows[:, Y], height])
     moving = np.column_stack(
         [
             np.cos(yaw) * rows[:, VX] - np.sin(yaw) * rows[:, VY],
             np.sin(yaw) * rows[:, VX] + np.cos(yaw) * rows[:, VY],
-            level,
+            climb,
         ]
     )
     return Motion(

@@ -21,6 +21,15 @@ from sigmaswarm.simulation.gps import GpsGrade, degrade, find_gps, measure_gps
 from sigmaswarm.simulation.imu import ImuGrade, find_imu, measure_imu
 from sigmaswarm.simulation.journey import take_journey
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample
+from sigmaswarm.simulation.terrain import (
+    HEIGHT,
+    ROAD_PITCH,
+    ROAD_ROLL,
+    Terrain,
+    drive_on,
+    find_terrain,
+    lay_road,
+)
 from sigmaswarm.simulation.vehicle import find_vehicle
 from sigmaswarm.simulation.vibration import vibrate
 
@@ -47,6 +56,7 @@ def simulate(
     imu_place: LeverArm = IMU_PLACE,
     vibration: float = 0.0,
     gnss_degradation: bool = False,
+    terrain: str | Terrain = "flat",
 ) -> Drive:
     """Simulate one drive.
 
@@ -79,6 +89,9 @@ def simulate(
     gnss_degradation : bool
         Multiply the receiver's errors by the environment's factor: **an assumption**, no measurement is
         behind it.
+    terrain : str or Terrain
+        "flat", "rolling" or "hilly": what the road's slopes do to the car's attitude, and so to the IMU. The way in
+        the plane, and so the truth, is the same (but for millimeters of the IMU's place above the centre).
 
     Returns
     -------
@@ -93,6 +106,7 @@ def simulate(
     where = find_environment(environment)
     imu_grade, gps_grade = find_imu(imu), find_gps(gps)
     vehicle_name, car = find_vehicle(vehicle)
+    ground = find_terrain(terrain)
     _check(imu_rate, gps_rate, jitter, vibration, duration, maneuver)
     if seed < 0 or run < 0:
         raise InputError(f"seed {seed} and run {run} must not be negative")
@@ -103,7 +117,10 @@ def simulate(
         return _stream(seed, maneuver, where.name, run, sensor)
 
     journey = take_journey(maneuver, where, car, stream("driver"), duration, warm_up)
-    end = (len(journey.record) - 1) * STEP
+    record = journey.record
+    if ground.name != "flat":
+        record = drive_on(record, lay_road(journey.path[:, 3], ground, stream("road")), car)
+    end = (len(record) - 1) * STEP
     nominal = _times(end, imu_rate, 0.0, stream("imu clock"))
     # CARLA ticks without jitter.
     ticks = nominal if imu_grade.carla else _times(end, imu_rate, jitter, stream("imu clock"))
@@ -111,9 +128,9 @@ def simulate(
     stamps = stamps[stamps >= gps_grade.latency]
     (i, j, k), (a, b, c) = imu_place, gps_grade.lever_arm
     antenna = (i + a, j + b, k + c)
-    seen = motion_at(sample(journey.record, stamps - gps_grade.latency), car, antenna)
-    true = motion_at(sample(journey.record, nominal), car, imu_place)
-    felt = true if ticks is nominal else motion_at(sample(journey.record, ticks), car, imu_place)
+    seen = motion_at(sample(record, stamps - gps_grade.latency), car, antenna)
+    true = motion_at(sample(record, nominal), car, imu_place)
+    felt = true if ticks is nominal else motion_at(sample(record, ticks), car, imu_place)
     if vibration > 0:
         felt = vibrate(felt, imu_rate, vibration, stream("vibration"))
     fixes = measure_gps(stamps, seen, gps_grade, stream("gps"), journey.outages)
@@ -130,6 +147,8 @@ def simulate(
         "jitter_s": jitter,
         "vibration": vibration,
         "gnss_degradation": gnss_degradation,
+        # Drives on flat roads say what they said before there were others.
+        **({} if ground.name == "flat" else {"terrain": ground.name} | _slope_figures(record)),
         "outages": [list(window) for window in journey.outages],
     }
     return Drive(
@@ -152,6 +171,17 @@ def simulate(
 def drive_name(maneuver: str, environment: str, run: int) -> str:
     """Return the name of a simulated drive, which is also that of its folder."""
     return f"{maneuver}-{environment}-{run:02d}"
+
+
+def _slope_figures(record: Array) -> dict[str, float]:
+    """Return how steep the road was, and how far up and down it went."""
+    grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
+    return {
+        "grade_std_percent": round(100 * float(np.std(grade)), 2),
+        "peak_grade_percent": round(100 * float(np.abs(grade).max()), 2),
+        "peak_bank_percent": round(100 * float(np.abs(bank).max()), 2),
+        "climb_m": round(float(np.ptp(record[:, HEIGHT])), 2),
+    }
 
 
 def _truth(times: Array, true: Motion) -> Truth:

@@ -5,6 +5,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale
 
@@ -66,6 +67,13 @@ class TuneConfig(SearchConfig):
     """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins."""
     margin: float | None = Field(default=DEFAULTS["margin"], ge=0, le=1)
     """None: `MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_kind(cls, asked: Any) -> Any:
+        """Where none is asked for, the kind that is usual for the model."""
+        model = MODELS.get(asked.get("model", DEFAULTS["model"])) if isinstance(asked, dict) else None  # pyright: ignore
+        return {"kind": model.kinds[0], **asked} if model else asked
 
     @model_validator(mode="after")
     def _margin_needs_logarithms(self) -> Self:

@@ -88,9 +88,15 @@ class FilterOptions(TypedDict, total=False):
 
     model: Annotated[
         ModelName,
-        Doc("The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases."),
+        Doc(
+            "The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases, tilted12 "
+            "also roll and pitch, for roads that are not flat; it needs an IMU with az, gx and gy."
+        ),
     ]
-    kind: Annotated[FilterKind, Doc("Unscented, extended, adaptive (Sage-Husa) or strong tracking.")]
+    kind: Annotated[
+        FilterKind,
+        Doc("Unscented, extended (all that tilted12 has), adaptive (Sage-Husa) or strong tracking."),
+    ]
     use: Annotated[
         Sequence[Option],
         Doc(

@@ -16,6 +16,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std, states_accuracy
+from sigmaswarm.filters.schedule import require_axes
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
@@ -227,6 +228,8 @@ def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
         raise InputError(
             f"{silent[0]}: its gps.csv has no std_x and std_y, which --use accuracy needs; leave accuracy out"
         )
+    for drive in drives:
+        require_axes(drive, config.model)
     lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
     if "velocity" in config.use and lacking:
         raise InputError(

@@ -60,6 +60,8 @@ NOISES = (
     *("process_noise", "measurement_noise", "accuracy_scale"),
     *("velocity_noise", "lateral_noise", "standstill_noise"),
 )
+USUAL_INTERVAL = 0.01
+"""s: the IMU of a drive that is not known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 
 
@@ -109,10 +111,10 @@ def search_space(
     kind: FilterKind = "ukf",
     use: Sequence[Option] = (),
 ) -> SearchSpace:
-    """The box for a filter: the paper's for planar5, its own for planar8; ``scale`` says how variances are searched.
+    """The box for a filter: the paper's for planar5, their own for others; ``scale`` says how variances are searched.
 
-    planar8, and planar5 with the lateral constraint, have the same noise to the east as to the north: q_xy, q_vxy and
-    r_xy.
+    All but planar5 without the lateral constraint have the same noise to the east as to the north: q_xy, q_vxy, r_xy. A
+    box that is per second is brought to ``nominal_interval``, or to 10 ms.
 
     Raises
     ------
@@ -126,7 +128,10 @@ def search_space(
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
     if reason := clash(kind, use):
         raise InputError(reason)
-    dimensions = tuple(_dimensions(model, kind, use))
+    kinds = MODELS[model].kinds
+    if kind not in kinds:
+        raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
+    dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
     logarithmic = np.array([d.spread and scale == "log10" for d in dimensions])
     fixed: dict[str, Any] = {"model": model, "kind": kind, "nominal_interval": nominal_interval}
     if kind == "ekf":  # it has no sigma points
@@ -141,7 +146,9 @@ def search_space(
     )
 
 
-def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> Iterator[Dimension]:
+def _dimensions(
+    model: ModelName, kind: FilterKind, use: Sequence[Option], interval: float
+) -> Iterator[Dimension]:
     """The dimensions in order; but in the paper's own filter, east and north share their noise.
 
     A car does not know the compass. Fitted to roads to the east, a filter had 1000 times more noise of the velocity to
@@ -154,7 +161,9 @@ def _dimensions(model: ModelName, kind: FilterKind, use: Sequence[Option]) -> It
     blind = described.blind or "lateral" in use
     for name, states in groupby(described.states, lambda state: state.shared if blind else state.name):
         alike = list(states)
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *alike[0].variance)
+        lowest, highest = alike[0].variance
+        scale = interval if alike[0].per_second else 1.0
+        yield Dimension(f"q_{name}", "process_noise", len(alike), scale * lowest, scale * highest)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)

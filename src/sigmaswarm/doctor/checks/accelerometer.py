@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from sigmaswarm.doctor.confidence import confidence_by_margin, confidence_of
 from sigmaswarm.doctor.evidence import Evidence
@@ -17,6 +18,9 @@ MOUNTING = (math.radians(5), math.radians(10))
 """rad: a rotation about z from the first on is a warning, from the second on serious."""
 TILT = (0.5, 1.2)
 """m/s2: the same for what is left over in ax, ay. Roads and cheap sensors' biases stay below the second."""
+SIZE = (0.3, 1.0)
+"""m/s2 by which the usual specific force differs from gravity: from the first on a note, from the second on a warning.
+Cheap sensors reach 0.8: 3% of scale and 0.05 g of bias (MPU-6050)."""
 CLEAR = 3.5
 """Deviations."""
 WRONG_SCALE = 0.4
@@ -82,15 +86,15 @@ def _mounting(evidence: Evidence, mount: Mount) -> Iterator[Finding]:
     angle, std = mount.angle, mount.angle_std
     if abs(angle) < max(MOUNTING[0], CLEAR * std):
         return
-    c, s = math.cos(angle), math.sin(angle)
     degrees = math.degrees(angle)
     side = "left" if angle > 0 else "right"  # a = R(angle) u: the sensor's x points to that side
     yield Finding(
         "mounting", "serious" if abs(angle) > MOUNTING[1] else "warning",
         f"the IMU is turned by {abs(degrees):.0f} deg (deviation {math.degrees(std):.0f}) to the {side} "
         "about the vertical",
-        "imu.csv, ax, ay", evidence.span, confidence_of(angle / std), f"turn (ax, ay) by {degrees:+.0f} deg",
-        Repair("accelerometer", (c, -s, s, c, 1.0)),
+        "imu.csv, ax, ay", evidence.span, confidence_of(angle / std),
+        f"turn (ax, ay) and (gx, gy) by {degrees:+.0f} deg",
+        Repair("turn", (angle,)),
     )  # fmt: skip
 
 
@@ -149,8 +153,11 @@ def _bias_std(evidence: Evidence) -> float:
 def _upward(evidence: Evidence) -> Iterator[Finding]:
     """Faults that az shows, which planar filters do not use."""
     imu, mount = evidence.drive.imu, evidence.mount
+    if imu.az is None:
+        return
     wrong = gravity_up(imu, mount.unit if mount else 1.0)
-    if imu.az is None or wrong is None:
+    if wrong is None:
+        yield from _size(evidence)
         return
     up = float(np.median(imu.az))
     if mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
@@ -158,7 +165,38 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
     if wrong.code == "accelerometer-unit":
         if mount is None or not any(mount.known):  # else the motion tells, and better
             yield finding_of(wrong, "warning", evidence.span, 0.9)
+        elif mount.unit == 1:
+            factor = math.copysign(GRAVITY, up)
+            yield Finding(
+                "accelerometer-up", "warning",
+                f"column az has median {up:.2f}, as if in g, while ax and ay are in m/s2",
+                "imu.csv, az", evidence.span, 0.99, f"multiply az by {factor}",
+                Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, factor)),
+            )  # fmt: skip
         return
     free = abs(up) < 0.2 * GRAVITY  # gravity was taken off, and nothing is lost
     sign = Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, -1.0)) if up < -0.7 * GRAVITY else None
     yield finding_of(wrong, "note" if free else "warning", evidence.span, 0.99, sign)
+
+
+def _size(evidence: Evidence) -> Iterator[Finding]:
+    """A specific force whose usual size, over half a second, is not gravity's."""
+    imu, mount = evidence.drive.imu, evidence.mount
+    assert imu.az is not None
+    unit = mount.unit if mount else 1.0
+    count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
+    force = unit * uniform_filter1d(np.array([imu.ax, imu.ay, imu.az]), count, axis=1)
+    size = float(np.median(np.linalg.norm(force, axis=0)))
+    off = size - GRAVITY
+    if abs(off) < SIZE[0]:
+        return
+    large = abs(off) > SIZE[1]
+    # What az lacks to make the sum right: along the others gravity hardly stands.
+    level = float(np.median(np.sum(force[:2] ** 2, axis=0)))
+    factor = math.sqrt(GRAVITY**2 - level) / float(np.median(force[2])) if level < GRAVITY**2 / 2 else 1.0
+    yield Finding(
+        "gravity-size", "warning" if large else "note",
+        f"the specific force has the size {size:.2f} m/s2 where gravity is {GRAVITY:.2f}: az is off by {off:+.2f}",
+        "imu.csv, az", evidence.span, 0.99, f"multiply az by {factor:.3f}, or look up the sensor's scale",
+        Repair("accelerometer", (1.0, 0.0, 0.0, 1.0, factor)) if large and factor > 0 else None,
+    )  # fmt: skip

@@ -33,6 +33,11 @@ def kernel(function, **known):
     return njit(unrolled(function, **known), forceinline=True, **OPTIONS)
 
 
+def subroutine(function, **known):
+    """As `kernel`, but called rather than written into its callers: for what is long and called from many places."""
+    return njit(unrolled(function, **known), **OPTIONS)
+
+
 def _inline(function):
     return njit(function, inline="always", error_model="numpy")
 
@@ -80,3 +85,26 @@ def double_angle(x):
     double = 2.0 * sin * cos
     sin_x = cos if odd else sin  # but for its sign
     return -double if odd else double, sin_x * sin_x
+
+
+@_inline
+def angle_of(y, x):
+    """The angle of the vector (x, y), in [-pi, pi], without branches or calls; to the last digit or two.
+
+    The ratio of the smaller to the larger, brought to [-tan(pi/8), tan(pi/8)], then the rational function of Cephes
+    (S. Moshier, atan.c).
+    """
+    ax, ay = abs(x), abs(y)
+    large = ax if ax > ay else ay
+    small = ay if ax > ay else ax
+    far = small > 0.41421356237309503 * large
+    t = (small - large if far else small) / ((small + large if far else large) + 1e-300)
+    z = t * t
+    p = (-8.750608600031904122785e-1 * z - 1.615753718733365076637e1) * z - 7.500855792314704667340e1
+    p = (p * z - 1.228866684490136173410e2) * z - 6.485021904942025371773e1
+    q = ((z + 2.485846490142306297962e1) * z + 1.650270098316988542046e2) * z + 4.328810604912902668951e2
+    q = (q * z + 4.853903996359136964868e2) * z + 1.945506571482613964425e2
+    angle = t + t * (z * p / q) + (0.25 * math.pi if far else 0.0)
+    angle = 0.5 * math.pi - angle if ay > ax else angle
+    angle = math.pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle

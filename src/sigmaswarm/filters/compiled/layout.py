@@ -4,13 +4,18 @@ Kernels say ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place befor
 """
 
 from collections import namedtuple
+from functools import cache
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.filters.models import MODELS
 
 LETTERS = {
     "x": "X", "y": "Y", "vx": "U", "vy": "V", "theta": "T",
     "accel_bias_x": "A", "accel_bias_y": "B", "gyro_bias_z": "W",
+    "roll": "I", "pitch": "J", "gyro_bias_x": "K", "gyro_bias_y": "L",
 }  # fmt: skip
 """One for each state of any model; two of them name an element of the covariance."""
 
@@ -18,6 +23,8 @@ _LARGEST = max(MODELS.values(), key=lambda model: len(model.states))
 _STATES = [LETTERS[name] for name in _LARGEST.names]
 
 MEAN = tuple(_STATES)
+QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
+"""Of models with tilts: see `tilted12`."""
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """The upper triangle column by column, so that a model's rows are the first of a larger one's."""
 CONSTANTS = (
@@ -33,6 +40,7 @@ SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
     "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
+    "HEADING",  # of models with tilts, whose mean has no row for it
 )  # fmt: skip
 """What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
@@ -47,15 +55,21 @@ SCRATCH = (
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it
+    *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
 )  # fmt: skip
 
-_BLOCKS = {"STATE": (*MEAN, *COVARIANCE), "CONSTANTS": CONSTANTS, "SUMS": SUMS, "SCRATCH": SCRATCH}
+_BLOCKS = {
+    "STATE": (*MEAN, *QUATERNION, *COVARIANCE),
+    "CONSTANTS": CONSTANTS,
+    "SUMS": SUMS,
+    "SCRATCH": SCRATCH,
+}
 NAMES = tuple(name for block in _BLOCKS.values() for name in block)
 N_ROWS = len(NAMES)
 
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
 """Each row's number under its name."""
-P0, Q0, C1, C2 = R.XX, R.Q_X, R.C1_X, R.C2_X
+P0, Q0, C1, C2, FP = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0
 """First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
 
 
@@ -66,5 +80,21 @@ def _rows(block: str) -> slice:
 
 STATE_ROWS, CONSTANT_ROWS, SUM_ROWS = _rows("STATE"), _rows("CONSTANTS"), _rows("SUMS")
 N_STATE: int = STATE_ROWS.stop
+
+
+@cache
+def state_rows(model: str) -> NDArray[np.intp]:
+    """The rows that hold a model's state: mean (n,), quaternion (4,) if any, upper triangle of the covariance."""
+    n = len(MODELS[model].states)
+    quaternion = range(R.ATT_W, R.ATT_W + len(QUATERNION)) if MODELS[model].tilts else ()
+    return np.array([*range(n), *quaternion, *range(P0, P0 + n * (n + 1) // 2)], dtype=np.intp)
+
+
+def at(i: int, j: int) -> int:
+    """Row of P[i, j]."""
+    low, high = min(i, j), max(i, j)
+    return P0 + high * (high + 1) // 2 + low
+
+
 N_KEPT: int = SUM_ROWS.stop
 """Rows that make a filter: from them it goes on. What follows is scratch."""

@@ -8,12 +8,17 @@ set of kernels would. The memory is five arrays, so that each call takes the sam
     memory  (N_MEMORY, 8) what tells calm, see `drives.standstill`; of no rows where nothing asks
     fixes   (f, N_FIX) by time; those of one time in the order in which they came; each with what it is
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
+
+A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one. What takes
+the filter through steps is compiled for each model: see `live_calls`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
 import math
+from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 from numba import float64, int64, njit
@@ -22,12 +27,13 @@ from numba.core.dispatcher import Dispatcher
 from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
-from sigmaswarm.drives.timeline import CORNERING
+from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import LANES
-from sigmaswarm.filters.compiled.layout import N_KEPT, P0, R
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
-from sigmaswarm.filters.compiled.step import step5, step8
+from sigmaswarm.filters.compiled.step import STEPS
+from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
 
 # The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, and the intervals
@@ -38,20 +44,24 @@ TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT = range(N_FILTER, N_FILTER + 4)
 STOP = slice(N_FILTER + 4, N_FILTER + 4 + N_STOP)  # what is remembered of a stop
 N_BELIEF = STOP.stop
 # Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
-NOMINAL, START, LEVER_X, LEVER_Y, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED = range(
-    N_BELIEF, N_BELIEF + 7
+N_SAMPLE = 1 + len(AXES)
+NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL = range(
+    N_BELIEF, N_BELIEF + 6
 )
-LAST_SAMPLE, LAST_AX, LAST_AY, LAST_GZ, USUAL_INTERVAL = range(N_BELIEF + 7, N_BELIEF + 12)
-FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, HAS_VELOCITY, FIX_VAR_X, FIX_VAR_Y, KIND = range(9)
+LEVER = slice(N_BELIEF + 6, N_BELIEF + 9)
+SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
+LAST_SAMPLE = SAMPLE.start  # its time
+FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, HAS_VELOCITY, KIND = range(9)
+FIX_ROW = slice(FIX_X, HAS_VELOCITY)  # a row of `Timeline.fixes`
 N_FIX = 9
-# The last sample and fix that lay too far ahead to be taken at once.
-SAMPLE_AHEAD = slice(N_BELIEF + 12, N_BELIEF + 16)
+# The last sample and fix that lay too far ahead to be taken at once; and the one that has just come.
+SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
-N_ALL = FIX_AHEAD.stop
+NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
+N_ALL = NEW_SAMPLE.stop
 
-N_STATES, N_FIXES, N_HISTORY, OLDEST = range(4)
-HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN = range(4, 9)
-N_COUNTS = 9
+N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN = range(8)
+N_COUNTS = 8
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
 
 LEAP = 10.0
@@ -59,10 +69,14 @@ LEAP = 10.0
 AGREES = 1.0 + 1e-6
 """s between the two; beside the second, what rounding takes off times that count from 1970."""
 
-# What drives the filter to a sample's time, whether the last second was calm, and its means.
-S_TIME, S_AX, S_AY, S_GZ, S_GAP, S_CALM = range(N_BELIEF, N_BELIEF + 6)
-S_MEANS = slice(N_BELIEF + 6, N_BELIEF + 10)
+# The step, a row of `Timeline.steps`, that ends at a sample's time; whether the last second was calm, and its means.
+S_TIME = N_BELIEF
+S_STEP = slice(N_BELIEF + 1, N_BELIEF + 1 + N_STEP)
+S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
+S_CALM = S_STEP.stop
+S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
+_NO_FIX = np.zeros(FIX_ROW.stop - FIX_ROW.start)
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
@@ -70,47 +84,34 @@ TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 
 # Bookkeeping has no lanes to vectorize, and must divide as Python does: slots of time are compared with those of a run.
 _plain = partial(njit, error_model="numpy", nogil=True)
-_cached_plain = partial(cached_by_sources, fastmath=False)
 
 
-@cached_by_sources
-def live_step(sources):
-    def step(
-        v, n, dt, ax, ay, gz, q_scale, gap, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since
-    ):  # fmt: skip
-        """One step of one filter; v (N_FILTER or more,) is its state before and after."""
+def _one_step(sources, *, step, kept):
+    def live_step(v, u, happens, z, lever, since):
+        """One step of one filter, as in `step`; v (N_FILTER or more,) is its state before and after."""
         if sources == "":  # never; so the name is closed over
             return
         w = new_rows()
-        for r in range(N_FILTER):
+        for r in kept:
             for l in range(LANES):
                 w[r, l] = v[r]
-        if n == 5:
-            step5(
-                w, dt, ax, ay, gz, q_scale, gap, happens,
-                zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since,
-            )  # fmt: skip
-        else:
-            step8(
-                w, dt, ax, ay, gz, q_scale, gap, happens,
-                zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since,
-            )  # fmt: skip
-        for r in range(N_FILTER):
+        step(
+            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
+            (z[0], z[1], z[2], z[3], z[4], z[5]), (lever[0], lever[1], lever[2]), since,
+        )  # fmt: skip
+        for r in kept:
             v[r] = w[r, 0]
 
-    return step
+    return live_step
 
 
-@_plain
-def _step_to(v, n, to, ax, ay, gz, gap, happens, zx, zy, zu, zv, var_x, var_y):
-    """From where the belief is to a moment."""
+def _step_to(v, to, u, happens, z, *, live_step):
+    """From where the belief is to a moment; u (N_STEP,) with the axes and the gap, its length is put in."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
-    live_step(
-        v, n, dt, ax, ay, gz, scale, gap, happens,
-        zx, zy, zu, zv, var_x, var_y, v[LEVER_X], v[LEVER_Y], v[SINCE],
-    )  # fmt: skip
+    u[DT], u[Q_SCALE] = dt, scale
+    live_step(v, u, happens, z, v[LEVER], v[SINCE])
     v[TIME] = to
 
 
@@ -120,10 +121,9 @@ def _slot(t, start, interval):
     return math.floor((t - start) / interval + 1e-6)
 
 
-@_plain
-def _take(v, counts, fixes, t, ax, ay, gz, gap, calm, means):
+def _take(v, counts, fixes, t, u, calm, means, *, step_to):
     """Step through the fixes up to a sample's time, and absorb there what a car on its wheels can't do."""
-    n, end = counts[N_STATES], _seen(counts, fixes, t)
+    end = _seen(counts, fixes, t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
         first -= 1
@@ -132,13 +132,10 @@ def _take(v, counts, fixes, t, ax, ay, gz, gap, calm, means):
         if z[KIND] >= FROZEN:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
-        _step_to(
-            v, n, z[FIX_TIME], ax, ay, gz, gap, happens,
-            z[FIX_X], z[FIX_Y], z[FIX_U], z[FIX_V], z[FIX_VAR_X], z[FIX_VAR_Y],
-        )  # fmt: skip
+        step_to(v, z[FIX_TIME], u, happens, z[FIX_ROW])
         v[SINCE] = 0.0
     happens = 0
-    if v[LATERAL_INTERVAL] > 0.0 and abs(ay) <= CORNERING:
+    if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
         slot = _slot(t, v[START], v[LATERAL_INTERVAL])
         if slot != v[LATERAL_SLOT]:
             happens |= LATERAL
@@ -149,7 +146,7 @@ def _take(v, counts, fixes, t, ax, ay, gz, gap, calm, means):
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
-        _step_to(v, n, t, ax, ay, gz, gap, happens, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        step_to(v, t, u, happens, _NO_FIX)
 
 
 @_plain
@@ -219,23 +216,20 @@ def _keep(v, counts, fixes, history, z):
     return TAKEN
 
 
-@_plain
-def _go_on(v, counts, memory, fixes, history, t, ax, ay, gz):
+def _go_on(v, counts, memory, fixes, history, sample, *, take):
     """Take an IMU sample whose time is believed: a gap before it is driven by the mean of the two around it."""
-    gap, ax1, ay1, gz1 = 0.0, ax, ay, gz
-    if v[LAST_SAMPLE] > -math.inf:
-        interval = t - v[LAST_SAMPLE]
+    t, last, gap = sample[0], v[SAMPLE], 0.0
+    if last[0] > -math.inf:
+        interval = t - last[0]
         if v[AS_RECORDED] == 0.0:
             gap = gap_of(interval, v[USUAL_INTERVAL])
         v[USUAL_INTERVAL] = usual_after(interval, v[USUAL_INTERVAL])
-        if gap > 0.0:
-            ax1, ay1, gz1 = 0.5 * (v[LAST_AX] + ax), 0.5 * (v[LAST_AY] + ay), 0.5 * (v[LAST_GZ] + gz)
-    v[LAST_SAMPLE], v[LAST_AX], v[LAST_AY], v[LAST_GZ] = t, ax, ay, gz
     calm, means = False, np.zeros(4)
     if v[STANDSTILL_INTERVAL] > 0.0:
-        calm = is_calm(memory, t, ax, ay, gz)
+        calm = is_calm(memory, t, sample[1], sample[2], sample[3])
         means[:] = memory[MEANS, :4]
     if t <= v[START]:
+        last[:] = sample
         if calm:  # a stop may have begun before
             _stands(v, fixes, _seen(counts, fixes, t), t, means)
         return
@@ -245,13 +239,17 @@ def _go_on(v, counts, memory, fixes, history, t, ax, ay, gz):
         counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
     record = _record(counts, history, counts[N_HISTORY] - 1)
     record[:N_BELIEF] = v[:N_BELIEF]
-    record[S_TIME], record[S_AX], record[S_AY], record[S_GZ], record[S_GAP] = t, ax1, ay1, gz1, gap
+    record[S_TIME], record[S_STEP][GAP] = t, gap
+    record[S_AXES] = sample[1:]
+    if gap > 0.0:
+        for axis in range(len(AXES)):
+            record[S_AXES][axis] = 0.5 * (last[1 + axis] + sample[1 + axis])
     record[S_CALM], record[S_MEANS] = 1.0 if calm else 0.0, means
-    _take(v, counts, fixes, t, ax1, ay1, gz1, gap, calm, means)
+    last[:] = sample
+    take(v, counts, fixes, t, record[S_STEP], calm, means)
 
 
-@_plain
-def _place(v, counts, fixes, history, z):
+def _place(v, counts, fixes, history, z, *, take):
     """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -267,31 +265,27 @@ def _place(v, counts, fixes, history, z):
     kept = _keep(v, counts, fixes, history, z)
     if kept == TAKEN:
         v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
-        for k in range(back, counts[N_HISTORY]):
-            record = _record(counts, history, k)
+        for again in range(back, counts[N_HISTORY]):
+            record = _record(counts, history, again)
             record[:N_BELIEF] = v[:N_BELIEF]
-            _take(
-                v, counts, fixes, record[S_TIME], record[S_AX], record[S_AY], record[S_GZ],
-                record[S_GAP], record[S_CALM] > 0.0, record[S_MEANS],
-            )  # fmt: skip
+            take(v, counts, fixes, record[S_TIME], record[S_STEP], record[S_CALM] > 0.0, record[S_MEANS])
     return kept
 
 
-@_plain
-def _place_and_count(v, counts, fixes, history, z):
-    kept = _place(v, counts, fixes, history, z)
+def _place_and_count(v, counts, fixes, history, z, *, place):
+    kept = place(v, counts, fixes, history, z)
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
     return kept
 
 
-@_cached_plain
-def take_sample(sources):
-    def sample(v, counts, memory, fixes, history, t, ax, ay, gz):
+def _take_sample(sources, *, go_on, place_and_count):
+    def sample(v, counts, memory, fixes, history, t, ax, ay, gz, az, gx, gy):
         """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return
-        held = v[SAMPLE_AHEAD]
+        new, held = v[NEW_SAMPLE], v[SAMPLE_AHEAD]
+        new[0], new[1], new[2], new[3], new[4], new[5], new[6] = t, ax, ay, gz, az, gx, gy
         holds = counts[HOLDS_SAMPLE] > 0
         ahead = _lies_ahead(v, t)
         agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
@@ -299,36 +293,35 @@ def take_sample(sources):
             if not holds or t != held[0]:  # not the same again
                 counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
                 counts[HOLDS_SAMPLE] = 1
-                held[0], held[1], held[2], held[3] = t, ax, ay, gz
+                held[:] = new
             return
         counts[HOLDS_SAMPLE] = 0
         if agrees:
-            _go_on(v, counts, memory, fixes, history, held[0], held[1], held[2], held[3])
+            go_on(v, counts, memory, fixes, history, held)
         elif holds:
             counts[TIME_JUMPS] += 1
-        _go_on(v, counts, memory, fixes, history, t, ax, ay, gz)
+        go_on(v, counts, memory, fixes, history, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
-            _place_and_count(v, counts, fixes, history, v[FIX_AHEAD].copy())
+            place_and_count(v, counts, fixes, history, v[FIX_AHEAD].copy())
 
     return sample
 
 
-@_cached_plain
-def take_fix(sources):
+def _take_fix(sources, *, place_and_count):
     def fix(v, counts, memory, fixes, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
-        z = np.array([t, x, y, vx, vy, has_velocity, var_x, var_y, 0.0])
+        z = np.array([t, x, y, vx, vy, var_x, var_y, has_velocity, 0.0])
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
             if (ahead == z).all():  # the same message again
                 return IGNORED
             if agrees:
-                _place_and_count(v, counts, fixes, history, ahead.copy())
+                place_and_count(v, counts, fixes, history, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
@@ -337,41 +330,47 @@ def take_fix(sources):
             ahead[:] = z
             if not agrees:
                 return IGNORED
-        return _place_and_count(v, counts, fixes, history, z)
+        return place_and_count(v, counts, fixes, history, z)
 
     return fix
-
-
-@_cached_plain
-def read_state(sources):
-    def read(v, mean, covariance):
-        """Write the mean (n,) and the covariance (n, n); gives whether the filter is sound. The heading is as it is."""
-        sound = sources != "" and v[OK] == 1.0
-        n = len(mean)
-        for column in range(n):
-            mean[column] = v[column]
-            sound = sound and math.isfinite(mean[column])
-            for row in range(column + 1):
-                value = v[P0 + column * (column + 1) // 2 + row]
-                covariance[row, column] = covariance[column, row] = value
-                sound = sound and math.isfinite(value)
-        return sound
-
-    return read
 
 
 _MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 3)
 
 
+@dataclass(frozen=True)
+class LiveCalls:
+    """What is done with the memory of a live filter of one model.
+
+    Attributes
+    ----------
+    step : ``(v, u, happens, z, lever, since)``, one step as in `step`; v (N_FILTER or more,) is the filter
+    sample : ``(*memory, t, ax, ay, gz, az, gx, gy)``, an IMU sample
+    fix : ``(*memory, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    """
+
+    step: Any
+    sample: Any
+    fix: Any
+
+
 @cache
-def ready():
-    """Compile now what a live filter calls, and once: numbers of other types are converted, not compiled for again."""
-    signatures = {
-        take_sample: (*_MEMORY, *(float64,) * 4),
-        take_fix: (*_MEMORY, *(float64,) * 8),
-        read_state: (float64[::1], float64[::1], float64[:, ::1]),
-    }
-    for function, signature in signatures.items():
+def live_calls(model):
+    """Compiled now, and once: numbers of other types are converted, not compiled for again."""
+    kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
+    plain = partial(cached_by_sources, model=model, fastmath=False)
+    live_step = cached_by_sources(unrolled(_one_step, step=STEPS[model], kept=kept), model)
+    take = _bound(_take, step_to=_bound(_step_to, live_step=live_step))
+    place_and_count = _bound(_place_and_count, place=_bound(_place, take=take))
+    go_on = _bound(_go_on, take=take)
+    sample = plain(unrolled(_take_sample, go_on=go_on, place_and_count=place_and_count))
+    fix = plain(unrolled(_take_fix, place_and_count=place_and_count))
+    for function, signature in ((sample, (*_MEMORY, *(float64,) * 7)), (fix, (*_MEMORY, *(float64,) * 8))):
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)
             function.disable_compile()
+    return LiveCalls(live_step, sample, fix)
+
+
+def _bound(function, **known):
+    return _plain(unrolled(function, **known))

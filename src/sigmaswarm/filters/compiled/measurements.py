@@ -13,8 +13,10 @@ it estimates the gyro's bias (its place, or -1); `absorbers` gives the result.
 
 import math
 
-from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
-from sigmaswarm.filters.compiled.layout import C1, C2, P0, Q0, R
+from sigmaswarm.drives.timeline import FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos, subroutine
+from sigmaswarm.filters.compiled.layout import C1, C2, Q0, R, at
+from sigmaswarm.filters.compiled.tilted12 import fold, measure_fix_tilted, measure_lateral_tilted
 from sigmaswarm.filters.models import CarModel
 from sigmaswarm.filters.schedule import MOST_REJECTED
 from sigmaswarm.filters.student import (
@@ -28,14 +30,13 @@ from sigmaswarm.filters.student import (
 )
 
 
-def at(i, j):
-    """Row of P[i, j]."""
-    low, high = min(i, j), max(i, j)
-    return P0 + high * (high + 1) // 2 + low
+def axis_of(bias):
+    """Column of a step with the axis of the gyro whose bias stands at a place."""
+    return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since, *, n):
-    """A position fix of the antenna with its stated variances; ``since`` is Q's scale since the last fix.
+def absorb_fix(w, z, lever, since, *, n, adaptive):
+    """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
     What no lane needs is left out; what other lanes need does not change a bit.
     """
@@ -45,12 +46,12 @@ def absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since, *, n):
         adapting += w[R.FORGETTING, l] < 1.0
         robust += w[R.DOF, l] > 0.0
         w[R.WEIGHT, l] = 1.0
-    _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
+    _measure_fix(w, z, lever)
     for l in range(LANES):
         inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
         w[R.USE, l] = 1.0 if inside else 0.0
         w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
-    if fading > 0:
+    if adaptive and fading > 0:
         _fade(w)
     if robust > 0:
         _weigh(w, since)
@@ -68,15 +69,15 @@ def absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since, *, n):
         w[R.SQ_FIX, l] += r1 * r1 + r2 * r2
         w[R.GEE, l] += rx
         w[R.GNN, l] += ry
-    if adapting > 0:
+    if adaptive and adapting > 0:
         _adapt(w, since)
     _absorb_two(w)
     _keep_digits(w)
 
 
-def forecast_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, *, n):
+def forecast_fix(w, z, lever, *, n):
     """A fix that the filter does not get to see: only its forecast is scored."""
-    _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
+    _measure_fix(w, z, lever)
     for l in range(LANES):
         nis = _look(w, l)
         w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
@@ -101,11 +102,13 @@ def _look(w, l):
     return nis
 
 
-def _measure_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, *, n):
+def _measure_fix(w, z, lever, *, n):
     """z = p + R(theta) lever - latency v: nu, H P H^T, C and R.
 
     R(theta) lever turns with theta alone, so its sigma points have planar5's closed form.
     """
+    zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
+    lever_x, lever_y = lever[0], lever[1]
     for l in range(LANES):
         w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
         w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
@@ -146,7 +149,7 @@ def _turn_lever(w, lever_x, lever_y):
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
-def _keep_digits(w, *, n):
+def _keep_digits(w, *, n, tilted):
     """The position's rows of P once more, from P+ H^T = C S^-1 R, which subtracts nothing large.
 
     P - C S^-1 C^T loses the digits of a variance that a fix shrinks a billionfold. H has 1 at the position, -latency at
@@ -161,6 +164,9 @@ def _keep_digits(w, *, n):
             gain_2 = w[C1 + j, l] * w[R.G12, l] + w[C2 + j, l] * w[R.G22, l]
             x = gain_1 * r1 + gain_2 * r12 + tau * w[at(j, R.U), l] - je * w[at(j, R.T), l]
             y = gain_1 * r12 + gain_2 * r2 + tau * w[at(j, R.V), l] - jn * w[at(j, R.T), l]
+            if tilted:
+                x -= w[R.LEVER_UP, l] * w[at(j, R.J), l]
+                y += w[R.LEVER_UP, l] * w[at(j, R.I), l]
             if j != R.Y:
                 w[at(j, R.X), l] = x if used else w[at(j, R.X), l]
             w[at(j, R.Y), l] = y if used else w[at(j, R.Y), l]
@@ -273,21 +279,27 @@ def _adapt(w, since, *, n):
             w[Q0 + i, l] = q + weight * (change if change > -q else -q)
 
 
-def absorb_velocity(w, zu, zv, *, n):
+def absorb_velocity(w, z, *, n):
     """The receiver's velocity over ground, m/s east and north; linear in the state."""
-    _take_velocity(w, zu, zv, R.R_VELOCITY)
+    _take_velocity(w, z[FIX_U], z[FIX_V], R.R_VELOCITY)
 
 
-def absorb_standstill(w, gz, *, n, gyro_bias):
-    """The car stands: it has no velocity, and all that the gyro shows is its bias, if that is a state."""
+def absorb_standstill(w, u, *, n, gyro_biases, tilted):
+    """The car stands: it has no velocity, and all that the gyro shows is its biases, if they are states.
+
+    These are linear in the error, so one after the other is all at once, if the error is folded in at the end.
+    """
     _take_velocity(w, 0.0, 0.0, R.R_STANDSTILL)
-    if gyro_bias >= 0:
+    for row in gyro_biases:
+        shown = u[axis_of(row)]
         for l in range(LANES):
-            w[R.N1, l] = gz - w[gyro_bias, l]
-            w[R.S11, l] = w[at(gyro_bias, gyro_bias), l] + w[R.R_RATE, l]
+            w[R.N1, l] = shown - w[row, l]
+            w[R.S11, l] = w[at(row, row), l] + w[R.R_RATE, l]
             for i in range(n):
-                w[C1 + i, l] = w[at(i, gyro_bias), l]
+                w[C1 + i, l] = w[at(i, row), l]
         _absorb_one(w)
+    if tilted:
+        fold(w)
 
 
 def _take_velocity(w, zu, zv, variance, *, n):
@@ -307,12 +319,13 @@ def _take_velocity(w, zu, zv, variance, *, n):
             w[at(i, R.V), l] = r * (w[C1 + i, l] * g12 + w[C2 + i, l] * g22)
 
 
-def absorb_lateral(w, gz, *, n, gyro_bias):
+def absorb_lateral(w, u, *, n, gyro_bias):
     """A car does not slide sideways at its rear axle: 0 = (R(theta)^T v)_left - rear_axle (yaw rate - w).
 
     R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
     t = R^T P[v, theta] and mu = (e R^T v - k J t)_left.
     """
+    gz = u[GZ]
     for l in range(LANES):
         second, gamma, axle, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.REAR_AXLE, l], w[R.TT, l]
         s, c = sincos(w[R.T, l])
@@ -341,6 +354,13 @@ def absorb_lateral(w, gz, *, n, gyro_bias):
     _absorb_one(w)
 
 
+def _absorb_lateral_tilted(w, u):
+    """As `absorb_lateral`, on a road that is not flat."""
+    measure_lateral_tilted(w, u)
+    _absorb_one(w)
+    fold(w)
+
+
 def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
@@ -352,7 +372,7 @@ def _absorb_one(w, *, n):
                 w[at(i, j), l] -= gain * w[C1 + i, l]
 
 
-def _absorb_two(w, *, n):
+def _absorb_two(w, *, n, tilted):
     """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
@@ -363,23 +383,30 @@ def _absorb_two(w, *, n):
                 w[at(i, j), l] -= gain_1 * w[C1 + i, l] + gain_2 * w[C2 + i, l]
         for i in range(n):
             w[R.OK, l] = w[R.OK, l] if w[at(i, i), l] > 0.0 else 0.0
+    if tilted:
+        fold(w)
 
 
 def absorbers(model: CarModel):
     """`forecast_fix` and the four `absorb_...` functions, compiled for a model."""
-    ready = {"n": len(model.states), "gyro_bias": -1 if model.gyro_bias is None else model.gyro_bias}
-    parts = (
-        _absorb_one,
-        _absorb_two,
-        _keep_digits,
-        _measure_fix,
-        _take_velocity,
-        _stretch,
-        _fade,
-        _weigh,
-        _adapt,
-    )
+    ready = {
+        "n": len(model.states),
+        "gyro_bias": -1 if model.gyro_bias is None else model.gyro_bias,
+        "gyro_biases": tuple(model.gyro_axes.values()),
+        "adaptive": int("adaptive-ukf" in model.kinds),
+        "tilted": int(model.tilts is not None),
+    }
+    parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _stretch, _weigh)
+    parts += (_fade, _adapt) if ready["adaptive"] else ()
+    parts += () if ready["tilted"] else (_measure_fix,)
+    if ready["tilted"]:
+        ready["_measure_fix"] = measure_fix_tilted
+    # With 78 variances each, written into every caller they would double the time that compiling takes.
+    made = subroutine if ready["tilted"] else kernel
     for function in parts:
-        ready[function.__name__] = kernel(function, **ready)
-    public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill, absorb_lateral)
-    return {function.__name__: kernel(function, **ready) for function in public}
+        ready[function.__name__] = made(function, **ready)
+    lateral = _absorb_lateral_tilted if ready["tilted"] else absorb_lateral
+    public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill)
+    return {function.__name__: kernel(function, **ready) for function in public} | {
+        "absorb_lateral": kernel(lateral, **ready)
+    }

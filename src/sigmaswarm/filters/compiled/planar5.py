@@ -21,13 +21,15 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 
 import math
 
+from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
 from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
-def predict_planar5(w, dt, ax, ay, gz, q_scale):
+def predict_planar5(w, u):
     """One step of the process model, in two loops: a processor can't look ahead over one so long."""
+    dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     _turn(w, dt * ax, dt * ay)
     h = 0.5 * dt
     for l in range(LANES):

@@ -18,13 +18,15 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 
 import math
 
+from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
 from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
-def predict_planar8(w, dt, ax, ay, gz, q_scale):
+def predict_planar8(w, u):
     """One step of the process model."""
+    dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
     _turn(w, dt, ax, ay)
     h = 0.5 * dt
     for l in range(LANES):

@@ -2,11 +2,13 @@
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
+from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled.lanes import LANES, kernel
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8
+from sigmaswarm.filters.compiled.tilted12 import predict_tilted12, settle
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.schedule import (
     FIX,
@@ -35,28 +37,39 @@ def _grow(w, dt, gap):
 
 
 def _step(
-    w, dt, ax, ay, gz, q_scale, gap, happens, zx, zy, zu, zv, var_x, var_y, lever_x, lever_y, since,
-    *, predict, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    w, u, happens, z, lever, since,
+    *, predict, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
-    """``happens`` are the bits of `schedule`; zx, ..., var_y a fix; ``since`` is Q's scale since the last one.
+    """``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`: tuples.
 
-    ``gap`` is as in `Timeline.steps`.
+    ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
     """
+    dt, gap = u[DT], u[GAP]
     if dt > 0.0:
-        predict(w, dt, ax, ay, gz, q_scale)
+        predict(w, u)
         if gap > 0.0:
             _grow(w, dt, gap)
     if happens & FIX:
-        absorb_fix(w, zx, zy, var_x, var_y, lever_x, lever_y, since)
+        absorb_fix(w, z, lever, since)
         if happens & VELOCITY:
-            absorb_velocity(w, zu, zv)
+            absorb_velocity(w, z)
     if happens & HIDDEN:
-        forecast_fix(w, zx, zy, var_x, var_y, lever_x, lever_y)
+        forecast_fix(w, z, lever)
     if happens & LATERAL:
-        absorb_lateral(w, gz)
+        absorb_lateral(w, u)
     if happens & STANDSTILL:
-        absorb_standstill(w, gz)
+        absorb_standstill(w, u)
+    if settle:
+        settle(w)
 
 
-step5 = kernel(_step, predict=predict_planar5, **absorbers(MODELS["planar5"]))
-step8 = kernel(_step, predict=predict_planar8, **absorbers(MODELS["planar8"]))
+_PREDICTIONS = {
+    "planar5": (predict_planar5, None),
+    "planar8": (predict_planar8, None),
+    "tilted12": (predict_tilted12, settle),
+}
+STEPS = {
+    name: kernel(_step, predict=predict, settle=settle, **absorbers(MODELS[name]))
+    for name, (predict, settle) in _PREDICTIONS.items()
+}
+"""By model: a step of LANES filters, to be called by other compiled functions."""

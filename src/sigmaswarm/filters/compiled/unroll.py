@@ -16,6 +16,8 @@ from sigmaswarm.filters.compiled.layout import R
 
 STATE_LOOPS = ("i", "j", "k", "row")
 """Names of the loop variables that are written out."""
+NUMBERS = ("at", "fp", "axis_of")
+"""Names of functions whose value takes the place of a call."""
 
 
 def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
@@ -80,7 +82,7 @@ class _Writer(ast.NodeTransformer):
 
     def visit_Call(self, node: ast.Call) -> Any:
         self.generic_visit(node)
-        if isinstance(node.func, ast.Name) and node.func.id == "at":
+        if isinstance(node.func, ast.Name) and node.func.id in NUMBERS:
             return ast.Constant(self._value(node))
         return node
 

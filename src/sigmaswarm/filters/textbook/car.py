@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.models import MODELS, THETA, gps_position, gyro_bias, lateral_velocity, velocity
+from sigmaswarm.filters.models import MODELS, THETA, CarModel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
@@ -20,12 +20,18 @@ from sigmaswarm.filters.schedule import (
     flags_of,
     gap_covariance,
     require_accuracy,
+    require_axes,
     start_of,
     switches,
 )
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.adaptive import SageHusa, StrongTracking, StudentT
-from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter
+from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement
+from sigmaswarm.filters.textbook.manifold import (
+    ErrorStateKalmanFilter,
+    Manifold,
+    ManifoldUnscentedKalmanFilter,
+)
 
 
 class TextbookCar:
@@ -59,30 +65,24 @@ class TextbookCar:
         p = parameters
         self.timeline, self.parameters = timeline, p
         mean, covariance = start_of(initial, p)
-        lever = (float(timeline.lever[0]), float(timeline.lever[1]))
         self.model = MODELS[p.model]
-        f, h = self.model.process, gps_position(lever, p.latency)
-        self.filter: GaussianFilter
-        if p.kind == "ekf":
-            self.filter = ExtendedKalmanFilter(f, h, mean, covariance)
-        else:
-            points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
-            self.filter = UnscentedKalmanFilter(
-                f,
-                h,
-                mean,
-                covariance,
-                points,
-                redraw_sigma_points=redraw_sigma_points,
-                angles=(THETA,),
-            )
+        require_axes(timeline.drive, p.model)
+        points = SigmaPoints(p.alpha, p.beta, p.kappa, first=(THETA,) if heading_first else ())
+        self.filter = _filter(
+            self.model,
+            self.model.position(timeline.lever.tolist(), p.latency),
+            mean,
+            covariance,
+            points=None if p.kind == "ekf" else points,
+            redraw_sigma_points=redraw_sigma_points,
+        )
         q = converted(p, timeline.nominal_interval)
         self.noise = SageHusa(q, np.array(p.measurement_noise), p.forgetting)
         self.tracking = StrongTracking(p.forgetting)
         self.robust = None if p.robust_dof is None else StudentT(p.robust_dof)
         if p.accuracy_scale is not None:
             require_accuracy(timeline)
-        self._imu = np.column_stack([getattr(timeline, axis) for axis in self.model.imu])
+        self._imu = timeline.imu(self.model.imu)
         self.flags = flags_of(timeline, *switches(p))
         self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
         self._rejected = 0
@@ -91,7 +91,7 @@ class TextbookCar:
     def step(self, i: int) -> None:
         """Take the time line's step i: predict, then absorb what there is at its end."""
         line, p = self.timeline, self.parameters
-        imu, yaw_rate = self._imu[i], float(line.gz[i])
+        imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
         self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i] + unseen)
         self._since += line.q_scale[i]
@@ -99,15 +99,16 @@ class TextbookCar:
             fix = line.fixes[self._fix_of_step[i]]
             self._absorb_fix(fix[:2], fix[4:], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
-                self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), velocity)
+                self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
-            self.filter.update(
-                np.zeros(1), np.array([[p.lateral_noise]]), lateral_velocity(yaw_rate, p.rear_axle)
-            )
+            lateral = model.lateral(float(line.gz[i]), p.rear_axle)
+            self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral)
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
-            self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), velocity)
-            if self.model.gyro_bias is not None:
-                self.filter.update(np.array([yaw_rate]), np.array([[STANDSTILL_RATE_NOISE]]), gyro_bias)
+            self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), model.velocity)
+            if model.gyro_axes:
+                shown = np.array([imu[model.imu.index(axis)] for axis in model.gyro_axes])
+                noise = STANDSTILL_RATE_NOISE * np.eye(len(shown))
+                self.filter.update(shown, noise, model.rates_at_rest)
 
     def _absorb_fix(self, fix: Array, stated: Array, time: float) -> None:
         noise = self.noise.measurement_noise + (self.parameters.accuracy_scale or 0.0) * stated
@@ -125,3 +126,27 @@ class TextbookCar:
         else:
             self._rejected += 1
         self._since = 0.0
+
+
+def _filter(
+    model: CarModel,
+    h: Measurement,
+    mean: Array,
+    covariance: Array,
+    *,
+    points: SigmaPoints | None,
+    redraw_sigma_points: bool,
+) -> GaussianFilter:
+    """The filter of a model: unscented with sigma points, else extended; on a manifold where the model has tilts."""
+    f, tilts = model.process, model.tilts
+    if tilts:
+        manifold = Manifold(tilts.plus, tilts.minus)
+        if points:
+            return ManifoldUnscentedKalmanFilter(f, h, mean, covariance, manifold, points)
+        return ErrorStateKalmanFilter(f, tilts.transition, h, mean, covariance, manifold)
+    if points:
+        redraw = redraw_sigma_points
+        return UnscentedKalmanFilter(
+            f, h, mean, covariance, points, redraw_sigma_points=redraw, angles=(THETA,)
+        )
+    return ExtendedKalmanFilter(f, h, mean, covariance)

@@ -1,0 +1,195 @@
+"""The rival that smooths: GTSAM's iSAM2 over preintegrated IMU factors, causal, from the same start as our filters.
+
+Forster, Carlone, Dellaert, Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry" (TRO
+2017); Kaess et al., "iSAM2" (IJRR 2012). At every fix, and every fifth of a second where none comes, there is a
+node: pose, velocity and biases. `CombinedImuFactor` ties it to the one before, `GPSFactorArm` to the fix (east and
+north; the height is left free), and a factor of our own says that a car slides neither sideways nor off the road, l
+behind the IMU. What is scored between nodes is what was known there: the newest node moved on by the IMU's samples.
+"""
+
+import math
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+
+from sigmaswarm import Drive, InitialState
+from sigmaswarm.drives.drive import Array
+
+NODES = 0.2
+"""s between nodes, where no fix comes."""
+SOON = 2e-3
+"""s: no two nodes are nearer."""
+FREE = 1e3
+"""m: deviation of the fixes' height, which drives here don't have."""
+TILT = math.radians(3.0)
+"""rad: of roll and pitch at the start, as in our filters with attitude."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a user of GTSAM states: densities of the IMU, deviations of the rest.
+
+    Attributes
+    ----------
+    accel, gyro : float
+        m/s2/sqrt(Hz), rad/s/sqrt(Hz): white noise.
+    accel_walk, gyro_walk : float
+        m/s3/sqrt(Hz), rad/s2/sqrt(Hz): of the biases.
+    accel_bias, gyro_bias : float
+        m/s2, rad/s: deviations of the biases at the start.
+    fix : float
+        m per axis.
+    slide : float
+        m/s, sideways and up.
+    behind : float
+        m, from the IMU back to where the car does not slide.
+    """
+
+    accel: float = 0.05
+    gyro: float = 5e-4
+    accel_walk: float = 1e-3
+    gyro_walk: float = 1e-5
+    accel_bias: float = 0.1
+    gyro_bias: float = 3e-3
+    fix: float = 1.0
+    slide: float = 0.1
+    behind: float = 0.5
+
+
+@dataclass(frozen=True)
+class Run:
+    """Estimates at the IMU's samples after the start: time s; x, y m; heading rad, unwrapped."""
+
+    time: Array
+    x: Array
+    y: Array
+    theta: Array
+
+
+def _no_slide(pose: int, velocity: int, rate: Array, noise: Noise) -> gtsam.CustomFactor:
+    """The non-holonomic constraint at a node: the velocity behind the IMU is along the body."""
+    # The velocity there is v + w x (-l, 0, 0), in the body's axes.
+    turning = np.array([-noise.behind * rate[2], noise.behind * rate[1]])
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        rotation = values.atPose3(pose).rotation().matrix()
+        seen = rotation.T @ values.atVector(velocity)
+        if jacobians is not None:
+            x, y, z = seen
+            by_pose = np.zeros((2, 6))
+            by_pose[:, :3] = [[z, 0.0, -x], [-y, x, 0.0]]  # R exp(xi): the velocity seen changes by v x xi
+            jacobians[0], jacobians[1] = by_pose, rotation.T[1:]
+        return seen[1:] + turning
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(2, noise.slide), [pose, velocity], error)
+
+
+def _parameters(noise: Noise) -> gtsam.PreintegrationCombinedParams:
+    parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(9.81)
+    parameters.setAccelerometerCovariance(noise.accel**2 * np.eye(3))
+    parameters.setGyroscopeCovariance(noise.gyro**2 * np.eye(3))
+    parameters.setBiasAccCovariance(noise.accel_walk**2 * np.eye(3))
+    parameters.setBiasOmegaCovariance(noise.gyro_walk**2 * np.eye(3))
+    parameters.setIntegrationCovariance(1e-8 * np.eye(3))
+    return parameters
+
+
+class Smoother:
+    """iSAM2 with its newest node."""
+
+    def __init__(self, start: InitialState, noise: Noise) -> None:
+        self.noise, self.count = noise, 0
+        options = gtsam.ISAM2Params()
+        options.setRelinearizeThreshold(0.01)
+        options.setFactorization("QR")  # Cholesky's gives up on long outages
+        self.isam = gtsam.ISAM2(options)
+        x, y, vx, vy, theta = start.mean
+        self.pose = gtsam.Pose3(gtsam.Rot3.Ypr(theta, 0.0, 0.0), np.array([x, y, 0.0]))
+        self.velocity, self.bias = np.array([vx, vy, 0.0]), gtsam.imuBias.ConstantBias()
+        spread = np.sqrt(np.diag(start.covariance))
+        position = float(np.mean(spread[:2]))
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        deviations = [TILT, TILT, spread[4], position, position, 0.1]
+        graph.add(gtsam.PriorFactorPose3(X(0), self.pose, _diagonal(deviations)))
+        graph.add(gtsam.PriorFactorVector(V(0), self.velocity, _diagonal([*spread[2:4], 0.5])))
+        biases = _diagonal([noise.accel_bias] * 3 + [noise.gyro_bias] * 3)
+        graph.add(gtsam.PriorFactorConstantBias(B(0), self.bias, biases))
+        values.insert(X(0), self.pose)
+        values.insert(V(0), self.velocity)
+        values.insert(B(0), self.bias)
+        self.isam.update(graph, values)
+        self.sums = gtsam.PreintegratedCombinedMeasurements(_parameters(noise), self.bias)
+
+    def integrate(self, force: Array, rate: Array, dt: float) -> None:
+        self.sums.integrateMeasurement(force, rate, dt)
+
+    def predicted(self) -> gtsam.NavState:
+        """The newest node, moved on by the samples since."""
+        return self.sums.predict(gtsam.NavState(self.pose, self.velocity), self.bias)
+
+    def node(self, rate: Array, fix: Array | None, arm: Array) -> None:
+        """A new node here and now; ``fix`` (x, y) in m, if one has come."""
+        i, j = self.count, self.count + 1
+        here = self.predicted()
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if (
+            self.sums.deltaTij() < SOON
+        ):  # a step as short would be all but certain: the fix goes to the node before
+            j = i
+        else:
+            graph.add(gtsam.CombinedImuFactor(X(i), V(i), X(j), V(j), B(i), B(j), self.sums))
+            graph.add(_no_slide(X(j), V(j), rate - self.bias.gyroscope(), self.noise))
+            values.insert(X(j), here.pose())
+            values.insert(V(j), here.velocity())
+            values.insert(B(j), self.bias)
+        if fix is not None:
+            height = here.position()[2]
+            deviations = _diagonal([self.noise.fix, self.noise.fix, FREE])
+            graph.add(gtsam.GPSFactorArm(X(j), np.array([fix[0], fix[1], height]), arm, deviations))
+        self.isam.update(graph, values)
+        self.pose = self.isam.calculateEstimatePose3(X(j))
+        self.velocity = self.isam.calculateEstimateVector(V(j))
+        self.bias = self.isam.calculateEstimateConstantBias(B(j))
+        if j > i:
+            self.sums.resetIntegrationAndSetBias(self.bias)
+        self.count = j
+
+
+def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = None) -> Run:
+    """The drive from its start on; fixes that are ``hidden`` (m,) bool are left out."""
+    imu, gps = drive.imu, drive.gps
+    assert imu.az is not None and imu.gx is not None and imu.gy is not None
+    force = np.column_stack([imu.ax, imu.ay, imu.az])
+    rate = np.column_stack([imu.gx, imu.gy, imu.gz])
+    arm = np.array(drive.metadata.get("gps_lever_arm_m", (0.0, 0.0, 0.0)), float)
+    shown = gps.time > start.time
+    if hidden is not None:
+        shown &= ~hidden
+    fixes = np.column_stack([gps.time, gps.x, gps.y])[shown]
+    smoother, now, at_node, waiting = Smoother(start, noise), start.time, start.time, 0
+    first = int(np.searchsorted(imu.time, start.time, side="right"))
+    rows = np.empty((len(imu.time) - first, 4))
+    for k in range(first, len(imu.time)):
+        # Fixes come between samples: the sample is held from the one before.
+        while waiting < len(fixes) and fixes[waiting, 0] <= imu.time[k]:
+            if fixes[waiting, 0] > now:
+                smoother.integrate(force[k], rate[k], fixes[waiting, 0] - now)
+            now = at_node = fixes[waiting, 0]
+            smoother.node(rate[k], fixes[waiting, 1:], arm)
+            waiting += 1
+        if imu.time[k] > now:
+            smoother.integrate(force[k], rate[k], imu.time[k] - now)
+            now = imu.time[k]
+        if now - at_node >= NODES + 0.05:  # a fix is missing
+            smoother.node(rate[k], None, arm)
+            at_node = now
+        state = smoother.predicted() if now > at_node else gtsam.NavState(smoother.pose, smoother.velocity)
+        x, y, _ = state.position()
+        rows[k - first] = now, x, y, state.attitude().yaw()
+    return Run(rows[:, 0], rows[:, 1], rows[:, 2], np.unwrap(rows[:, 3]))
+
+
+def _diagonal(deviations: list[float]) -> gtsam.noiseModel.Diagonal:
+    return gtsam.noiseModel.Diagonal.Sigmas(np.array(deviations, float))

@@ -1,0 +1,219 @@
+"""tilted12's extended filter, written out; read it beside `filters.tilted` and `textbook.ErrorStateKalmanFilter`.
+
+The mean's attitude is the quaternion in rows ATT_W ... ATT_Z. In the mean's rows I, J and T stands the error about
+east, north and up: 0 but for the moment between a measurement and `fold`, which turns the quaternion by it. All other
+rows are planar8's; K and L are the biases of gx and gy.
+
+F has seven rows beside the identity, D = dt R at the middle of the step, a = D f, g = 9.81 dt and h = dt/2:
+
+    u' = u + g J - a_n T - D11 A - D12 B        x' = x + h (u + u')
+    v' = v - g I + a_e T - D21 A - D22 B        y' = y + h (v + v')
+    I' = I - D11 K - D12 L - D13 W              J', T' likewise
+
+So P' = F P F^T takes F P first, its seven rows in scratch, then F from the right; the columns of A, B, W, K and L are
+done after the first.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+from sigmaswarm.drives.timeline import (
+    AX,
+    AY,
+    AZ,
+    DT,
+    FIX_VAR_X,
+    FIX_VAR_Y,
+    FIX_X,
+    FIX_Y,
+    GX,
+    GY,
+    GZ,
+    Q_SCALE,
+)
+from sigmaswarm.filters.compiled.lanes import LANES, angle_of, kernel, sincos
+from sigmaswarm.filters.compiled.layout import C1, C2, FP, Q0, R, at
+from sigmaswarm.filters.tilted import GRAVITY, N
+
+MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)
+KEPT = (R.A, R.B, R.W, R.K, R.L)
+"""States that a step moves, and the biases, which it leaves as they are."""
+
+
+def fp(i, j):
+    """Row of (F P)[i, j], i among MOVED: in scratch, but where it is P' already."""
+    return at(i, j) if j in KEPT else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
+
+
+@kernel
+def _move(w, u):
+    """The mean, and D and a for the covariance."""
+    dt, ax, ay, az, gx, gy, gz = u[DT], u[AX], u[AY], u[AZ], u[GX], u[GY], u[GZ]
+    h = 0.5 * dt
+    quarter = 0.25 * dt
+    for l in range(LANES):
+        # The quaternion of half a turn.
+        x, y, z = quarter * (gx - w[R.K, l]), quarter * (gy - w[R.L, l]), quarter * (gz - w[R.W, l])
+        angle = math.sqrt(x * x + y * y + z * z) + 1e-300
+        sine, c = sincos(angle)
+        k = sine / angle
+        x, y, z = k * x, k * y, k * z
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        m0 = q0 * c - q1 * x - q2 * y - q3 * z
+        m1 = q0 * x + q1 * c + q2 * z - q3 * y
+        m2 = q0 * y - q1 * z + q2 * c + q3 * x
+        m3 = q0 * z + q1 * y - q2 * x + q3 * c
+        q0 = m0 * c - m1 * x - m2 * y - m3 * z
+        q1 = m0 * x + m1 * c + m2 * z - m3 * y
+        q2 = m0 * y - m1 * z + m2 * c + m3 * x
+        q3 = m0 * z + m1 * y - m2 * x + m3 * c
+        one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)  # what rounding has made of its norm
+        w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l] = one * q0, one * q1, one * q2, one * q3
+        d11, d12, d13 = 1.0 - 2.0 * (m2 * m2 + m3 * m3), 2.0 * (m1 * m2 - m0 * m3), 2.0 * (m1 * m3 + m0 * m2)
+        d21, d22, d23 = 2.0 * (m1 * m2 + m0 * m3), 1.0 - 2.0 * (m1 * m1 + m3 * m3), 2.0 * (m2 * m3 - m0 * m1)
+        d31, d32, d33 = 2.0 * (m1 * m3 - m0 * m2), 2.0 * (m2 * m3 + m0 * m1), 1.0 - 2.0 * (m1 * m1 + m2 * m2)
+        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
+        east, north = dt * (d11 * fx + d12 * fy + d13 * az), dt * (d21 * fx + d22 * fy + d23 * az)
+        w[R.D11, l], w[R.D12, l], w[R.D13, l] = dt * d11, dt * d12, dt * d13
+        w[R.D21, l], w[R.D22, l], w[R.D23, l] = dt * d21, dt * d22, dt * d23
+        w[R.D31, l], w[R.D32, l], w[R.D33, l] = dt * d31, dt * d32, dt * d33
+        w[R.EAST, l], w[R.NORTH, l] = east, north
+        w[R.X, l] += dt * w[R.U, l] + h * east
+        w[R.Y, l] += dt * w[R.V, l] + h * north
+        w[R.U, l] += east
+        w[R.V, l] += north
+
+
+@kernel
+def predict_tilted12(w, u):
+    """One step of the process model."""
+    _move(w, u)
+    h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
+    for j in (*MOVED, *KEPT):  # the columns that are done after it at the end, for the others read them
+        for l in range(LANES):
+            pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
+            pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
+            pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
+            pk, pl, pw = w[at(R.K, j), l], w[at(R.L, j), l], w[at(R.W, j), l]
+            u1 = pu + g * pj - w[R.NORTH, l] * pt - w[R.D11, l] * pa - w[R.D12, l] * pb
+            v1 = pv - g * pi + w[R.EAST, l] * pt - w[R.D21, l] * pa - w[R.D22, l] * pb
+            w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
+            w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
+            w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
+            w[fp(R.I, j), l] = pi - w[R.D11, l] * pk - w[R.D12, l] * pl - w[R.D13, l] * pw
+            w[fp(R.J, j), l] = pj - w[R.D21, l] * pk - w[R.D22, l] * pl - w[R.D23, l] * pw
+            w[fp(R.T, j), l] = pt - w[R.D31, l] * pk - w[R.D32, l] * pl - w[R.D33, l] * pw
+    for i in MOVED:
+        for l in range(LANES):
+            bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
+            bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
+            ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
+            bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
+            # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
+            if i in (R.X, R.Y, R.U, R.V):
+                u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
+                v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
+            if i == R.X:
+                w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
+            if i in (R.X, R.Y):
+                w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
+            if i in (R.X, R.Y, R.U):
+                w[at(i, R.U), l] = u1
+            if i in (R.X, R.Y, R.U, R.V):
+                w[at(i, R.V), l] = v1
+            if i not in (R.I, R.J):
+                w[at(i, R.T), l] = bt - w[R.D31, l] * bk - w[R.D32, l] * bl - w[R.D33, l] * bw
+            if i != R.J:
+                w[at(i, R.I), l] = bi - w[R.D11, l] * bk - w[R.D12, l] * bl - w[R.D13, l] * bw
+            w[at(i, R.J), l] = bj - w[R.D21, l] * bk - w[R.D22, l] * bl - w[R.D23, l] * bw
+    for l in range(LANES):
+        for i in range(N):
+            w[at(i, i), l] += q_scale * w[Q0 + i, l]
+
+
+@kernel
+def fold(w):
+    """Turn the quaternion by the error in I, J and T, from the left; then there is none."""
+    for l in range(LANES):
+        x, y, z = 0.5 * w[R.I, l], 0.5 * w[R.J, l], 0.5 * w[R.T, l]
+        angle = math.sqrt(x * x + y * y + z * z) + 1e-300
+        sine, c = sincos(angle)
+        k = sine / angle
+        x, y, z = k * x, k * y, k * z
+        m0, m1, m2, m3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        q0 = c * m0 - x * m1 - y * m2 - z * m3
+        q1 = c * m1 + x * m0 + y * m3 - z * m2
+        q2 = c * m2 - x * m3 + y * m0 + z * m1
+        q3 = c * m3 + x * m2 - y * m1 + z * m0
+        one = 1.5 - 0.5 * (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+        w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l] = one * q0, one * q1, one * q2, one * q3
+        w[R.I, l], w[R.J, l], w[R.T, l] = 0.0, 0.0, 0.0
+
+
+@kernel
+def settle(w):
+    """The heading, for scores."""
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        w[R.HEADING, l] = angle_of(2.0 * (q1 * q2 + q0 * q3), 1.0 - 2.0 * (q2 * q2 + q3 * q3))
+
+
+@kernel
+def measure_fix_tilted(w, z, lever):
+    """z = p + (R lever) - latency v: nu, H P H^T, C and R; of the error's part e x (R lever), see `tilted.Antenna`."""
+    zx, zy, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
+    lever_x, lever_y, lever_z = lever[0], lever[1], lever[2]
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        # R lever = lever + 2 q x (q x lever + q0 lever), with q the vector's part.
+        tx = q2 * lever_z - q3 * lever_y + q0 * lever_x
+        ty = q3 * lever_x - q1 * lever_z + q0 * lever_y
+        tz = q1 * lever_y - q2 * lever_x + q0 * lever_z
+        east = lever_x + 2.0 * (q2 * tz - q3 * ty)
+        north = lever_y + 2.0 * (q3 * tx - q1 * tz)
+        up = lever_z + 2.0 * (q1 * ty - q2 * tx)
+        tau = w[R.LATENCY, l]
+        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
+        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
+        w[R.GEE, l], w[R.GEN, l], w[R.GNN, l] = 0.0, 0.0, 0.0
+        w[R.JEAST, l], w[R.JNORTH, l], w[R.LEVER_UP, l] = -north, east, up
+        w[R.N1, l] = zx - (w[R.X, l] - tau * w[R.U, l] + east)
+        w[R.N2, l] = zy - (w[R.Y, l] - tau * w[R.V, l] + north)
+    for l in range(LANES):
+        tau, je, jn, up = w[R.LATENCY, l], w[R.JEAST, l], w[R.JNORTH, l], w[R.LEVER_UP, l]
+        for i in range(N):
+            w[C1 + i, l] = (
+                w[at(i, R.X), l] - tau * w[at(i, R.U), l] + je * w[at(i, R.T), l] + up * w[at(i, R.J), l]
+            )
+            w[C2 + i, l] = (
+                w[at(i, R.Y), l] - tau * w[at(i, R.V), l] + jn * w[at(i, R.T), l] - up * w[at(i, R.I), l]
+            )
+        w[R.S11, l] = w[C1 + R.X, l] - tau * w[C1 + R.U, l] + je * w[C1 + R.T, l] + up * w[C1 + R.J, l]
+        w[R.S12, l] = w[C1 + R.Y, l] - tau * w[C1 + R.V, l] + jn * w[C1 + R.T, l] - up * w[C1 + R.I, l]
+        w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
+
+
+@kernel
+def measure_lateral_tilted(w, u):
+    """nu, C and H P H^T of the velocity to the left at the rear axle: `tilted.RearAxle`."""
+    gz = u[GZ]
+    for l in range(LANES):
+        q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
+        e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
+        c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
+        vx, vy, axle = w[R.U, l], w[R.V, l], w[R.REAR_AXLE, l]
+        vz, climb = -(c0 * vx + c1 * vy) / c2, e2 / c2
+        w[R.N1, l] = axle * (gz - w[R.W, l]) - (e0 * vx + e1 * vy + e2 * vz)
+        # e x v - climb c x v = (e - climb c) x v
+        d0, d1 = e0 - climb * c0, e1 - climb * c1
+        hi, hj, ht = d1 * vz, -d0 * vz, d0 * vy - d1 * vx
+        for i in range(N):
+            w[C1 + i, l] = (
+                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + axle * w[at(i, R.W), l]
+                + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l] + ht * w[at(i, R.T), l]
+            )  # fmt: skip
+        w[R.S11, l] = (
+            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + axle * w[C1 + R.W, l]
+            + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l] + ht * w[C1 + R.T, l] + w[R.R_LATERAL, l]
+        )  # fmt: skip

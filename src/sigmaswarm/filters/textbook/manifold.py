@@ -1,0 +1,135 @@
+"""Filters whose mean lies on a manifold, and whose covariance is that of a small error, added to it by ``plus``.
+
+References
+----------
+J. Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 6.
+M. Brossard, A. Barrau and S. Bonnabel, A code for unscented Kalman filtering on manifolds (UKF-M), ICRA 2020.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation, Measurement, Process
+from sigmaswarm.filters.textbook.ukf import SigmaPoints
+
+Retraction = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Manifold:
+    """Where a mean lies.
+
+    Attributes
+    ----------
+    plus : callable
+        ``plus(state, error) -> state``
+    minus : callable
+        ``minus(state, other) -> error``: plus(other, minus(state, other)) is the state.
+    """
+
+    plus: Retraction
+    minus: Retraction
+
+
+class _OnManifold(GaussianFilter):
+    def __init__(
+        self, f: Process, h: Measurement, mean: Array, covariance: Array, manifold: Manifold
+    ) -> None:
+        self.f, self.h, self.manifold = f, h, manifold
+        self.mean, self.covariance = mean.astype(np.float64), covariance.astype(np.float64)
+
+    def absorb(self, innovation: Innovation) -> None:
+        """x plus K nu, P - K S K^T."""
+        mean = self.mean
+        super().absorb(innovation)
+        self.mean = self.manifold.plus(mean, innovation.gain @ innovation.nu)
+
+
+class ErrorStateKalmanFilter(_OnManifold):
+    """The extended Kalman filter of a small error.
+
+    Parameters
+    ----------
+    f : callable
+        ``f(state, dt, u) -> state``
+    transition : callable
+        ``transition(state, dt, u) -> F``: what f makes of a small error, shape (n, n).
+    h : callable
+        ``h(state) -> measurement``, with ``h.jacobian(state)``: what a small error makes of it, shape (m, n).
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        Where it starts.
+    manifold : Manifold
+    """
+
+    def __init__(
+        self,
+        f: Process,
+        transition: Process,
+        h: Any,
+        mean: Array,
+        covariance: Array,
+        manifold: Manifold,
+    ) -> None:
+        super().__init__(f, h, mean, covariance, manifold)
+        self.transition = transition
+
+    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
+        """x' = f(x), P' = F P F^T + Q."""
+        f = self.transition(self.mean, dt, u)
+        self.mean = self.f(self.mean, dt, u)
+        self.covariance = f @ self.covariance @ f.T + process_noise
+
+    def measure(self, measurement: Array, measurement_noise: Array, h: Any = None) -> Innovation:
+        """nu = z - h(x), S = H P H^T + R, C = P H^T."""
+        h = h or self.h
+        jacobian = h.jacobian(self.mean)
+        cross = self.covariance @ jacobian.T
+        nu = measurement - h(self.mean)
+        return Innovation(nu, jacobian @ cross + measurement_noise, cross, measurement_noise)
+
+
+class ManifoldUnscentedKalmanFilter(_OnManifold):
+    """UKF-M: sigma points are errors, added to the mean; parameters as in `ErrorStateKalmanFilter`."""
+
+    def __init__(
+        self,
+        f: Process,
+        h: Measurement,
+        mean: Array,
+        covariance: Array,
+        manifold: Manifold,
+        points: SigmaPoints,
+    ) -> None:
+        super().__init__(f, h, mean, covariance, manifold)
+        self.points = points
+
+    def predict(self, dt: float, u: Array, process_noise: Array) -> None:
+        """x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
+        wm, wc = self.points.weights(len(self.mean))
+        centre = self.f(self.mean, dt, u)
+        errors = np.array([self.manifold.minus(self.f(s, dt, u), centre) for s in self._sigmas()])
+        shift = wm @ errors
+        spread = errors - shift
+        self.mean = self.manifold.plus(centre, shift)
+        self.covariance = (spread.T * wc) @ spread + process_noise
+
+    def measure(
+        self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
+    ) -> Innovation:
+        """nu, S and C from the sigma points."""
+        h = h or self.h
+        wm, wc = self.points.weights(len(self.mean))
+        predicted = np.array([h(s) for s in self._sigmas()])
+        centre = wm @ (predicted - predicted[0]) + predicted[0]
+        spread = predicted - centre
+        s = (spread.T * wc) @ spread + measurement_noise
+        return Innovation(measurement - centre, s, (self._errors().T * wc) @ spread, measurement_noise)
+
+    def _errors(self) -> Array:
+        return self.points.draw(np.zeros(len(self.mean)), self.covariance)
+
+    def _sigmas(self) -> list[Array]:
+        return [self.manifold.plus(self.mean, error) for error in self._errors()]

@@ -1,0 +1,227 @@
+"""tilted12: a car on a road that is not flat; its process and measurements, in the textbook's form.
+
+The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
+roll left side up. A filter on it keeps its mean as such angles and its covariance as that of a small rotation ``e``
+about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
+error-state Kalman filter, 2017, section 7: the global error). e stands in the places of roll, pitch and theta. When it
+is folded into R, the covariance is left as it is: what a reset would change is of second order in e.
+
+There is no vertical channel: the car stays on the road. So along the third axis of the local frame the specific force
+is taken to be gravity in the Jacobians, which the bumps of a road would make noisy otherwise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""m/s2."""
+ATTITUDE = (8, 9, 4)
+"""The places of the error about east, north and up, those of roll, pitch and theta."""
+ACCEL_BIAS, GYRO_BIAS = (5, 6), (10, 11, 7)
+"""The places of the biases: forward, left; and about forward, left, up."""
+N = 12
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+
+
+def rotation(state: Array) -> Array:
+    """R, (3, 3), of a state's roll, pitch and theta."""
+    (cr, cp, ct), (sr, sp, st) = np.cos(state[[*ATTITUDE]]), np.sin(state[[*ATTITUDE]])
+    return np.array(
+        [
+            [ct * cp, ct * sp * sr - st * cr, ct * sp * cr + st * sr],
+            [st * cp, st * sp * sr + ct * cr, st * sp * cr - ct * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def with_rotation(state: Array, r: Array) -> Array:
+    """The state with the attitude R; theta in (-pi, pi]."""
+    new = state.copy()
+    new[[*ATTITUDE]] = (
+        np.arctan2(r[2, 1], r[2, 2]),
+        np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0])),
+        np.arctan2(r[1, 0], r[0, 0]),
+    )
+    return new
+
+
+def quaternion_of(states: Array) -> Array:
+    """The attitude of states (..., 12) as quaternions (..., 4), the scalar first."""
+    roll, pitch, theta = np.moveaxis(states[..., [*ATTITUDE]] / 2, -1, 0)
+    cr, cp, ct, sr, sp, st = (*map(np.cos, (roll, pitch, theta)), *map(np.sin, (roll, pitch, theta)))
+    parts = (
+        ct * cp * cr + st * sp * sr,
+        ct * cp * sr - st * sp * cr,
+        ct * sp * cr + st * cp * sr,
+        st * cp * cr - ct * sp * sr,
+    )
+    return np.stack(parts, axis=-1)
+
+
+def angles_of(quaternion: Array) -> Array:
+    """Roll, pitch and theta (..., 3) of quaternions (..., 4)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)  # the first column of R
+    parts = (
+        np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        np.arctan2(-forward[2], np.hypot(forward[0], forward[1])),
+        np.arctan2(forward[1], forward[0]),
+    )
+    return np.stack(parts, axis=-1)
+
+
+def turn(vector: Array) -> Array:
+    """exp([v]x), (3, 3): the rotation about a vector (3,) by its length, rad (Rodrigues)."""
+    angle = np.linalg.norm(vector)
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    half = np.sinc(angle / (2 * np.pi))  # sin(a / 2) / (a / 2)
+    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
+
+
+def turn_of(r: Array) -> Array:
+    """The v, (3,), of exp([v]x), shorter than half a turn."""
+    doubled = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])  # 2 sin a, along the axis
+    sine, cosine = np.linalg.norm(doubled) / 2, (np.trace(r) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    return 0.5 * doubled / np.sinc(angle / np.pi)
+
+
+def plus(state: Array, error: Array) -> Array:
+    """The state (12,) with an error (12,) added: turned, where it is attitude."""
+    return with_rotation(state + error, turn(error[[*ATTITUDE]]) @ rotation(state))
+
+
+def minus(state: Array, other: Array) -> Array:
+    """The error (12,) that takes ``other`` to the state."""
+    error = state - other
+    error[[*ATTITUDE]] = turn_of(rotation(state) @ rotation(other).T)
+    return error
+
+
+def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
+    """R at the middle of a step, the half turn from there to its end, and the acceleration, all (3, ...)."""
+    force = imu[:3] - [*state[[*ACCEL_BIAS]], 0.0]
+    half = turn((imu[3:] - state[[*GYRO_BIAS]]) * dt / 2)
+    r = rotation(state) @ half
+    return r, half, r @ force
+
+
+def tilted12(state: Array, dt: float, imu: Array) -> Array:
+    """Newton's equations for a car of any attitude, its IMU's biases as they are; imu (6,) in the order of `AXES`."""
+    r, half, a = _middle(state, dt, imu)
+    new = with_rotation(state, r @ half)
+    new[:2] += state[2:4] * dt + a[:2] * dt**2 / 2
+    new[2:4] += a[:2] * dt
+    return new
+
+
+def transition(state: Array, dt: float, imu: Array) -> Array:
+    """F, (12, 12): what a step makes of a small error."""
+    r, _, a = _middle(state, dt, imu)
+    of_error = np.zeros((2, N))  # of the acceleration, e x a and -R b
+    of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
+    of_error[:, [*ACCEL_BIAS]] = -r[:2, :2]
+    f = np.eye(N)
+    f[2:4] += dt * of_error
+    f[:2] += dt**2 / 2 * of_error
+    f[0, 2] = f[1, 3] = dt
+    f[np.ix_(ATTITUDE, GYRO_BIAS)] = -dt * r
+    return f
+
+
+@dataclass(frozen=True)
+class Antenna:
+    """The fix that a state predicts: where the antenna was ``latency`` s ago.
+
+    Attributes
+    ----------
+    lever : (float, float, float)
+        m forward, left and up from the IMU.
+    latency : float
+    """
+
+    lever: tuple[float, float, float]
+    latency: float = 0.0
+
+    def __call__(self, state: Array) -> Array:
+        return state[:2] - self.latency * state[2:4] + (rotation(state) @ self.lever)[:2]
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (2, 12): e x R lever beside position and velocity."""
+        east, north, up = rotation(state) @ self.lever
+        h = np.zeros((2, N))
+        h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)
+        h[:, [*ATTITUDE]] = [[0.0, up, -north], [-up, 0.0, east]]
+        return h
+
+
+@dataclass(frozen=True)
+class RearAxle:
+    """The velocity to the left (m/s) at the rear axle: a car on its wheels has none, and none up from the road.
+
+    Attributes
+    ----------
+    yaw_rate : float
+        rad/s
+    distance : float
+        m from the rear axle forward to the IMU.
+    """
+
+    yaw_rate: float
+    distance: float
+
+    def _velocity(self, state: Array) -> tuple[Array, Array, Array]:
+        """The axes left and up, and the velocity along the road, (3,) each."""
+        _, left, up = rotation(state).T
+        vx, vy = state[2:4]
+        return left, up, np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
+
+    def __call__(self, state: Array) -> Array:
+        left, _, v = self._velocity(state)
+        return np.array([left @ v - self.distance * (self.yaw_rate - state[GYRO_BIAS[2]])])
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (1, 12); what attitude does to the velocity upwards included."""
+        left, up, v = self._velocity(state)
+        climb = left[2] / up[2]
+        h = np.zeros((1, N))
+        h[0, 2:4] = left[:2] - climb * up[:2]
+        h[0, [*ATTITUDE]] = np.cross(left, v) - climb * np.cross(up, v)
+        h[0, GYRO_BIAS[2]] = self.distance
+        return h
+
+
+@dataclass(frozen=True)
+class States:
+    """Some of the states themselves: a velocity, or what a gyro shows at rest."""
+
+    places: tuple[int, ...]
+
+    def __call__(self, state: Array) -> Array:
+        return state[[*self.places]]
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (m, n)."""
+        return np.eye(len(state))[[*self.places]]
+
+
+def as_angles(state: Array, covariance: Array) -> Array:
+    """The covariance (..., 12, 12) of states (..., 12) as angles: of roll, pitch and theta in place of the error.
+
+    e = ends @ (roll, pitch, theta), with the axes that they turn about in the columns.
+    """
+    theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
+    ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)
+    to_angles = np.zeros(covariance.shape)
+    to_angles[..., range(N), range(N)] = 1.0
+    roll, nose, up = ATTITUDE
+    to_angles[..., roll, roll], to_angles[..., roll, nose] = ct * sec, st * sec
+    to_angles[..., nose, roll], to_angles[..., nose, nose] = -st, ct
+    to_angles[..., up, roll], to_angles[..., up, nose] = ct * tan, st * tan
+    return to_angles @ covariance @ to_angles.swapaxes(-1, -2)

@@ -1,0 +1,242 @@
+"""Hills: grade and bank of the road under a car that drives as on a flat one.
+
+The car's way in the map's plane, and so the truth, stay those of the flat road: the driver's feet make up for what
+the slope adds, and distances are horizontal. What changes is the body's attitude, which follows the road and, through
+the suspension, gravity's share along the road; and the car's height. Both follow the way s that the car has gone:
+
+    grade pitch p(s), bank roll f(s);  road's slope ahead  -tan p,  to the left  tan f / cos p
+    height' = slope ahead x vx + slope to the left x vy,  so that the velocity lies in the road
+
+Grade and bank are second-order Gauss-Markov processes along the way, autocovariance std^2 (1 + d/L) exp(-d/L) (R. G.
+Brown and P. Y. C. Hwang, "Introduction to Random Signals and Applied Kalman Filtering", ch. 3), through cubic splines:
+the body's turning accelerates without jumps. The bank adds a crossfall to the right and leans into bends.
+
+Sources, cited behind the values:
+
+[M] measured by `benchmarks/road_slopes.py`: KITTI's residential and hill drives, rtklibexplorer's Colorado drive.
+[A] AASHTO, "A Policy on Geometric Design of Highways and Streets": cross slope, superelevation in towns and in snow.
+[R] recalled or chosen, not verified.
+"""
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import cont2discrete, lfilter, ss2tf
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.simulation.dynamics import (
+    AX,
+    AY,
+    GRAVITY,
+    PITCH,
+    PITCH_ACCEL,
+    PITCH_RATE,
+    RECORDED,
+    ROLL,
+    ROLL_ACCEL,
+    ROLL_RATE,
+    STEP,
+    VX,
+    VY,
+    YAW_RATE,
+    Vehicle,
+)
+from sigmaswarm.simulation.planning import SPACING
+
+Array = NDArray[np.float64]
+
+# Columns behind those that the car records: the road's roll and pitch (rad) with two derivatives, and the height.
+ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)
+ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL = range(RECORDED + 3, RECORDED + 6)
+HEIGHT, CLIMB, CLIMB_ACCEL = range(RECORDED + 6, RECORDED + 9)
+
+_KNOTS = 2.0  # m, between the splines' knots
+_BEYOND = 50.0  # m, that the profiles reach over both ends of the path
+_EASED = 10.0  # m, over which the bank follows a bend's curvature
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Statistics of a road's slopes; slopes are tangents, lengths m.
+
+    Attributes
+    ----------
+    grade_std, grade_length, grade_limit : float
+        Standard deviation, correlation length and bound of the slope along the road.
+    bank_std, bank_length, bank_limit : float
+        The same of the slope across it.
+    crossfall : float
+        Mean slope down to the right, where it rains off.
+    superelevation : float
+        Largest slope into bends, had at `banked_radius` (m); sharper ones, at intersections, have less again.
+    """
+
+    name: str
+    grade_std: float = 0.0
+    grade_length: float = 50.0
+    grade_limit: float = 0.0
+    bank_std: float = 0.0
+    bank_length: float = 18.0
+    bank_limit: float = 0.0
+    crossfall: float = 0.0
+    superelevation: float = 0.0
+    banked_radius: float = 120.0
+    source: str = ""
+
+
+TERRAINS = {
+    t.name: t
+    for t in (
+        Terrain("flat", source="a plane"),
+        Terrain(
+            "rolling",
+            grade_std=0.025,  # [M] kitti-09-30-0018 1.7%, colorado-1 3.3%
+            grade_length=50.0,  # [M] 56 m, colorado-1
+            grade_limit=0.08,  # [M] 8.1%, colorado-1
+            bank_std=0.018,  # [M] 1.8-2.0%
+            bank_length=18.0,  # [M] 10-20 m
+            bank_limit=0.06,  # [M] 5.8%, colorado-1
+            crossfall=0.02,  # [A]
+            superelevation=0.04,  # [A] in towns
+            source="colorado-1 and kitti-09-30-0018, measured; AASHTO",
+        ),
+        Terrain(
+            "hilly",
+            grade_std=0.055,  # [M] kitti-09-30-0034 4.9%, -0033 6.6%
+            grade_length=60.0,  # [M] 34 and 82 m
+            grade_limit=0.14,  # [M] 13.6 and 14.9%
+            bank_std=0.024,  # [M] 2.3 and 2.6%
+            bank_length=18.0,  # [M] 14 and 20 m
+            bank_limit=0.09,  # [M] 4.9 and 11.4%
+            crossfall=0.02,  # [A]
+            superelevation=0.06,  # [A] where it snows
+            source="kitti-09-30-0033 and -0034, measured; AASHTO",
+        ),
+    )
+}
+"""Terrains by name, from the easiest for a planar filter; the radius at which bends are banked most is [R]."""
+
+
+def find_terrain(terrain: str | Terrain) -> Terrain:
+    """Return a terrain given by name or as a record; InputError for an unknown name."""
+    if isinstance(terrain, Terrain):
+        return terrain
+    if terrain not in TERRAINS:
+        raise InputError(f"no terrain is called {terrain!r}; there are {', '.join(TERRAINS)}")
+    return TERRAINS[terrain]
+
+
+@dataclass(frozen=True)
+class Road:
+    """A road's pitch (positive downhill) and roll (positive left side up), rad, over the way, m."""
+
+    pitch: CubicSpline
+    roll: CubicSpline
+
+
+def _wander(rng: np.random.Generator, count: int, std: float, length: float, limit: float) -> Array:
+    """Second-order Gauss-Markov sequence at the knots; near the limit it eases off."""
+    keep = np.exp(-_KNOTS / length)
+    settled = int(10 * length / _KNOTS)
+    drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
+    of_filter = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # its stationary standard deviation
+    values = np.asarray(drawn)[settled:] * (std / of_filter)
+    # Beyond two thirds of the limit it bends towards it, with a slope that does not jump.
+    soft = limit / 3
+    beyond = np.maximum(np.abs(values) - 2 * soft, 0.0)
+    return (
+        np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
+        if limit > 0
+        else 0 * values
+    )
+
+
+def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:
+    """Draw the slopes of a road whose path has this curvature (p,), 1/m, every `SPACING` m."""
+    length = len(curvature) * SPACING
+    at = np.arange(-_BEYOND, length + _BEYOND, _KNOTS)
+    grade = _wander(rng, len(at), terrain.grade_std, terrain.grade_length, terrain.grade_limit)
+    bank = _wander(rng, len(at), terrain.bank_std, terrain.bank_length, terrain.bank_limit)
+    # Positive to the left; a left bend leans to the left, left side down.
+    sharp = terrain.banked_radius * gaussian_filter1d(curvature, _EASED / SPACING, mode="nearest")
+    lean = -terrain.superelevation * 2 * sharp / (1 + sharp**2)
+    bank += terrain.crossfall + np.interp(at, np.arange(len(curvature)) * SPACING, lean)
+    pitch = -np.arctan(grade)
+    return Road(CubicSpline(at, pitch), CubicSpline(at, np.arctan(bank * np.cos(pitch))))
+
+
+def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
+    """Return the record of a car on this road.
+
+    Parameters
+    ----------
+    record : ndarray, shape (n, 20)
+        Of the same car on a flat road, see `sigmaswarm.simulation.dynamics`.
+    road : Road
+    car : Vehicle
+        Whose suspension carries gravity's share along the road.
+
+    Returns
+    -------
+    ndarray, shape (n, 29)
+        The record with the suspension's part in roll and pitch, and the columns ROAD_ROLL to CLIMB_ACCEL.
+    """
+    vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]
+    # Along the body's own axes, which turn.
+    vx_rate, vy_rate = record[:, AX] + turn * vy, record[:, AY] - turn * vx
+    way = _integral(vx)
+    p, p1, p2 = _in_time(road.pitch, way, vx, vx_rate)
+    f, f1, f2 = _in_time(road.roll, way, vx, vx_rate)
+    ahead, left = -np.tan(p), np.tan(f) / np.cos(p)
+    ahead_rate = -p1 / np.cos(p) ** 2
+    left_rate = f1 / (np.cos(f) ** 2 * np.cos(p)) + left * np.tan(p) * p1
+    climb = ahead * vx + left * vy
+    climb_rate = ahead_rate * vx + ahead * vx_rate + left_rate * vy + left * vy_rate
+
+    tilted = np.column_stack([record, f, f1, f2, p, p1, p2, _integral(climb), climb, climb_rate])
+    # The road's axes, seen from the level axes that turn with the car; force along them less the flat road's.
+    up = climb_rate + GRAVITY
+    along = np.cos(p) * record[:, AX] - np.sin(p) * up
+    normal = np.sin(p) * record[:, AX] + np.cos(p) * up
+    across = np.cos(f) * record[:, AY] + np.sin(f) * normal
+    for columns, more, frequency, damping in (
+        ((PITCH, PITCH_RATE, PITCH_ACCEL), along - record[:, AX], car.pitch_frequency, car.pitch_damping),
+        ((ROLL, ROLL_RATE, ROLL_ACCEL), across - record[:, AY], car.roll_frequency, car.roll_damping),
+    ):
+        tilted[:, columns] += _swing(more, frequency, damping)
+    return tilted
+
+
+def _integral(values: Array) -> Array:
+    """Trapezoids over milliseconds, from 0."""
+    return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)]) * STEP
+
+
+def _in_time(
+    profile: CubicSpline, way: Array, speed: Array, acceleration: Array
+) -> tuple[Array, Array, Array]:
+    """A profile over the way, and its first two derivatives in time."""
+    slope, bend = profile(way, 1), profile(way, 2)
+    return profile(way), slope * speed, bend * speed**2 + slope * acceleration
+
+
+def _swing(target: Array, frequency: float, damping: float) -> Array:
+    """Second-order response (n, 3), its rate and its acceleration, from rest at the first target.
+
+    The response is linear, so what the road adds to the target adds to the response (exact for a target that is
+    linear between milliseconds).
+    """
+    system = (
+        np.array([[0.0, 1.0], [-(frequency**2), -2 * damping * frequency]]),
+        np.array([[0.0], [frequency**2]]),
+    )
+    discrete = cont2discrete((*system, np.eye(2), np.zeros((2, 1))), STEP, method="foh")
+    a, b, c, d, _ = cast(tuple[Array, Array, Array, Array, float], discrete)
+    above, below = ss2tf(a, b, c, d)
+    value, rate = (np.asarray(lfilter(row, below, target - target[0])) for row in above)
+    value += target[0]
+    return np.column_stack([value, rate, frequency**2 * (target - value) - 2 * damping * frequency * rate])

@@ -1,0 +1,153 @@
+"""tilted12 in C: the run's numbers with every measurement, on hills, through gaps and late fixes."""
+
+import subprocess
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc, replay, tuned
+from sigmaswarm import InputError, clip, read_drive, simulate
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.simulation.gps import find_gps
+from support import DRIVES, make_drive, needs_shared
+
+OPTIONS = {
+    "plain": {},
+    "velocity": {"velocity_noise": 0.1},
+    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2},
+    "standstill": {"standstill_noise": 1e-3},
+    "gate": {"gate": 2.0},
+    "latency": {"latency": 0.1},
+    "accuracy": {"accuracy_scale": 0.4},
+    "robust": {"robust_dof": 4.0},
+    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "latency": 0.05, "standstill_noise": 1e-3,
+            "accuracy_scale": 0.4, "robust_dof": 2.0},
+}  # fmt: skip
+
+
+def given(option: str) -> FilterParameters:
+    return replace(tuned("tilted12", "ekf", 0.01, everything=False), **OPTIONS[option])
+
+
+@cache
+def hills() -> Drive:
+    """A hilly town: an antenna above the IMU, velocities, accuracies, outliers, a gap, frozen fixes, a stop."""
+    grade = replace(find_gps("ublox-m8"), lever_arm=(0.4, -0.3, 1.2))
+    drive = simulate("brake", terrain="hilly", gps=grade, jitter=1e-3, run=2)
+    imu, gps, rng = drive.imu, drive.gps, np.random.default_rng(2)
+    silent = (imu.time > 16.0) & (imu.time < 16.7)
+    n = len(gps)
+    std_x, std_y = rng.uniform(0.3, 3.0, (2, n))
+    x = gps.x + 15.0 * np.isin(np.arange(n), (60, 61))
+    frozen = np.isin(np.arange(n), (70, 71, 72))
+    x, y = np.where(frozen, x[69], x), np.where(frozen, gps.y[69], gps.y)
+    gps = replace(gps, x=x, y=y, std_x=std_x, std_y=std_y)
+    return replace(
+        drive, imu=imu.select(~silent), gps=gps, metadata={"gps_lever_arm_m": list(grade.lever_arm)}
+    )
+
+
+@needs_gcc
+@pytest.mark.parametrize("option", OPTIONS)
+def test_it_is_the_run(tmp_path: Path, option: str):
+    p = given(option)
+    ours = run_filter(hills(), p, recover=False)
+    theirs = replay(build(tmp_path, p), hills(), "tilted12")
+    np.testing.assert_array_equal(theirs.time, ours.time)
+    assert distance(theirs.mean, ours.mean) < 1e-11
+    np.testing.assert_allclose(theirs.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-9)
+    assert np.degrees(np.abs(ours.mean[:, 8:10]).max()) > 2.0  # it has felt the hills
+    if option not in ("plain", "all"):
+        plain = run_filter(hills(), given("plain"), recover=False)
+        assert distance(plain.mean, ours.mean) > 1e-6  # the option has something to do
+
+
+@needs_shared
+@needs_gcc
+@pytest.mark.parametrize(("name", "part"), [("colorado-1", (30.0, 110.0)), ("kitti-09-30-0034", (0.0, 60.0))])
+def test_it_is_the_run_on_real_drives(tmp_path: Path, name: str, part: tuple[float, float]):
+    drive = clip(read_drive(DRIVES / name), *part)
+    p = replace(given("lateral"), standstill_noise=1e-3, gate=9.2)
+    ours = run_filter(drive, p, recover=False)
+    assert distance(replay(build(tmp_path, p), drive, "tilted12").mean, ours.mean) < 1e-9
+
+
+@needs_gcc
+def test_late_fixes_take_it_back_and_forward(tmp_path: Path):
+    first, *rows = replay_rows(hills(), "tilted12").splitlines()
+
+    def known(row: str) -> tuple[float, str]:
+        return float(row.split(",")[1]) + (0.31 if row.startswith("fix") else 0.0), row
+
+    rows = [row for row in rows if not row.startswith("fix") or float(row.split(",")[1]) < 20.0]
+    late = [first, *sorted(rows, key=known)]
+    program = build(tmp_path, replace(given("lateral"), standstill_noise=1e-3))
+    final, in_time = (
+        subprocess.run([program], input="\n".join(each) + "\n", capture_output=True, text=True, check=True)
+        for each in (late, [first, *rows])
+    )
+    last = [
+        np.array([float(cell) for cell in run.stdout.splitlines()[-1].split(",")]) for run in (final, in_time)
+    ]
+    np.testing.assert_allclose(last[0], last[1], rtol=0, atol=1e-12)
+
+
+@needs_gcc
+def test_the_start_that_it_finds_itself_takes_an_antenna_of_three_numbers(tmp_path: Path):
+    told = replay_rows(hills(), "tilted12").splitlines()
+    program = build(tmp_path, given("lateral"))
+
+    def run(first: str) -> subprocess.CompletedProcess[str]:
+        rows = "\n".join([first, *told[1:]]) + "\n"
+        return subprocess.run([program], input=rows, capture_output=True, text=True, check=False)
+
+    ends = [
+        np.array(run(first).stdout.splitlines()[-1].split(","), float)
+        for first in (told[0], "align,0.4,-0.3,1.2")
+    ]
+    np.testing.assert_allclose(ends[0][:3], ends[1][:3], atol=0.2)
+    refused = run("align,0.4,-0.3")
+    assert (refused.returncode, "align,forward,left,up" in refused.stderr) == (2, True)
+
+
+@needs_gcc
+def test_float_is_off_by_little(tmp_path: Path):
+    p = given("all")
+    off = replay(build(tmp_path, p, "-DINS_GPS_FLOAT"), hills(), "tilted12").mean
+    off = off - run_filter(hills(), p, recover=False).mean
+    assert 1e-9 < np.max(np.abs(off[:, :2])) < 2e-2
+
+
+@needs_gcc
+def test_the_sanitizers_find_nothing_over_a_drive(tmp_path: Path):
+    p = given("all")
+    sanitized = replay(build(tmp_path, p, *SANITIZERS), hills(), "tilted12")
+    assert distance(sanitized.mean, run_filter(hills(), p, recover=False).mean) < 1e-11
+
+
+@pytest.mark.parametrize(
+    "compiler", [pytest.param("gcc", marks=needs_gcc), pytest.param("clang", marks=needs_clang)]
+)
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")], ids=str)
+def test_compilers_have_nothing_to_say(tmp_path: Path, compiler: str, flags: tuple[str, ...]):
+    for option in OPTIONS:
+        export_filter(given(option), "c99", tmp_path)
+        command = [compiler, *STRICT, *flags, "-fsyntax-only", *sorted(tmp_path.glob("*.c"))]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_c_does_not_have_is_refused_in_one_line(tmp_path: Path):
+    with pytest.raises(InputError, match=r"tilted12 has no ukf in C; take kind ekf"):
+        export_filter(replace(given("plain"), kind="ukf"), "c99", tmp_path)
+    with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs"):
+        drive = make_drive()
+        planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
+        export_filter(given("plain"), "c99", tmp_path, replay=planar)

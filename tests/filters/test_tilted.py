@@ -1,0 +1,277 @@
+"""tilted12: its rotations, Jacobians and filters, and what it needs of a drive."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from oracles.extended import covariance_error, mean_error
+from sigmaswarm import InputError, LiveFilter, TuneConfig, initial_state, run_filter, run_textbook, tune
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.export.targets import TARGETS, export_filter
+from sigmaswarm.filters import tilted
+from sigmaswarm.filters.compiled.lanes import angle_of
+from sigmaswarm.filters.compiled.layout import QUATERNION, R
+from sigmaswarm.filters.packing import Chunk
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import run_steps, start_replays
+from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.textbook.car import TextbookCar
+from stepwise import urban
+from support import make_drive
+
+Q = (1e-6, 1e-6, 1e-4, 1e-4, 1e-8, 1e-8, 1e-8, 1e-12, 1e-7, 1e-7, 1e-12, 1e-12)
+ANGLES = [*tilted.ATTITUDE]
+ALL = {
+    "lateral_noise": 0.05,
+    "rear_axle": 1.2,
+    "standstill_noise": 1e-3,
+    "velocity_noise": 0.1,
+    "latency": 0.05,
+}
+
+
+def parameters(**more) -> FilterParameters:
+    return FilterParameters(0.5, 2.0, 1.0, Q, (0.5, 0.6), "tilted12", **({"kind": "ekf"} | more))
+
+
+@cache
+def town() -> Drive:
+    """A town with standstill, gap, lever arm and velocities; the receiver also states its accuracy."""
+    drive = urban()
+    n = len(drive.gps)
+    std = np.random.default_rng(3).uniform(0.3, 2.0, (2, n))
+    x = drive.gps.x.copy()
+    x[n // 2 : n // 2 + 3] += 15.0
+    return replace(drive, gps=replace(drive.gps, x=x, std_x=std[0], std_y=std[1]))
+
+
+def some_state(seed: int = 0, tilt: float = 0.2) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    state = rng.normal(0, 1, tilted.N) * [10, 10, 8, 8, 2, 0.3, 0.3, 0.01, tilt, tilt, 0.01, 0.01]
+    state[2:4] += 5.0
+    return state
+
+
+def differences(function: Callable[[np.ndarray], np.ndarray], state: np.ndarray) -> np.ndarray:
+    """What a small error of each state makes of a function, by central differences."""
+    small = 1e-5
+    columns = [
+        function(tilted.plus(state, small * e)) - function(tilted.plus(state, -small * e))
+        for e in np.eye(tilted.N)
+    ]
+    return np.array(columns).T / (2 * small)
+
+
+# --- Rotations ---------------------------------------------------------------------------------------------
+
+angle = st.floats(-3.0, 3.0)
+slope = st.floats(-1.4, 1.4)
+
+
+@given(st.tuples(angle, slope, angle), st.tuples(angle, angle, angle))
+def test_rotations_are_scipys(attitude: tuple[float, ...], vector: tuple[float, ...]):
+    state = np.zeros(tilted.N)
+    state[ANGLES] = attitude
+    theirs = Rotation.from_euler("ZYX", attitude[::-1])
+    np.testing.assert_allclose(tilted.rotation(state), theirs.as_matrix(), atol=1e-14)
+    quaternion = tilted.quaternion_of(state)
+    np.testing.assert_allclose(
+        Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), theirs.as_matrix(), atol=1e-14
+    )
+    np.testing.assert_allclose(tilted.angles_of(quaternion), attitude, atol=1e-7)
+    np.testing.assert_allclose(tilted.with_rotation(state, theirs.as_matrix())[ANGLES], attitude, atol=1e-7)
+    turned = Rotation.from_rotvec(vector)
+    np.testing.assert_allclose(tilted.turn(np.array(vector)), turned.as_matrix(), atol=1e-14)
+    short = np.array(vector) * min(1.0, 3.0 / (np.linalg.norm(vector) + 1e-9))
+    np.testing.assert_allclose(tilted.turn_of(tilted.turn(short)), short, atol=1e-7)
+
+
+@given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+def test_the_kernels_angle_is_that_of_arctan2(y: float, x: float):
+    if np.hypot(x, y) > 1e-200:
+        off = getattr(angle_of, "py_func", angle_of)(y, x) - np.arctan2(y, x)
+        assert min(abs(off), abs(abs(off) - 2 * np.pi)) < 1e-15
+
+
+def test_an_error_added_is_the_difference():
+    state, error = some_state(), 0.1 * some_state(1)
+    np.testing.assert_allclose(tilted.minus(tilted.plus(state, error), state), error, atol=1e-13)
+
+
+# --- Jacobians ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "h",
+    [tilted.Antenna((1.0, -0.5, 1.5), 0.1), tilted.RearAxle(0.3, 1.4), tilted.States((2, 3))],
+    ids=["fix", "lateral", "velocity"],
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobians_of_measurements_are_their_differences(h, seed: int):
+    state = some_state(seed)
+    np.testing.assert_allclose(h.jacobian(state), differences(h, state), atol=1e-8)
+
+
+def test_the_velocity_upwards_is_a_part_of_the_lateral_jacobian():
+    # On a slope of 0.2 rad what roll does to it is a twentieth of the whole.
+    state, h = some_state(), tilted.RearAxle(0.3, 1.4)
+    left, _, v = h._velocity(state)
+    held = np.cross(left, v)
+    assert np.max(np.abs(held - h.jacobian(state)[0, ANGLES])) > 0.05
+
+
+def test_jacobian_of_the_process_is_its_difference():
+    state, dt = some_state(tilt=0.05), 1e-3
+    force = tilted.rotation(state).T @ [1.5, -0.7, tilted.GRAVITY]  # so that gravity is what is left upwards
+    force[:2] += state[5:7]
+    imu = np.concatenate([force, [0.2, -0.1, 0.4]])
+    after = tilted.tilted12(state, dt, imu)
+    numeric = differences(lambda s: tilted.minus(tilted.tilted12(s, dt, imu), after), state)
+    # F leaves out what is of second order in dt: a biased rate that turns the force within the step.
+    np.testing.assert_allclose(tilted.transition(state, dt, imu), numeric, atol=10 * dt**2)
+    assert np.max(np.abs(numeric - np.eye(tilted.N))) > 9 * dt
+
+
+def test_the_covariance_of_angles_is_that_of_the_error():
+    state, spread = some_state(), np.diag(np.linspace(1, 2, tilted.N))
+    numeric = differences(lambda s: s, state)
+    np.testing.assert_allclose(
+        tilted.as_angles(state, spread), numeric @ spread @ numeric.T, rtol=1e-6, atol=1e-7
+    )
+
+
+# --- Filters -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {},
+        ALL,
+        ALL | {"gate": 6.0},
+        ALL | {"robust_dof": 4.0, "accuracy_scale": 0.4},
+    ],
+    ids=["plain", "all", "gate", "weighed"],
+)
+def test_compiled_is_the_textbooks(more: dict):
+    drive, p = town(), parameters(**more)
+    ours, book = run_filter(drive, p, recover=False), run_textbook(drive, p)
+    assert book.failure is None and ours.failure is None
+    assert mean_error(ours.mean, book.mean).max() < 1e-9
+    assert covariance_error(ours.covariance, book.covariance).max() < 1e-8
+
+
+def test_the_unscented_filter_on_the_manifold_is_close():
+    drive = town()
+    extended, unscented = (run_textbook(drive, parameters(kind=kind, **ALL)) for kind in ("ekf", "ukf"))
+    assert unscented.failure is None
+    off = unscented.mean - extended.mean
+    std = np.sqrt(np.diagonal(extended.covariance, axis1=1, axis2=2))
+    assert 1e-9 < np.max(np.abs(off / std)) < 0.3
+
+
+def test_the_quaternion_keeps_its_norm_for_an_hour():
+    drive = town()
+    replay = replay_of(drive)
+    line = replay.timeline
+    hour = int(np.ceil(3600 / line.dt.sum()))
+    chunk = Chunk((parameters(**ALL),))
+    rows = start_replays([replay], chunk)[0]
+    place = np.zeros(4)
+    for _ in range(hour):
+        place[:] = 0.0
+        run_steps(replay, chunk, rows, place, len(line.dt))
+    quaternion = rows[[getattr(R, name) for name in QUATERNION]]
+    assert np.max(np.abs(np.linalg.norm(quaternion, axis=0) - 1)) < 1e-12
+
+
+def test_it_finds_the_slope_and_the_gyros_biases():
+    # A car that drives straight up a slope of 4 deg, its left side 2 deg up, with biased gyros.
+    flat = make_drive(duration=60, gps_std=0.3, seed=4)
+    truth, imu = flat.truth, flat.imu
+    assert truth is not None
+    state = np.zeros(tilted.N)
+    state[ANGLES] = np.radians([2.0, -4.0, 0.0])
+    body = tilted.rotation(state)
+    force = np.column_stack([imu.ax, imu.ay, np.full(len(imu), tilted.GRAVITY)])
+    about_up = np.column_stack([0 * imu.gz, 0 * imu.gz, imu.gz])
+    # The slope turns with the car, so that it is the same in its body: a spiral ramp.
+    ax, ay, az = (force @ body).T
+    gx, gy, gz = (about_up @ body + [0.004, -0.003, 0.002]).T
+    drive = replace(flat, imu=replace(imu, ax=ax, ay=ay, az=az, gx=gx, gy=gy, gz=gz))
+    estimate = run_filter(drive, parameters(lateral_noise=0.01))
+    late = estimate.time > estimate.time[-1] - 20
+    found = np.median(estimate.mean[late], axis=0)
+    np.testing.assert_allclose(np.degrees(found[ANGLES[:2]]), [2.0, -4.0], atol=0.5)
+    np.testing.assert_allclose(found[[10, 11, 7]], [0.004, -0.003, 0.002], atol=0.002)
+
+
+def test_live_is_the_run():
+    drive, p = town(), parameters(**ALL, gate=9.0)
+    start = initial_state(drive)
+    lever = [*drive.lever_arm, drive.antenna_height]
+    live = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=lever)
+    run, imu, gps, means = run_filter(drive, p), drive.imu, drive.gps, []
+    assert gps.speed is not None and gps.course is not None
+    due = 0
+    for i, t in enumerate(imu.time):
+        while due < len(gps) and gps.time[due] <= t:
+            v = gps.speed[due] * np.array([np.cos(gps.course[due]), np.sin(gps.course[due])])
+            live.update(gps.time[due], (gps.x[due], gps.y[due]), v)
+            due += 1
+        live.predict(t, [getattr(imu, axis)[i] for axis in tilted.AXES])
+        if t > start.time:
+            means.append(live.state.mean)
+    np.testing.assert_allclose(np.array(means), run.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(live.state.covariance, run.covariance[-1], rtol=1e-7, atol=1e-14)
+
+
+# --- What it needs -----------------------------------------------------------------------------------------
+
+
+def test_an_imu_of_three_axes_is_refused():
+    drive = make_drive(duration=20)
+    for call in (
+        lambda: run_filter(drive, parameters()),
+        lambda: run_textbook(drive, parameters()),
+        lambda: tune([drive], model="tilted12", objective="innovation-nll"),
+    ):
+        with pytest.raises(InputError, match=r"has no az, gx, gy, which tilted12 needs; take planar8"):
+            call()
+
+
+def test_a_live_sample_of_three_axes_is_refused():
+    live = LiveFilter(parameters(), initial_state(town()), nominal_interval=0.01)
+    with pytest.raises(InputError, match="3 numbers: tilted12 reads ax, ay, az, gx, gy, gz"):
+        live.predict(100.0, (0.0, 0.0, 0.0))
+
+
+def test_a_kind_that_is_not_compiled_is_refused_and_ekf_is_what_it_is_without_one():
+    with pytest.raises(InputError, match="tilted12 is not compiled as ukf; take kind ekf"):
+        run_filter(town(), parameters(kind="ukf"))
+    with pytest.raises(InputError, match="tilted12 is not compiled as ukf; take ekf"):
+        tune([town()], model="tilted12", kind="ukf", objective="innovation-nll")
+    assert TuneConfig(model="tilted12").kind == "ekf"
+    assert TuneConfig().kind == TuneConfig(model="planar8").kind == "ukf"
+
+
+@pytest.mark.parametrize("target", [t for t in TARGETS if t != "c99"])
+def test_targets_that_do_not_know_it_say_so(target: str, tmp_path):
+    with pytest.raises(InputError, match=f"{target} .*tilted12.*planar8"):
+        export_filter(parameters(nominal_interval=0.01), target, tmp_path / "out")
+
+
+def test_the_textbooks_noise_follows_the_time_line():
+    drive = town()
+    replay = replay_of(drive)
+    car = TextbookCar(replay.timeline, parameters(), replay.initial)
+    before = car.filter.covariance.copy()
+    car.step(0)
+    grown = np.diag(car.filter.covariance - before)[8:]
+    np.testing.assert_allclose(grown[2:], np.array(Q[10:]) * replay.timeline.q_scale[0], rtol=1e-9)
