@@ -110,7 +110,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
         assert errors.noise[known[errors.absorbed]].max() < 1e-9
     # Where a heading is lost altogether the arithmetic is as lost as the car, but no further.
     lost = ~known & np.isfinite(errors.turn)
-    assert np.quantile(errors.covariance[lost], 0.9) < 1e-8
+    assert not lost.any() or np.quantile(errors.covariance[lost], 0.9) < 1e-8
 
 
 @EACH_STOP
