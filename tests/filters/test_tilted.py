@@ -237,6 +237,7 @@ def test_live_is_the_run():
 
 def test_an_imu_of_three_axes_is_refused():
     drive = make_drive(duration=20)
+    drive = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
     for call in (
         lambda: run_filter(drive, parameters()),
         lambda: run_textbook(drive, parameters()),
@@ -274,4 +275,4 @@ def test_the_textbooks_noise_follows_the_time_line():
     before = car.filter.covariance.copy()
     car.step(0)
     grown = np.diag(car.filter.covariance - before)[8:]
-    np.testing.assert_allclose(grown[2:], np.array(Q[10:]) * replay.timeline.q_scale[0], rtol=1e-9)
+    np.testing.assert_allclose(grown[2:], np.array(Q[10:]) * replay.timeline.q_scale[0], rtol=1e-6)

@@ -22,7 +22,7 @@ GYRO_AT_REST = (
     Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180
 ) ** 2  # (0.5 deg/s)^2
 MOST_REJECTED = 5
-GAP_TURN, GAP_ACCELERATION = Extended("0.1"), Extended(1)  # rad/s; m/s2
+GAP_TURN, GAP_TILT, GAP_ACCELERATION = Extended("0.1"), Extended("0.01"), Extended(1)  # rad/s, rad/s, m/s2
 
 
 @dataclass
@@ -175,6 +175,8 @@ class ExtendedCar:
         )  # of a change of velocity, half moves
         added = g @ transposed(g) * GAP_ACCELERATION**2 * gap * dt
         added[4, 4] = GAP_TURN**2 * gap * dt
+        if self.n == 12:
+            added[8, 8] = added[9, 9] = GAP_TILT**2 * gap * dt
         return added
 
     def _absorb(self, z: Measurement, variance: np.ndarray) -> None:

@@ -13,6 +13,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.schedule import (
     FIX,
     GAP_ACCELERATION_STD,
+    GAP_TILT_STD,
     GAP_TURN_STD,
     HIDDEN,
     LATERAL,
@@ -21,8 +22,7 @@ from sigmaswarm.filters.schedule import (
 )
 
 
-@kernel
-def _grow(w, dt, gap):
+def _grow(w, dt, gap, *, tilted):
     """What nobody saw in a gap of the IMU's samples: `schedule.gap_covariance`."""
     turn = GAP_TURN_STD * GAP_TURN_STD * gap * dt
     g = GAP_ACCELERATION_STD * GAP_ACCELERATION_STD * gap * dt
@@ -34,11 +34,14 @@ def _grow(w, dt, gap):
         w[R.UU, l] += g
         w[R.VV, l] += g
         w[R.TT, l] += turn
+        if tilted:
+            w[R.II, l] += GAP_TILT_STD * GAP_TILT_STD * gap * dt
+            w[R.JJ, l] += GAP_TILT_STD * GAP_TILT_STD * gap * dt
 
 
 def _step(
     w, u, happens, z, lever, since,
-    *, predict, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    *, predict, grow, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
     """``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`: tuples.
 
@@ -48,7 +51,7 @@ def _step(
     if dt > 0.0:
         predict(w, u)
         if gap > 0.0:
-            _grow(w, dt, gap)
+            grow(w, dt, gap)
     if happens & FIX:
         absorb_fix(w, z, lever, since)
         if happens & VELOCITY:
@@ -69,7 +72,13 @@ _PREDICTIONS = {
     "tilted12": (predict_tilted12, settle),
 }
 STEPS = {
-    name: kernel(_step, predict=predict, settle=settle, **absorbers(MODELS[name]))
+    name: kernel(
+        _step,
+        predict=predict,
+        settle=settle,
+        grow=kernel(_grow, tilted=int(MODELS[name].tilts is not None)),
+        **absorbers(MODELS[name]),
+    )
     for name, (predict, settle) in _PREDICTIONS.items()
 }
 """By model: a step of LANES filters, to be called by other compiled functions."""

@@ -90,7 +90,7 @@ def predict_tilted12(w, u):
     """One step of the process model."""
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
-    for j in (*MOVED, *KEPT):  # the columns that are done after it at the end, for the others read them
+    for j in (*MOVED, *KEPT):  # KEPT's last: the others read what they overwrite
         for l in range(LANES):
             pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
             pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
