@@ -143,6 +143,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GAP_MOST": gaps.MOST,
         "GAP_TURN": schedule.GAP_TURN_STD,
         "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
+        "GAP_TILT": schedule.GAP_TILT_STD,
         "LEAP": live.LEAP,
         "AGREES": live.AGREES,
         "LOOK_INTERVAL": recovery.LOOK_INTERVAL,

@@ -7,7 +7,6 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import tilted
 from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -80,7 +79,7 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
     The motion that nobody saw is one turn rate and one acceleration for the whole gap, so its steps together add
     (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of
-    each step's velocity. A tilted model's roll and pitch take (GAP_TILT_STD gap)^2.
+    each step's velocity. Roll and pitch, of models that have them, add (GAP_TILT_STD gap)^2.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -89,9 +88,6 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
         added[p, p] = g * dt * dt / 4.0
         added[p, v] = added[v, p] = g * dt / 2.0
     added[THETA, THETA] = GAP_TURN_STD**2 * gap * dt
-    if n == tilted.N:
-        for i in tilted.ATTITUDE[:2]:
-            added[i, i] = GAP_TILT_STD**2 * gap * dt
     return added
 
 

@@ -11,6 +11,7 @@ from sigmaswarm.filters.models import MODELS, THETA, CarModel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
+    GAP_TILT_STD,
     LATERAL,
     MOST_REJECTED,
     STANDSTILL,
@@ -32,6 +33,7 @@ from sigmaswarm.filters.textbook.manifold import (
     Manifold,
     ManifoldUnscentedKalmanFilter,
 )
+from sigmaswarm.filters.tilted import ATTITUDE
 
 
 class TextbookCar:
@@ -93,6 +95,8 @@ class TextbookCar:
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
+        for tilt in ATTITUDE[:2] if model.tilts else ():
+            unseen[tilt, tilt] += GAP_TILT_STD**2 * line.gap[i] * line.dt[i]
         self.filter.predict(line.dt[i], imu, np.diag(self.noise.process_noise) * line.q_scale[i] + unseen)
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
