@@ -2,7 +2,6 @@
 
 import json
 import re
-import time
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -296,9 +295,7 @@ def test_split_in_time(sigmaswarm, drives: Path, here: Path):
 
 
 def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
-    start = time.perf_counter()
     ended = sigmaswarm("demo", "--out", "show")
-    assert time.perf_counter() - start < 60
     assert ended.code == 0
     for words in (
         "never saw",

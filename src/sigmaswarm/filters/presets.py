@@ -16,6 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -35,11 +36,11 @@ MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 def datasheet(drive: Drive) -> FilterParameters:
     """What a careful engineer writes from the data sheets of a drive's sensors.
 
-    The receiver's is `stated_std`; the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and
+    The receiver's is `drives.noise.stated_std`; the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and
     ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml.
     """
     stated = drive.metadata
-    std_x, std_y = stated_std(drive)
+    std_x, std_y = stated_std(drive) or (UNSTATED_GPS_STD, UNSTATED_GPS_STD)
     accel = float(stated.get("accel_noise_density", MPU6050_ACCEL_NOISE_DENSITY))
     gyro = float(stated.get("gyro_noise_density", MPU6050_GYRO_NOISE_DENSITY))
     dt = drive.nominal_interval
@@ -53,23 +54,6 @@ def datasheet(drive: Drive) -> FilterParameters:
         (std_x**2, std_y**2),
         nominal_interval=dt,
     )
-
-
-def stated_std(drive: Drive) -> tuple[float, float]:
-    """The receiver's stated standard deviation east and north, m.
-
-    The median over the fixes, where the log states one of each; else ``gps_std_m`` of drive.toml; else that of a u-blox
-    M8.
-    """
-    gps = drive.gps
-    std = float(drive.metadata.get("gps_std_m", UNSTATED_GPS_STD))
-    east, north = (std if each is None else float(np.median(each)) for each in (gps.std_x, gps.std_y))
-    return east, north
-
-
-def states_accuracy(drive: Drive) -> bool:
-    """Whether the log says anywhere how far its fixes may be off."""
-    return "gps_std_m" in drive.metadata or drive.gps.std_x is not None
 
 
 def preset(name: PresetName, drive: Drive) -> FilterParameters:

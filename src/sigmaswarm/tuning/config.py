@@ -64,7 +64,7 @@ class TuneConfig(SearchConfig):
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
     as_recorded: bool = DEFAULTS["as_recorded"]
     prior: float | None = Field(default=DEFAULTS["prior"], ge=0, le=100)
-    """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins."""
+    """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins, else it is 0."""
     margin: float | None = Field(default=DEFAULTS["margin"], ge=0, le=1)
     """None: `MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
 

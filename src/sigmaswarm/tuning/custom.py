@@ -79,6 +79,10 @@ class ModelProblem:
         """How much worse costs are than another: 0.01 is 1%."""
         return objective_named(self._config.objective).rise(costs, best, self._elements)
 
+    def judged(self, point: Array, executor: Executor | None) -> float:
+        """The cost at a point."""
+        return float(self.costs(point[np.newaxis], executor)[0])
+
     def doubts(self, point: Array) -> list[str]:
         """None: what the data of a model of the user's own are is not known."""
         return []

@@ -114,6 +114,11 @@ class FilterOptions(TypedDict, total=False):
             "the paper's protocol."
         ),
     ]
+
+
+class TuneOptions(SearchOptions, FilterOptions, total=False):
+    """What `tune` takes for a filter for cars."""
+
     prior: Annotated[
         float | None,
         Doc(
@@ -130,10 +135,6 @@ class FilterOptions(TypedDict, total=False):
             "0.05 where the fixes' likelihood alone decides, else 0."
         ),
     ]
-
-
-class TuneOptions(SearchOptions, FilterOptions, total=False):
-    """What `tune` takes for a filter for cars."""
 
 
 class CompareOptions(SharedOptions, FilterOptions, total=False):

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.drives.noise import motion_in_noise, stated_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std, states_accuracy
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 
 DECADES = 0.5
 """Standard deviation of log10 R below that of the receiver."""
@@ -28,10 +28,13 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
     As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
     """
-    gps = drive.gps
-    if not states_accuracy(drive) and (shown := white_noise(gps.x + 1j * gps.y)) > SHOWN:
-        return shown, shown
-    return stated_std(drive)
+    std = stated_std(drive) or UNSTATED_GPS_STD
+    if std == UNSTATED_GPS_STD:
+        gps = drive.gps
+        shown = white_noise(gps.x + 1j * gps.y)
+        if shown > max(SHOWN, 3 * motion_in_noise(float(np.median(np.diff(gps.time))))):
+            std = shown
+    return std if isinstance(std, tuple) else (std, std)
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
@@ -49,7 +52,12 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
         0.5 (log10(R / std^2) / 0.5)^2 where R is smaller than std^2, else 0; the mean over both axes. R of a filter
         that goes by each fix's own accuracy is that of the median fix.
     """
+    short = np.minimum(np.log10(typical_variance(parameter_sets, std) / std**2) / DECADES, 0.0)
+    return 0.5 * np.mean(short**2, axis=2)
+
+
+def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
+    """R of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
     floor = np.array([p.measurement_noise for p in parameter_sets])[:, None, :]
     scale = np.array([p.accuracy_scale or 0.0 for p in parameter_sets])[:, None, None]
-    short = np.minimum(np.log10((floor + scale * std**2) / std**2) / DECADES, 0.0)
-    return 0.5 * np.mean(short**2, axis=2)
+    return floor + scale * std**2

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
+from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD, stated_std, states_accuracy
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 from sigmaswarm.filters.schedule import require_axes
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
-from sigmaswarm.tuning.prior import prior_costs, receiver_std
-from sigmaswarm.tuning.receiver import FixNoise, fix_noise, said_of_noise
+from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
+from sigmaswarm.tuning.receiver import FAR_BELOW, LASTS, FixNoise, fix_noise, said_of_noise
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -74,6 +75,10 @@ class Problem(Landscape, Protocol[P]):
         """The filter at a point, shape (d,), in search coordinates."""
         ...
 
+    def judged(self, point: Array, executor: Executor | None) -> float:
+        """The objective at a point without what only guards the search: for other data."""
+        ...
+
     def doubts(self, point: Array) -> list[str]:
         """What the data say against the filter at a point, which the objective does not see, in sentences."""
         ...
@@ -120,6 +125,10 @@ class CarProblem:
     @property
     def seen(self) -> tuple[Landmarks, ...]:
         """What each drive is recognized by."""
+        return self._landmarks
+
+    @cached_property
+    def _landmarks(self) -> tuple[Landmarks, ...]:
         return tuple(landmarks(drive) for drive in self.replayer.drives)
 
     @property
@@ -138,29 +147,40 @@ class CarProblem:
     def doubts(self, point: Array) -> list[str]:
         """Where no truth was looked at: the prior decided R, or R is far below what the fixes say of themselves."""
         known = all(drive.truth is not None for drive in self.replayer.drives)
-        if known and "truth" in self.config.objective:
+        if known and self.objective.needs_truth:
             return []
         return self._held(point) or said_of_noise(self.parameters(point), self._fix_noise)
 
     def _held(self, point: Array) -> list[str]:
-        """Where the prior held R against the likelihood: what it went by."""
+        """Where the prior held R near what is known of a receiver: what it went by."""
         if not self.config.prior:
             return []
-        told = prior_costs([self.parameters(point)], self._receiver_std)[0] > HELD
-        held = [drive for drive, is_told in zip(self.replayer.drives, told, strict=True) if is_told]
-        for drive in held:
-            if not states_accuracy(drive) and receiver_std(drive) == stated_std(drive):
-                return [
+        filters = [self.parameters(point)]
+        costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
+        r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
+        said: list[str] = []
+        for drive, cost, std, near, noise in zip(
+            self.replayer.drives, costs, self._receiver_std.mean(axis=1), r, self._fix_noise, strict=True
+        ):
+            if cost <= HELD or near * FAR_BELOW < std:
+                continue
+            stated = stated_std(drive)
+            lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off "
+            if stated:
+                more = f"{lasting}they are together" if std > LASTS * noise.scatter else ""
+                said.append(
+                    f"{drive.name}: R was held near the {std:.2g} m per axis that the receiver states{more}"
+                )
+            elif std == UNSTATED_GPS_STD:
+                said.append(
                     f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
-                    f"{UNSTATED_GPS_STD:g} m per axis; where yours is another, write gps_std_m into drive.toml"
-                ]
-        for drive in filter(states_accuracy, held):
-            return [
-                f"{drive.name}: the receiver states {max(stated_std(drive)):.2g} m per axis, and its fixes agree far "
-                "better from one to the next: their errors last, and no log without truth can tell how far off they "
-                "are together; R was held near what is stated"
-            ]
-        return []
+                    f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
+                )
+            else:
+                said.append(
+                    f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"
+                )
+        return said[:1]
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
@@ -178,6 +198,11 @@ class CarProblem:
     def mean(self, each: Array) -> Array:
         """The costs, shape (n,), of the costs on each drive that was tried, shape (n, k)."""
         return mean_cost(each, self.config.worst)
+
+    def judged(self, point: Array, executor: Executor | None) -> float:
+        """The objective itself at a point: what is known of a receiver is no score."""
+        plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
+        return float(plain.costs(point[np.newaxis], executor)[0])
 
     def rise(self, costs: Array | float, best: float) -> Array:
         """How much worse costs are than another: 0.01 is 1%."""

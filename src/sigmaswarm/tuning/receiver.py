@@ -7,9 +7,9 @@ import numpy as np
 
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import stated_std, states_accuracy
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
@@ -41,7 +41,7 @@ class FixNoise:
 
 def fix_noise(drive: Drive) -> FixNoise:
     """What a drive says of its fixes' errors; truth is not looked at."""
-    stated = float(np.mean(stated_std(drive))) if states_accuracy(drive) else np.nan
+    stated = float(np.mean(stated_std(drive) or np.nan))
     try:
         scatter = gather(drive).scatter or np.nan
     except DriveError:

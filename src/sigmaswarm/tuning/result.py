@@ -203,11 +203,11 @@ class Tuning(Generic[P]):
 
     def _meaning(self) -> str:
         name = self.config.objective
-        return (
-            MODEL_OBJECTIVES[name]
-            if isinstance(self.config, ModelTuneConfig)
-            else objective_named(name).summary
-        )
+        if isinstance(self.config, ModelTuneConfig):
+            return MODEL_OBJECTIVES[name]
+        prior = getattr(self.config, "prior", None)
+        guarded = f" + {prior:g} x the prior of R where it is smaller than the receiver's" if prior else ""
+        return objective_named(name).summary + guarded
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `FilterParameters.load` reads."""

@@ -96,6 +96,11 @@ class ResultFolder:
         except (ValueError, TypeError):
             raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
         wanted = json.loads(json.dumps(config))
+        if saved.get("versions") != wanted.get("versions"):
+            raise InputError(
+                f"{config_file}: was started with {_short('versions', saved)}, and this is another; go on with that "
+                "one, or choose another --out"
+            )
         for key in sorted(saved.keys() | wanted.keys()):
             if saved.get(key) != wanted.get(key):
                 raise InputError(

@@ -236,9 +236,9 @@ def _chosen(
         point, cost, factor = with_margin(problem, point, cost, config.margin, executor)
     validation = None
     if held_back:
-        other = float(held_back.costs(point[np.newaxis], executor)[0])
+        own, other = problem.judged(point, executor), held_back.judged(point, executor)
         names = tuple(entry["name"] for entry in held_back.data)
-        validation = Validation(other, float(problem.rise(other, cost)), names)
+        validation = Validation(other, float(problem.rise(other, own)), names)
     return Tuning(
         parameters=problem.parameters(point),
         cost=cost,

@@ -8,6 +8,7 @@ from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
 from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.drives.noise import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
 """Observed noise over the stated one."""
@@ -26,19 +27,15 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _stated(evidence: Evidence) -> Iterator[Finding]:
-    gps, about = evidence.drive.gps, evidence.drive.metadata
-    if gps.std_x is not None and gps.std_y is not None:
-        stated, where = float(np.median(np.concatenate([gps.std_x, gps.std_y]))), "gps.csv, std_x, std_y"
-    elif "gps_std_m" in about:
-        stated, where = float(about["gps_std_m"]), "drive.toml, gps_std_m"
-    else:
+    gps, told = evidence.drive.gps, stated_std(evidence.drive)
+    if told is None:
         return
+    stated = float(np.mean(told))
+    where = "drive.toml, gps_std_m" if gps.std_x is None else "gps.csv, std_x, std_y"
     noise, scatter = evidence.noise, max(evidence.scatter, evidence.noise)
     if not scatter:
         return
-    interval = float(np.median(np.diff(gps.time)))
-    # what the IMU itself can't follow between fixes
-    unseen = 0.02 + 0.15 * interval**2
+    unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
     # A smooth receiver's errors last: what it states may be right, however little the fixes scatter.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:

@@ -83,8 +83,12 @@ def compare(
     for name in ("seed", "optimizer", "scale"):
         if name in config:
             raise InputError(f"{name}: is what is compared; use {name}s instead")
+    for name in ("prior", "margin"):
+        if name in config:
+            raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
     objective = objective_for([*drives, *held_out], config.get("objective", "auto"), config.get("use", ()))
-    rivals = contenders(optimizers, scales, {**config, "objective": objective})
+    plain = {"prior": 0.0, "margin": 0.0}
+    rivals = contenders(optimizers, scales, {**config, **plain, "objective": objective})
     problem = car_problem(drives, rivals[0].config)
     beside = problem.on(held_out) if held_out else None
     if beside:
