@@ -1,6 +1,7 @@
 """A --map that is proposed: read from names, corrected by the doctor's evidence, and never applied by itself."""
 
 import shlex
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.look import look
-from sigmaswarm.importing.proposal import Meaning, meaning_of
+from sigmaswarm.importing.proposal import Meaning, Proposal, meaning_of, proposed
 from sigmaswarm.importing.source import Choice
 from sigmaswarm.simulation.scenarios import simulate
 
@@ -98,6 +99,22 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
 )
 def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | None):
     assert meaning_of(name) == (None if meaning is None else Meaning(*meaning))  # pyright: ignore[reportArgumentType]
+
+
+def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):
+    """What is proposed is pasted: by `sh` as by `shlex` it comes back as it is."""
+    names = ["Acc Fwd (g)", "acc left $(touch dollar)", "acc up `touch tick` m s2", "yaw rate 'cw' \"dps\""]
+    said = proposed({"imu.csv; touch semicolon": {name: name for name in names}}, "imu", {})
+    assert said is not None
+    table, columns = said
+    assert list(columns) == ["ax", "ay", "az", "gz"]
+    made = Proposal({"imu": table}, {"imu": columns})
+    expected = ["--imu-table", table, "--map", *made.maps]
+    assert shlex.split(made.options) == expected
+    shell = ["sh", "-c", f"printf '%s\\n' {made.options}"]
+    printed = subprocess.run(shell, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert printed.splitlines() == expected
+    assert not list(tmp_path.iterdir())
 
 
 MAPS = ("ax=acc_fwd_g*g", "ay=-acc_right_g*g", "gz=-radians(yaw_rate_dps_cw)")

@@ -143,9 +143,9 @@ class Proposal:
 
     @property
     def options(self) -> str:
-        """As the command line takes it."""
+        """As the command line takes it: a shell must not run what stands in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
-        return " ".join([*tables, "--map", *(f'"{one}"' for one in self.maps)])
+        return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
 
 def proposed(
