@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import time
 import tomllib
 from dataclasses import replace
@@ -17,6 +18,8 @@ from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.report.evaluation import save_evaluation
+from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -341,6 +344,22 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert said.startswith(sentence)
     assert sigmaswarm("report", "e").code == 0
     assert sentence in Path("e/page.html").read_text()
+    shutil.copytree("part", "alone")
+    Path("alone/seen.npz").unlink()  # so whole drives alone are known: of the rest nothing is said
+    plain = "On 1 drive the tuned filter"
+    assert sigmaswarm("evaluate", "alone", first, "--out", "f").out.startswith("On 1 drive (lower is better)")
+    assert sigmaswarm("report", "f").code == 0
+    assert plain in Path("f/page.html").read_text()
+    told = sigmaswarm("evaluate", "alone", first, "parts/urban-clear-00-train").out
+    assert told.startswith(
+        "On 2 drives (NOT all held out: the tuning saw 32 of the 32 s of urban-clear-00-train"
+    )
+    parameters = FilterParameters.load("part")
+    save_evaluation(
+        evaluate(read_drive(first), parameters), Path("g"), Path("part")
+    )  # nobody says what was seen
+    assert sigmaswarm("report", "g").code == 0
+    assert plain in Path("g/page.html").read_text()
     ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err

@@ -10,7 +10,16 @@ import pytest
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.overlap import Landmarks, landmarks, load_landmarks, overlap_of, save_landmarks
+from sigmaswarm.drives.overlap import (
+    Landmarks,
+    Overlap,
+    known_overlap,
+    landmarks,
+    load_landmarks,
+    overlap_of,
+    save_landmarks,
+    whole_drive,
+)
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.split import clip, split_time
 from sigmaswarm.errors import InputError
@@ -154,6 +163,20 @@ def test_parts_that_overlap_each_other_count_once():
     assert found.seconds == pytest.approx(40.0 + drive.imu.time[-1] - 45.0, abs=0.2)
     assert found.of == ("0", "10", "45")
     assert not overlap_of(landmarks(parts[0]), [landmarks(parts[2])])
+
+
+def test_of_whole_drives_alone_only_a_match_says_something():
+    """A fingerprint is of all numbers: of a part it knows nothing, and so can't call it new."""
+    drive, stranger = simulate("urban", duration=60.0), simulate("urban", duration=30.0, run=1)
+    marks, part = landmarks(drive), landmarks(clip(drive, 0.0, 40.0, "part"))
+    whole = whole_drive("drive", marks.sha256, 60.0)
+    found = known_overlap(marks, [whole])
+    assert found is not None
+    assert found.seconds == pytest.approx(60.0, abs=0.1)
+    assert known_overlap(part, [whole]) is None
+    assert known_overlap(landmarks(stranger), [marks, whole]) is None
+    assert known_overlap(part, [marks, whole]) == overlap_of(part, [marks])
+    assert known_overlap(landmarks(stranger), [marks]) == Overlap()
 
 
 def test_landmarks_are_kept_in_a_file(tmp_path: Path):

@@ -77,6 +77,11 @@ class Landmarks:
     rates: Array
     width: float = WIDTH
 
+    @property
+    def tell_parts(self) -> bool:
+        """Whether a part of the drive would be recognized, not only the whole by its fingerprint."""
+        return max(len(self.fixes), len(self.rates)) >= FEWEST
+
 
 @dataclass(frozen=True)
 class Overlap:
@@ -141,6 +146,12 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
         covered += max(end - max(start, until), 0.0)
         until = max(until, end)
     return Overlap(round(covered, 3), tuple(dict.fromkeys(name for _, name in found)))
+
+
+def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
+    """What `overlap_of` finds; None where it finds nothing, but would not recognize a part of some of the others."""
+    found = overlap_of(drive, others)
+    return found if found or all(other.tell_parts for other in others) else None
 
 
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
