@@ -53,6 +53,12 @@ RATE = {
     "turn",
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
+NO_PLACE = RATE | (FORCE - {"a", "acc"})
+NO_PLACE |= {"v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"}
+NO_PLACE |= {"heading", "bearing", "course", "roll", "pitch", "deg", "degrees", "rad", "radians"}
+"""Of which a receiver states the accuracy, too: that says nothing of the position, by which R goes."""
+LENGTHS = {(), ("m",), ("mm",), ("cm",)}
+"""Units that the accuracy of a position may have."""
 UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
     *(
         (words, "radians({})")
@@ -86,10 +92,11 @@ def meaning_of(name: str) -> Meaning | None:
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     turn = [TURNING[w] for w in words if w in TURNING]
     words = [w for w in words if w not in TURNING]
-    text, unit = (name if re.fullmatch(r"[A-Za-z_]\w*", name) else f"`{name}`"), "{}"
+    text = name if re.fullmatch(r"[A-Za-z_]\w*", name) else f"`{name}`"
+    unit, measured = "{}", ()
     for ending, scale in UNITS:
         if len(words) > len(ending) and tuple(words[-len(ending) :]) == ending:
-            words, unit = words[: -len(ending)], scale
+            words, unit, measured = words[: -len(ending)], scale, ending
             break
     rest, said = set(words), unit.format(text)
     if rest & {"lat", "latitude"} and not rest & FORCE:
@@ -97,8 +104,10 @@ def meaning_of(name: str) -> Meaning | None:
     if rest & {"lon", "lng", "longitude"} or (rest == {"long"}):
         return Meaning("gps", "lon", text)
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
-    if (rest & ACCURACY or horizontal) and not rest & {"v", "vertical", "speed", "time", "heading"}:
+    if (rest & ACCURACY or horizontal) and measured in LENGTHS and not rest & NO_PLACE:
         return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+    if rest & ACCURACY:
+        return None
     if rest & RATE and not rest & FORCE:
         for axis, directions in (
             ("z", {**UP, "yaw": 1, "yawrate": 1, "turn": 1}),
