@@ -7,7 +7,7 @@ doctor, whose evidence on signs, axes and units (how the fixes moved) corrects t
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +76,11 @@ UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
     *((words, "{}*1e-2") for words in (("cm",),)),
 )
 """The last words of a name that are a unit, and what makes it the drive's."""
+
+CORRECTED = {"gyro", "tilt-rates", "accelerometer"}
+"""Repairs that are done to a proposal's expressions; the others are of the drive."""
+DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
+"""Warnings that deny that signs, axes and units agree."""
 
 
 @dataclass(frozen=True)
@@ -192,15 +197,24 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
         return proposal, f"read from the columns' names alone, and not checked: {error}"
-    if corrected != proposal and len(_serious(last)) >= len(_serious(first)):
+    if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
     said = f"read from the columns' names, {changed} how the fixes move"
-    if left := _serious(last):
-        return corrected, f"{said}; the doctor still finds {', '.join(left)}"
+    warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
+    if (left := _serious(last)) or DOUBTS & set(warned):
+        return corrected, f"{said}; the doctor still finds {', '.join([*left, *warned])}"
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
-    return corrected, f"{said}: signs, axes and units agree{blind}"
+    also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
+    return corrected, f"{said}: signs, axes and units agree{blind}{also}"
+
+
+def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
+    """How many findings are serious, and how many could be corrected in the expressions: fewer is better."""
+    return len(_serious(diagnosis)), sum(
+        f.repair is not None and f.repair.action in CORRECTED for f in diagnosis.findings
+    )
 
 
 def _serious(diagnosis: Diagnosis) -> list[str]:
@@ -217,17 +231,38 @@ def _corrected(proposal: Proposal, diagnosis: Diagnosis) -> Proposal:
 
 
 def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]:
+    """The expressions that a repair changes, as `doctor.repairs` changes the columns."""
     values = repair.values
-    if repair.action == "gyro" and values[0] == 2 and "gz" in imu:
-        yield "gz", _times(imu["gz"], values[1])
-    if repair.action == "accelerometer" and {"ax", "ay"} <= imu.keys():
-        matrix = np.array(values[:4]).reshape(2, 2)
-        if np.count_nonzero(matrix) == 2:
-            for row, column in zip(matrix, ("ax", "ay"), strict=True):
-                k = int(np.flatnonzero(row)[0])
-                yield column, _times(imu[("ax", "ay")[k]], float(row[k]))
-        if "az" in imu and values[4] != 1.0:
+    if repair.action == "gyro":
+        column, factor = ("gx", "gy", "gz")[int(values[0])], values[1]
+        if column == "gz":
+            each = {
+                "gx": abs(factor),
+                "gy": abs(factor),
+                "gz": factor,
+            }  # a unit's factor goes for all, a sign for one
+            yield from ((name, _times(imu[name], k)) for name, k in each.items() if name in imu)
+        elif {column, "gz"} <= imu.keys():
+            yield from ((column, imu["gz"]), ("gz", imu[column]))
+    if repair.action == "tilt-rates":
+        yield from _turned(imu, ("gx", "gy"), values)
+    if repair.action == "accelerometer":
+        yield from _turned(imu, ("ax", "ay"), values[:4])
+        if "az" in imu:
             yield "az", _times(imu["az"], values[4])
+
+
+def _turned(
+    imu: Mapping[str, str], columns: tuple[str, str], values: Sequence[float]
+) -> Iterator[tuple[str, str]]:
+    """Two columns by a matrix (2, 2), row by row, that turns or exchanges them."""
+    matrix = np.array(values).reshape(2, 2)
+    if np.count_nonzero(matrix) != 2:
+        return
+    for row, column in zip(matrix, columns, strict=True):
+        k = int(np.flatnonzero(row)[0])
+        if {column, columns[k]} <= imu.keys():
+            yield column, _times(imu[columns[k]], float(row[k]))
 
 
 def _times(expression: str, factor: float) -> str:
