@@ -53,9 +53,12 @@ RATE = {
     "turn",
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
-NO_PLACE = RATE | (FORCE - {"a", "acc"})
-NO_PLACE |= {"v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"}
-NO_PLACE |= {"heading", "bearing", "course", "roll", "pitch", "deg", "degrees", "rad", "radians"}
+NO_PLACE = {
+    *RATE,
+    *(FORCE - {"a", "acc"}),
+    *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
+    *("heading", "bearing", "course", "roll", "pitch", "deg", "degrees", "rad", "radians"),
+}
 """Of which a receiver states the accuracy, too: that says nothing of the position, by which R goes."""
 LENGTHS = {(), ("m",), ("mm",), ("cm",)}
 """Units that the accuracy of a position may have."""
