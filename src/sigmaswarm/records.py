@@ -14,7 +14,7 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_record(kind: type[M], path: Path) -> M:
-    """Read a TOML or JSON result file.
+    """Read a result file: JSON if it is called so, else TOML, as `FilterParameters.load` reads any file.
 
     Raises
     ------
@@ -24,7 +24,7 @@ def load_record(kind: type[M], path: Path) -> M:
     try:
         text = path.read_text(encoding="utf-8")
         return kind.model_validate(
-            tomllib.loads(text) if path.suffix == ".toml" else finite(json.loads(text))
+            finite(json.loads(text)) if path.suffix == ".json" else tomllib.loads(text)
         )
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; repeat the command that made the folder") from None

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shlex
+import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +18,8 @@ from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
+from sigmaswarm.report.evaluation import save_evaluation
+from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -338,10 +342,44 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert said.startswith(sentence)
     assert sigmaswarm("report", "e").code == 0
     assert sentence in Path("e/page.html").read_text()
+    shutil.copytree("part", "alone")
+    Path("alone/seen.npz").unlink()  # so whole drives alone are known: of the rest nothing is said
+    plain = "On 1 drive the tuned filter"
+    assert sigmaswarm("evaluate", "alone", first, "--out", "f").out.startswith("On 1 drive (lower is better)")
+    assert sigmaswarm("report", "f").code == 0
+    assert plain in Path("f/page.html").read_text()
+    told = sigmaswarm("evaluate", "alone", first, "parts/urban-clear-00-train").out
+    assert told.startswith(
+        "On 2 drives (NOT all held out: the tuning saw 32 of the 32 s of urban-clear-00-train"
+    )
+    shutil.copy("alone/tuning.toml", "mine.txt")  # a filter's file may be called anything
+    assert sigmaswarm("evaluate", "mine.txt", second).code == 0
+    parameters = FilterParameters.load("part")
+    save_evaluation(
+        evaluate(read_drive(first), parameters), Path("g"), Path("part")
+    )  # nobody says what was seen
+    assert sigmaswarm("report", "g").code == 0
+    assert plain in Path("g/page.html").read_text()
     ended = sigmaswarm("tune", "parts/urban-clear-00-train", *QUICK, "--out", "no", "--validation", first)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "32 s of it are in the training drives, too (urban-clear-00-train)" in ended.err
     assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
+
+
+def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
+    """Also where a folder was named that holds the drive, and where names have blanks."""
+    drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
+    write_drive(drive, Path("my logs/monday"))
+    told = sigmaswarm("tune", "my logs", "--out", "my filter", *QUICK).out
+    assert "next:     sigmaswarm evaluate 'my filter' HELD_OUT_DRIVE..." in told
+    (split,) = re.findall(r"sigmaswarm (split .*)", told)
+    assert sigmaswarm(*shlex.split(split)).code == 0
+    (parts,) = re.findall(r"then tune on (.*), and evaluate on (.*)", told)
+    train, test = (shlex.split(part)[0] for part in parts)
+    told = sigmaswarm("tune", train, "--out", "t", *QUICK).out
+    (command,) = re.findall(r"next:     sigmaswarm (evaluate .*)", told)
+    assert shlex.split(command) == ["evaluate", "t", test]
+    assert (Path(test) / "imu.csv").exists()
 
 
 def test_a_drive_without_stated_accuracy_can_not_use_it(sigmaswarm, here: Path):

@@ -1,6 +1,8 @@
 """`sigmaswarm doctor`: what it prints, how it ends, and that the copy is mended and the original untouched."""
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +10,10 @@ import pytest
 
 import sigmaswarm as library
 from doctor.faults import FAULTS, flipped_yaw
+from sigmaswarm.cli.common import read_drives
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import SigmaswarmWarning
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +55,26 @@ def test_tune_and_evaluate_warn_of_what_is_serious_in_a_line_and_trust_log_silen
         ended = sigmaswarm(*command, "--trust-log")
         assert ended.code == 0
         assert "SERIOUS" not in ended.err
+
+
+def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_is_free(
+    sigmaswarm, good, sick: Path, here: Path
+):
+    def told(folder: Path) -> str:
+        with pytest.warns(SigmaswarmWarning) as warned:
+            read_drives([folder], trusted=False)
+        (line,) = [str(one.message) for one in warned if "SERIOUS" in str(one.message)]
+        return line
+
+    assert f"; sigmaswarm doctor {sick} --fix mended, or" in told(sick)
+    write_drive(read_drive(sick), here / "mended" / good.name)  # still sick
+    (here / "mended-2").mkdir()  # of another drive
+    command = re.search(r"; (sigmaswarm doctor .* --fix mended-2), or", told(here / "mended" / good.name))
+    assert command
+    assert sigmaswarm(*shlex.split(command[1])[1:]).code == 0
+    assert read_drive(here / "mended-2" / good.name).imu.gz.tobytes() == good.imu.gz.tobytes()
+    write_drive(replace(good, imu=replace(good.imu, ax=good.imu.ax + 9.81)), here / "on its nose")
+    assert "(gravity-axis); sigmaswarm doctor 'on its nose', or silence" in told(Path("on its nose"))
 
 
 def test_for_machines(sigmaswarm, sick: Path):

@@ -9,8 +9,18 @@ import pytest
 
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.repairs import repair
+from sigmaswarm.drives import overlap
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.overlap import Landmarks, landmarks, load_landmarks, overlap_of, save_landmarks
+from sigmaswarm.drives.overlap import (
+    Landmarks,
+    Overlap,
+    known_overlap,
+    landmarks,
+    load_landmarks,
+    overlap_of,
+    save_landmarks,
+    whole_drive,
+)
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.split import clip, split_time
 from sigmaswarm.errors import InputError
@@ -154,6 +164,44 @@ def test_parts_that_overlap_each_other_count_once():
     assert found.seconds == pytest.approx(40.0 + drive.imu.time[-1] - 45.0, abs=0.2)
     assert found.of == ("0", "10", "45")
     assert not overlap_of(landmarks(parts[0]), [landmarks(parts[2])])
+
+
+@pytest.mark.parametrize(("resolution", "alone"), [(0.0625, False), (0.001, True)])
+def test_of_a_coarse_gyro_s_hour_few_pairs_are_compared(
+    resolution: float, alone: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """In deg/s: by 0.0625 it tells 46 million pairs, which are left out; the fixes recognize the drive."""
+    pairs: list[int] = []
+
+    def counted(a: np.ndarray, b: np.ndarray, i: np.ndarray, *rest: np.ndarray) -> float | None:
+        pairs.append(len(i))
+        return agreed(a, b, i, *rest)
+
+    agreed = overlap._agreed
+    monkeypatch.setattr(overlap, "_agreed", counted)
+    rng = np.random.default_rng(0)
+    drive = make_drive(duration=3600.0, imu_rate=100.0, gps_rate=1.0, name="hour")
+    turn = 5 * np.sin(0.1 * drive.imu.time) + 2 * rng.standard_normal(len(drive.imu))
+    drive = replace(drive, imu=replace(drive.imu, gz=np.radians(resolution * np.rint(turn / resolution))))
+    part = shifted(clip(drive, 600.0, 3000.0, "part"), 12.345)
+    assert overlap_of(landmarks(part), [landmarks(drive)]).seconds == pytest.approx(2400.0, abs=0.1)
+    assert overlap._by_rates(landmarks(part), landmarks(drive)) == (pytest.approx(12.345) if alone else None)
+    assert pairs
+    assert max(pairs) <= overlap.MOST_PAIRS
+
+
+def test_of_whole_drives_alone_only_a_match_says_something():
+    """A fingerprint is of all numbers: of a part it knows nothing, and so can't call it new."""
+    drive, stranger = simulate("urban", duration=60.0), simulate("urban", duration=30.0, run=1)
+    marks, part = landmarks(drive), landmarks(clip(drive, 0.0, 40.0, "part"))
+    whole = whole_drive("drive", marks.sha256, 60.0)
+    found = known_overlap(marks, [whole])
+    assert found is not None
+    assert found.seconds == pytest.approx(60.0, abs=0.1)
+    assert known_overlap(part, [whole]) is None
+    assert known_overlap(landmarks(stranger), [marks, whole]) is None
+    assert known_overlap(part, [marks, whole]) == overlap_of(part, [marks])
+    assert known_overlap(landmarks(stranger), [marks]) == Overlap()
 
 
 def test_landmarks_are_kept_in_a_file(tmp_path: Path):

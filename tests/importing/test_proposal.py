@@ -1,6 +1,7 @@
 """A --map that is proposed: read from names, corrected by the doctor's evidence, and never applied by itself."""
 
 import shlex
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.look import look
-from sigmaswarm.importing.proposal import Meaning, meaning_of
+from sigmaswarm.importing.proposal import Meaning, Proposal, meaning_of, proposed
 from sigmaswarm.importing.source import Choice
 from sigmaswarm.simulation.scenarios import simulate
 
@@ -70,6 +71,55 @@ def test_names_that_lie_about_signs_are_corrected_by_how_the_fixes_move(tmp_path
     assert "corrected by how the fixes move: signs, axes and units agree" in seen.evidence
 
 
+FULL = simulate("urban", duration=90.0, run=1, gps="white-1m", terrain="hilly", vibration=1.0)
+ROLL, PITCH, YAW = (np.degrees(rate) for rate in (FULL.imu.gx, FULL.imu.gy, FULL.imu.gz))
+THIRD_AXES = {
+    "acc_up_g": FULL.imu.az / G,
+    "roll_rate_dps": ROLL,
+    "pitch_rate_dps": PITCH,
+    "yaw_rate_ccw_dps": YAW,
+}
+MISNAMED = {
+    "az's sign": {"acc_up_g": None, "acc_down_g": FULL.imu.az / G},
+    "az's unit": {"acc_up_g": None, "acc_up": FULL.imu.az / G},
+    "gx's and gy's signs": {"roll_rate_dps": -ROLL, "pitch_rate_dps": -PITCH},
+    "gx and gy exchanged": {"roll_rate_dps": PITCH, "pitch_rate_dps": ROLL},
+    "unit of the rates": {
+        **dict.fromkeys(("roll_rate_dps", "pitch_rate_dps", "yaw_rate_ccw_dps")),
+        **{"roll_rate": ROLL, "pitch_rate": PITCH, "yaw_rate_ccw": YAW},
+    },
+}
+
+
+@pytest.mark.parametrize("fault", MISNAMED)
+def test_what_is_wrong_with_the_third_axes_is_corrected_too(tmp_path: Path, fault: str):
+    """The doctor only warns of most of it: planar filters do not feel it."""
+    folder = write_log(tmp_path / "log", FULL)
+    columns = {name: values for name, values in (THIRD_AXES | MISNAMED[fault]).items() if values is not None}
+    log = pl.read_csv(folder / "imu.csv").drop("yaw_rate_dps_cw")
+    log.with_columns(**columns).write_csv(folder / "imu.csv")
+    asked = Request(folder / "imu.csv", gps=folder / "fixes.csv")
+    seen = look(asked)
+    assert "corrected by how the fixes move: signs, axes and units agree" in seen.evidence
+    got = import_drive(replace(asked, maps=shlex.split(seen.proposal.removeprefix("--map "))), "again").drive
+    for name in ("ax", "ay", "az", "gx", "gy", "gz"):
+        np.testing.assert_allclose(
+            getattr(got.imu, name), getattr(FULL.imu, name), rtol=1e-9, atol=1e-12, err_msg=name
+        )
+
+
+def test_warnings_that_are_left_are_named(tmp_path: Path):
+    folder, imu = write_log(tmp_path / "log", FULL), FULL.imu
+    fixes = pl.read_csv(folder / "fixes.csv").with_columns(hacc_m=pl.lit(30.0))
+    fixes.write_csv(folder / "fixes.csv")
+    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    assert seen.evidence.endswith("signs, axes and units agree; the doctor also warns of gps-noise")
+    up = pl.Series(imu.az * 0.5)  # neither in g nor in m/s2
+    pl.read_csv(folder / "imu.csv").with_columns(acc_up_m_s2=up).write_csv(folder / "imu.csv")
+    seen = look(Request(folder / "imu.csv", gps=folder / "fixes.csv"))
+    assert seen.evidence.endswith("; the doctor still finds accelerometer-up, gps-noise")
+
+
 def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
     folder = write_log(tmp_path / "log")
     pl.read_csv(folder / "fixes.csv").with_columns(pl.col("stamp_us") + 10**12).write_csv(folder / "late.csv")
@@ -92,12 +142,40 @@ def test_what_can_not_be_made_is_called_unchecked(tmp_path: Path):
         ("lng_deg", ("gps", "lon", "lng_deg")),
         ("horizontal_accuracy_mm", ("gps", "std_x", "horizontal_accuracy_mm*1e-3/sqrt(2)")),
         ("temperature_c", None),
+        ("gps_std_cm", ("gps", "std_x", "gps_std_cm*1e-2/sqrt(2)")),
+        ("hAcc", ("gps", "std_x", "hAcc/sqrt(2)")),
+        ("h_acc_m", ("gps", "std_x", "h_acc_m/sqrt(2)")),
+        ("h_acc_x_m_s2", ("imu", "ax", "h_acc_x_m_s2")),
         ("speed_accuracy", None),
+        ("vel_std_m_s", None),
+        ("bearing_accuracy_deg", None),
+        ("course_std", None),
+        ("altitude_accuracy_m", None),
+        ("yaw_std_deg", None),
+        ("gyro_z_std", None),
+        ("pos_accuracy_rad", None),
+        ("accel_x_sigma_g", None),
         ("battery_rate", None),
     ],
 )
 def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | None):
     assert meaning_of(name) == (None if meaning is None else Meaning(*meaning))  # pyright: ignore[reportArgumentType]
+
+
+def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):
+    """What is proposed is pasted: by `sh` as by `shlex` it comes back as it is."""
+    names = ["Acc Fwd (g)", "acc left $(touch dollar)", "acc up `touch tick` m s2", "yaw rate 'cw' \"dps\""]
+    said = proposed({"imu.csv; touch semicolon": {name: name for name in names}}, "imu", {})
+    assert said is not None
+    table, columns = said
+    assert list(columns) == ["ax", "ay", "az", "gz"]
+    made = Proposal({"imu": table}, {"imu": columns})
+    expected = ["--imu-table", table, "--map", *made.maps]
+    assert shlex.split(made.options) == expected
+    shell = ["sh", "-c", f"printf '%s\\n' {made.options}"]
+    printed = subprocess.run(shell, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert printed.splitlines() == expected
+    assert not list(tmp_path.iterdir())
 
 
 MAPS = ("ax=acc_fwd_g*g", "ay=-acc_right_g*g", "gz=-radians(yaw_rate_dps_cw)")

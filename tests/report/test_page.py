@@ -19,12 +19,14 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.report.draw.html import page as html_page
 from sigmaswarm.report.evaluation import copy_tuning
-from sigmaswarm.report.pages.commands import tune_command
+from sigmaswarm.report.pages.commands import STATED, tune_command
 from sigmaswarm.report.pages.folders import read_report
 from sigmaswarm.report.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import MEASURES, METHODS, Evaluation, evaluate
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
-from sigmaswarm.tuning.tune import tune
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.options import DEFAULTS
+from sigmaswarm.tuning.tune import tune, with_guards
 from support import make_drive
 
 NASTY = '<img src=x onerror="alert(1)"></script><script>alert(2)</script> & \'Fri"day\''
@@ -261,15 +263,53 @@ def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluatio
     assert [str(d) for d in bound.arguments["drives"]] == [NASTY, "tuesday"]
 
 
-def test_a_command_names_every_option_that_is_not_at_its_default():
-    asked = {"objective": "truth-pose", "model": "planar8", "use": ["lateral", "gate"], "patience": 7, "inertia": 0.6,
-             "zero_velocity_at_bounds": True, "scale": "linear", "polish": 50, "racing": True,
-             "cognitive": 1.7}  # fmt: skip
-    line, _ = tune_command(asked, ["a b"], [])
-    _, bound, _ = app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
-    said = {k: v for k, v in bound.arguments.items() if k in asked}
-    assert said == asked
+OTHER_THAN_USUAL = {
+    "objective": "truth-pose", "worst": 0.5, "particles": 7, "generations": 9, "trials": 2, "polish": 50,
+    "racing": True, "inertia": 0.6, "cognitive": 1.7, "social": 1.6, "zero_velocity_at_bounds": True, "patience": 7,
+    "scale": "linear", "optimizer": "pso", "seed": 3, "model": "planar8", "kind": "ekf", "use": ["lateral", "gate"],
+    "outage_seed": 4, "as_recorded": True, "prior": 0.5, "margin": 0.2,
+}  # fmt: skip
+USUAL = {**DEFAULTS, "objective": "truth-rmse", "prior": 0.0, "margin": 0.0}
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_a_command_names_an_option_that_is_not_at_its_default(name: str):
+    asked = OTHER_THAN_USUAL[name]
+    said = parsed(tune_command({**USUAL, name: asked}, ["a b"], [])[0])
+    assert said == {option: USUAL[option] for option in STATED} | {name: asked}
+
+
+@pytest.mark.parametrize(
+    ("asked", "named"),
+    [
+        ({}, {}),
+        ({"prior": 0.0}, {"prior"}),
+        ({"margin": 0.0}, {"margin"}),
+        ({"prior": 1.0, "margin": 0.05}, {}),
+        ({"scale": "linear"}, {}),
+        ({"objective": "truth-rmse"}, {}),
+        ({"objective": "truth-rmse", "prior": 1.0, "margin": 0.05}, {"prior", "margin"}),
+    ],
+)
+def test_a_command_names_guards_where_tune_would_settle_for_others(asked: dict, named: set[str]):
+    config = with_guards(TuneConfig.model_validate({"objective": "innovation-nll", **asked}))
+    said = parsed(tune_command(config.model_dump(), ["a"], [])[0])
+    assert said.keys() & {"prior", "margin"} == set(named)
+    assert with_guards(TuneConfig.model_validate(said)) == config
+    without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "margin")}
+    said = parsed(tune_command(without, ["a"], [])[0])  # of a version that had neither
+    again = with_guards(TuneConfig.model_validate(said)).model_dump()
+    assert (again["prior"], again["margin"]) == (0.0, 0.0)
+
+
+def test_no_command_can_repeat_a_model_of_the_user_s_own():
     assert tune_command({"model": {"name": "mine"}}, [], [])[0] == ""
+
+
+def parsed(line: str) -> dict:
+    """The options that the command line makes of it."""
+    _, bound, _ = app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
+    return {name: value for name, value in bound.arguments.items() if name in DEFAULTS}
 
 
 def test_nothing_of_a_drive_s_name_gets_out_of_its_text(folders: tuple[Path, Path, Evaluation]):

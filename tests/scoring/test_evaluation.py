@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import sigmaswarm
+from sigmaswarm.cli.common import print_evaluation
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
@@ -102,6 +103,28 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert said == f"{told.outages} outages; one placement alone says {low:.3g} to {high:.3g} m"
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
     assert len(placements(long, initial_state(long), length=5.0, seed=0)) == 2  # each has 240 outages
+
+
+@pytest.mark.parametrize("in_an_outage", [True, False])
+def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
+    evaluation: Evaluation, capsys: pytest.CaptureFixture[str], in_an_outage: bool
+):
+    good = evaluation.drives["drive-1"]
+    scores = {**good.scores, "tuned": replace(good.scores["tuned"], failed=True)}
+    drifts = dict(good.drifts)
+    if in_an_outage:
+        told = drifts["outage_drift_m"]
+        each = {**told.each, "tuned": [None, *told.each["tuned"][1:]]}
+        drifts["outage_drift_m"] = told.model_copy(update={"each": each})
+    failed = replace(
+        evaluation, drives={**evaluation.drives, "drive-1": replace(good, scores=scores, drifts=drifts)}
+    )
+    assert bool(failed.record.drift_said("outage_drift_m")) is not in_an_outage
+    assert failed.record.drift_said("outage_drift_m", "defaults")
+    print_evaluation(failed)
+    said = capsys.readouterr().out
+    assert "(failed)" in said
+    assert "of the tuned filter" not in said
 
 
 def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: Evaluation):

@@ -213,10 +213,9 @@ def print_evaluation(
             )
     told = evaluation.record
     for name, measure in measures.items():
-        if spread := told.drift_said(name):
-            console.print(
-                f"{measure.title} of the tuned filter: {evaluation.mean('tuned', name):.3g} m over {spread}."
-            )
+        drift = evaluation.mean("tuned", name)  # None, too, where the filter failed but in no outage
+        if drift is not None and (spread := told.drift_said(name)):
+            console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
     console.print(f"{HOW_MANUAL}; name your own with --against.")
     for said in (*evaluation.worse_than_raw, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")

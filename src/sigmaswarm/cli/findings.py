@@ -3,6 +3,7 @@
 import shlex
 import warnings
 from collections.abc import Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,14 +44,22 @@ def warn_of_serious(drives: "Sequence[Drive]", folders: Sequence[Path]) -> None:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
                 f"{folder}: the doctor finds SERIOUS faults, which a filter would learn ({codes}); "
-                f"{mending(folder)}, or silence this with --trust-log"
+                f"{mending(diagnosis, folder)[0]}, or silence this with --trust-log"
             )
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
-def mending(folder: Path) -> str:
-    """The command that mends a drive."""
-    return f"sigmaswarm doctor {shlex.quote(str(folder))} --fix mended"
+def mending(diagnosis: "Diagnosis", folder: Path) -> tuple[str, Path | None]:
+    """The command for a drive with serious findings, and the mended copy that it makes.
+
+    Where none of them can be mended, the command that says what to do about them, and None.
+    """
+    command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
+    if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):
+        return command, None
+    folders = chain([Path("mended")], (Path(f"mended-{i}") for i in count(2)))
+    out = next(out for out in folders if not (out / diagnosis.drive).exists())
+    return f"{command} --fix {out}", out / diagnosis.drive
 
 
 def _summary(diagnosis: "Diagnosis") -> str:

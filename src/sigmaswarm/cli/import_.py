@@ -1,5 +1,6 @@
 """`sigmaswarm import`."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -206,12 +207,16 @@ def _import(
         print_diagnosis(diagnosis)
         ready = out
         if diagnosis.serious:
-            ready = Path("mended") / name
-            stdout().print(f"next: {mending(out)}    (then go on with {ready}, not with {out})")
+            command, mended = mending(diagnosis, out)
+            ready = mended or out
+            go_on = (
+                f"go on with {mended}, not with {out}" if mended else "what it can't mend, mend in the log"
+            )
+            stdout().print(f"next: {command}    (then {go_on})")
         else:
-            stdout().print(f"next: sigmaswarm plot {out}")
+            stdout().print(f"next: sigmaswarm plot {shlex.quote(str(out))}")
         better = "--model planar8 --use lateral standstill gate"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {ready} --out tuned {better}")
+        stdout().print(f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned {better}")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

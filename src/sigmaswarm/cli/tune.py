@@ -2,6 +2,7 @@
 
 from math import isfinite
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Unpack
 
 from cyclopts import Parameter, validators
@@ -110,14 +111,18 @@ def tune(
 
 def _next(out: Path, folders: list[Path], drives: "list[Drive]", *, alone: bool) -> list[str]:
     """What to do next: with one log, cut it in two, for of other drives nothing is known yet."""
+    from sigmaswarm.drives.reader import drive_folders
+
+    evaluate = f"next:     sigmaswarm evaluate {quote(str(out))}"
     if len(drives) > 1 or not alone:
-        return [f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE..."]
-    name, folder = drives[0].name, folders[0]
+        return [f"{evaluate} HELD_OUT_DRIVE..."]
+    name, (folder,) = drives[0].name, drive_folders(folders[0])  # what was named may hold the drive
     if "cut_from" in drives[0].metadata:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
-        return [f"next:     sigmaswarm evaluate {out} {rest if rest.is_dir() else 'HELD_OUT_DRIVE...'}"]
+        return [f"{evaluate} {quote(str(rest)) if rest.is_dir() else 'HELD_OUT_DRIVE...'}"]
+    train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
-        f"next:     sigmaswarm evaluate {out} HELD_OUT_DRIVE...",
-        f"one log?  this filter has seen all of it: sigmaswarm split {folder} --out parts",
-        f"          then tune on parts/{name}-train, and evaluate on parts/{name}-test",
+        f"{evaluate} HELD_OUT_DRIVE...",
+        f"one log?  this filter has seen all of it: sigmaswarm split {quote(str(folder))} --out parts",
+        f"          then tune on {train}, and evaluate on {test}",
     ]

@@ -43,6 +43,10 @@ MOST = 20_000
 """Yaw rates that are kept of a drive: of long ones a smaller part."""
 FEWEST = 8
 """Landmarks of different value that have to agree."""
+MOST_PAIRS = 2_000_000
+"""Equal yaw rates of two drives: where there are more, as of coarse gyros in long drives, the common ones go."""
+COMMON = MOST_PAIRS // MOST
+"""Times that a yaw rate may occur in a drive then."""
 SHARE = 0.5
 """Of the landmarks in the common time that have to agree."""
 
@@ -76,6 +80,11 @@ class Landmarks:
     fixes: Whole
     rates: Array
     width: float = WIDTH
+
+    @property
+    def tell_parts(self) -> bool:
+        """Whether a part of the drive would be recognized, not only the whole by its fingerprint."""
+        return max(len(self.fixes), len(self.rates)) >= FEWEST
 
 
 @dataclass(frozen=True)
@@ -143,6 +152,12 @@ def overlap_of(drive: Landmarks, others: Iterable[Landmarks]) -> Overlap:
     return Overlap(round(covered, 3), tuple(dict.fromkeys(name for _, name in found)))
 
 
+def known_overlap(drive: Landmarks, others: Sequence[Landmarks]) -> Overlap | None:
+    """What `overlap_of` finds; None where it finds nothing, but would not recognize a part of some of the others."""
+    found = overlap_of(drive, others)
+    return found if found or all(other.tell_parts for other in others) else None
+
+
 def _common(one: Landmarks, other: Landmarks) -> tuple[float, float] | None:
     """From when to when, s on its clock, a drive is the other; None where it is not."""
     if one.sha256 == other.sha256:
@@ -172,11 +187,21 @@ def _by_rates(one: Landmarks, other: Landmarks) -> float | None:
     if min(len(a), len(b)) < FEWEST:
         return None
     b = b[np.argsort(b[:, 1])]
-    first = np.searchsorted(b[:, 1], a[:, 1] - SAME_RATE)
-    count = np.searchsorted(b[:, 1], a[:, 1] + SAME_RATE) - first
+    first, count = _alike(a, b)
+    if count.sum() > MOST_PAIRS:
+        a, b = a[_alike(a, a[np.argsort(a[:, 1])])[1] <= COMMON], b[_alike(b, b)[1] <= COMMON]
+        if min(len(a), len(b)) < FEWEST:
+            return None
+        first, count = _alike(a, b)
     i = np.repeat(np.arange(len(a)), count)
     j = np.repeat(first - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
     return _agreed(_whole(MICRO * a[:, 0]), _whole(MICRO * b[:, 0]), i, j, _whole(a[:, 1] / SAME_RATE))
+
+
+def _alike(a: Array, b: Array) -> tuple[Whole, Whole]:
+    """Of each yaw rate in a: where in b, which is in their order, those begin that are the same, and how many."""
+    first = np.searchsorted(b[:, 1], a[:, 1] - SAME_RATE)
+    return first, np.searchsorted(b[:, 1], a[:, 1] + SAME_RATE) - first
 
 
 def _agreed(a: Whole, b: Whole, i: Whole, j: Whole, values: Whole) -> float | None:

@@ -7,7 +7,7 @@ doctor, whose evidence on signs, axes and units (how the fixes moved) corrects t
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +53,15 @@ RATE = {
     "turn",
 }
 ACCURACY = {"hacc", "accuracy", "eph", "sigma", "std", "stdev"}
+NO_PLACE = {
+    *RATE,
+    *(FORCE - {"a", "acc"}),
+    *("v", "vertical", "altitude", "alt", "height", "speed", "vel", "velocity", "time"),
+    *("heading", "bearing", "course", "roll", "pitch", "deg", "degrees", "rad", "radians"),
+}
+"""Of which a receiver states the accuracy, too: that says nothing of the position, by which R goes."""
+LENGTHS = {(), ("m",), ("mm",), ("cm",)}
+"""Units that the accuracy of a position may have."""
 UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
     *(
         (words, "radians({})")
@@ -71,6 +80,11 @@ UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
 )
 """The last words of a name that are a unit, and what makes it the drive's."""
 
+CORRECTED = {"gyro", "tilt-rates", "accelerometer"}
+"""Repairs that are done to a proposal's expressions; the others are of the drive."""
+DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
+"""Warnings that deny that signs, axes and units agree."""
+
 
 @dataclass(frozen=True)
 class Meaning:
@@ -86,10 +100,11 @@ def meaning_of(name: str) -> Meaning | None:
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     turn = [TURNING[w] for w in words if w in TURNING]
     words = [w for w in words if w not in TURNING]
-    text, unit = (name if re.fullmatch(r"[A-Za-z_]\w*", name) else f"`{name}`"), "{}"
+    text = name if re.fullmatch(r"[A-Za-z_]\w*", name) else f"`{name}`"
+    unit, measured = "{}", ()
     for ending, scale in UNITS:
         if len(words) > len(ending) and tuple(words[-len(ending) :]) == ending:
-            words, unit = words[: -len(ending)], scale
+            words, unit, measured = words[: -len(ending)], scale, ending
             break
     rest, said = set(words), unit.format(text)
     if rest & {"lat", "latitude"} and not rest & FORCE:
@@ -97,8 +112,10 @@ def meaning_of(name: str) -> Meaning | None:
     if rest & {"lon", "lng", "longitude"} or (rest == {"long"}):
         return Meaning("gps", "lon", text)
     horizontal = rest & {"h", "horizontal", "pos", "position"} and rest & {"acc", "accuracy"}
-    if (rest & ACCURACY or horizontal) and not rest & {"v", "vertical", "speed", "time", "heading"}:
+    if (rest & ACCURACY or horizontal) and measured in LENGTHS and not rest & NO_PLACE:
         return Meaning("gps", "std_x", f"{said}/sqrt(2)")
+    if rest & ACCURACY:
+        return None
     if rest & RATE and not rest & FORCE:
         for axis, directions in (
             ("z", {**UP, "yaw": 1, "yawrate": 1, "turn": 1}),
@@ -143,9 +160,9 @@ class Proposal:
 
     @property
     def options(self) -> str:
-        """As the command line takes it."""
+        """As the command line takes it: a shell must not run what stands in backticks, or in a log's header."""
         tables = [f"--{role}-table {shlex.quote(table)}" for role, table in self.tables.items()]
-        return " ".join([*tables, "--map", *(f'"{one}"' for one in self.maps)])
+        return " ".join([*tables, "--map", *map(shlex.quote, self.maps)])
 
 
 def proposed(
@@ -183,15 +200,24 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:
         return proposal, f"read from the columns' names alone, and not checked: {error}"
-    if corrected != proposal and len(_serious(last)) >= len(_serious(first)):
+    if corrected != proposal and _faults(last) >= _faults(first):
         corrected, last = proposal, first
     changed = "corrected by" if corrected != proposal else "checked with"
     said = f"read from the columns' names, {changed} how the fixes move"
-    if left := _serious(last):
-        return corrected, f"{said}; the doctor still finds {', '.join(left)}"
+    warned = [f.code for f in last.findings if f.severity == "warning" and not f.code.startswith("unseen-")]
+    if (left := _serious(last)) or DOUBTS & set(warned):
+        return corrected, f"{said}; the doctor still finds {', '.join([*left, *warned])}"
     unseen = sorted(code for code in last.codes if code.startswith("unseen-") and code != "unseen-clock")
     blind = f", but this log does not show all ({', '.join(unseen)})" if unseen else ""
-    return corrected, f"{said}: signs, axes and units agree{blind}"
+    also = f"; the doctor also warns of {', '.join(warned)}" if warned else ""
+    return corrected, f"{said}: signs, axes and units agree{blind}{also}"
+
+
+def _faults(diagnosis: Diagnosis) -> tuple[int, int]:
+    """How many findings are serious, and how many could be corrected in the expressions: fewer is better."""
+    return len(_serious(diagnosis)), sum(
+        f.repair is not None and f.repair.action in CORRECTED for f in diagnosis.findings
+    )
 
 
 def _serious(diagnosis: Diagnosis) -> list[str]:
@@ -208,17 +234,38 @@ def _corrected(proposal: Proposal, diagnosis: Diagnosis) -> Proposal:
 
 
 def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]:
+    """The expressions that a repair changes, as `doctor.repairs` changes the columns."""
     values = repair.values
-    if repair.action == "gyro" and values[0] == 2 and "gz" in imu:
-        yield "gz", _times(imu["gz"], values[1])
-    if repair.action == "accelerometer" and {"ax", "ay"} <= imu.keys():
-        matrix = np.array(values[:4]).reshape(2, 2)
-        if np.count_nonzero(matrix) == 2:
-            for row, column in zip(matrix, ("ax", "ay"), strict=True):
-                k = int(np.flatnonzero(row)[0])
-                yield column, _times(imu[("ax", "ay")[k]], float(row[k]))
-        if "az" in imu and values[4] != 1.0:
+    if repair.action == "gyro":
+        column, factor = ("gx", "gy", "gz")[int(values[0])], values[1]
+        if column == "gz":
+            each = {
+                "gx": abs(factor),
+                "gy": abs(factor),
+                "gz": factor,
+            }  # a unit's factor goes for all, a sign for one
+            yield from ((name, _times(imu[name], k)) for name, k in each.items() if name in imu)
+        elif {column, "gz"} <= imu.keys():
+            yield from ((column, imu["gz"]), ("gz", imu[column]))
+    if repair.action == "tilt-rates":
+        yield from _turned(imu, ("gx", "gy"), values)
+    if repair.action == "accelerometer":
+        yield from _turned(imu, ("ax", "ay"), values[:4])
+        if "az" in imu:
             yield "az", _times(imu["az"], values[4])
+
+
+def _turned(
+    imu: Mapping[str, str], columns: tuple[str, str], values: Sequence[float]
+) -> Iterator[tuple[str, str]]:
+    """Two columns by a matrix (2, 2), row by row, that turns or exchanges them."""
+    matrix = np.array(values).reshape(2, 2)
+    if np.count_nonzero(matrix) != 2:
+        return
+    for row, column in zip(matrix, columns, strict=True):
+        k = int(np.flatnonzero(row)[0])
+        if {column, columns[k]} <= imu.keys():
+            yield column, _times(imu[columns[k]], float(row[k]))
 
 
 def _times(expression: str, factor: float) -> str:

@@ -10,7 +10,7 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.fingerprint import DriveRecord, described
-from sigmaswarm.drives.overlap import Landmarks, Overlap, landmarks, overlap_of
+from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
@@ -120,10 +120,9 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
     """What a sentence calls drives: how many they are, and how much of them the tuning saw."""
     called = f"{len(data)} drive{'s' if len(data) != 1 else ''}"
-    if any(drive.seen_s is None for drive in data):
-        return called
     if not any(drive.seen_s for drive in data):
-        return f"{called} that the tuning never saw"
+        known = all(drive.seen_s is not None for drive in data)
+        return f"{called} that the tuning never saw" if known else called
     told = [
         f"the tuning saw {drive.seen_s:.0f} of the {drive.duration_s or 0:.0f} s of {drive.name}, in "
         f"{', '.join(drive.seen_in)}"
@@ -175,7 +174,7 @@ class Evaluated:
     drifts : mapping of measure to DriftRecord
         Of the outages: how many there were, and what each placement of them says.
     seen : Overlap or None
-        How much of it the filter was tuned on; None where nobody said what that was.
+        How much of it the filter was tuned on; None where that can't be said, see `evaluate`.
     """
 
     scores: Mapping[str, Score]
@@ -341,7 +340,8 @@ def evaluate(
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
     seen : sequence of Landmarks, optional
         What the tuning saw: ``tuning.seen``, or `tuning.record.seen_by` its file. The evaluation then says how much
-        of each drive that is, whatever it is called, and however it was cut or mended.
+        of each drive that is, whatever it is called, and however it was cut or mended. Where only whole drives are
+        known (a tuning.toml without its seen.npz), it says nothing of drives that are none of them.
 
     Raises
     ------
@@ -359,7 +359,7 @@ def evaluate(
     for drive in drives:
         name = _unique(drive.name, found)
         ready = prepared(drive, as_recorded=as_recorded)
-        known = None if seen is None else overlap_of(landmarks(drive), seen)
+        known = None if seen is None else known_overlap(landmarks(drive), seen)
         filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
         each = _evaluated(ready, filters, name, outage_length, outage_seed)
         found[name] = replace(each, seen=known)

@@ -73,10 +73,14 @@ class ScoresRecord(BaseModel):
     """By drive and measure: how many outages there were, and what each placement of them says."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
-        """Of how many outages a drift is the RMS, and what one placement alone would have said; empty if unknown."""
+        """Of how many outages a drift is the RMS, and what one placement alone would have said.
+
+        Empty if unknown, or where the method failed in any placement: what the others say is of other outages.
+        """
         found = [of[measure] for of in self.drifts.values() if measure in of]
-        each = [[v for v in one.each.get(method, []) if v is not None] for one in found]
-        count = min(map(len, each), default=0)
+        drawn = [one.each.get(method, []) for one in found]
+        each = [[v for v in one if v is not None] for one in drawn]
+        count = min(map(len, each), default=0) if each == drawn else 0
         if not count:
             return ""
         means = [sum(one[i] for one in each) / len(each) for i in range(count)]

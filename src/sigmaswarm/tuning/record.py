@@ -61,7 +61,8 @@ class TuningRecord(BaseModel):
 def seen_by(file: Path) -> list[Landmarks]:
     """What the drives are recognized by that a filter's file says it was tuned on.
 
-    A file that was copied without seen.npz, or is of an earlier version, knows whole drives only.
+    A file that was copied without seen.npz, or is of an earlier version, knows whole drives only: of a drive that is
+    none of them nothing can be said (`drives.overlap.known_overlap`).
 
     Raises
     ------

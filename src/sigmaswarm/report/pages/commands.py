@@ -4,25 +4,19 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import ValidationError
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.options import DEFAULTS
+from sigmaswarm.tuning.tune import with_guards
 
 STATED = ("objective", "particles", "generations", "trials", "seed")
 """Options that the command names even at their defaults."""
-OTHERS = (
-    *("worst", "scale", "model", "kind", "use"),
-    *(
-        "optimizer",
-        "polish",
-        "racing",
-        "inertia",
-        "cognitive",
-        "social",
-        "zero_velocity_at_bounds",
-        "patience",
-    ),
-    "outage_seed",
-)
+OTHERS = tuple(name for name in DEFAULTS if name not in STATED)
 """Options that it names where they are not at their defaults."""
+GUARDS = ("prior", "margin")
+"""Of those, the ones whose default `tune` settles by the objective."""
 
 
 def tune_command(
@@ -32,7 +26,9 @@ def tune_command(
     if isinstance(config.get("model"), dict):
         return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
     options = {name: config[name] for name in STATED if name in config}
-    options |= {name: config[name] for name in OTHERS if name in config and not _default(name, config[name])}
+    told = dict.fromkeys(GUARDS, 0.0) | dict(config)  # versions that had no guards tuned without them
+    usual = DEFAULTS | _settled(config)
+    options |= {name: told[name] for name in OTHERS if name in told and not _same(told[name], usual[name])}
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
     for name, value in options.items():
         words += _option(name.replace("_", "-"), value)
@@ -54,9 +50,18 @@ def evaluate_command(
     return shlex.join(words), note
 
 
-def _default(name: str, value: Any) -> bool:
-    default = DEFAULTS[name]
-    return value is None or (list(value) == list(default) if name == "use" else value == default)
+def _settled(config: Mapping[str, Any]) -> dict[str, float | None]:
+    """What `tune` makes of guards that nobody asks for."""
+    asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
+    try:
+        settled = with_guards(TuneConfig.model_validate(asked)).model_dump()
+    except (ValidationError, InputError):  # of another version, which may have had objectives of its own
+        return dict.fromkeys(GUARDS, 0.0)
+    return {name: settled[name] for name in GUARDS}
+
+
+def _same(value: Any, default: Any) -> bool:
+    return value is None or (list(value) == list(default) if isinstance(default, tuple) else value == default)
 
 
 def _option(name: str, value: Any) -> list[str]:

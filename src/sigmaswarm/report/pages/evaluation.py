@@ -99,11 +99,14 @@ def evaluation_report(folder: Path) -> Report:
 
 
 def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """The drive as it is, or, where an earlier version evaluated it, by whether it is one of the training drives."""
-    if drive.seen_s is not None or not tuned_on:
+    """The drive as it is, or, where nobody said what the tuning saw, as one of the training drives if it is one.
+
+    If it is none, it may still hold a part of one: that is not said to be held out.
+    """
+    same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
+    if drive.seen_s is not None or not same:
         return drive
-    same = [one.name for one in tuned_on if one.sha256 == drive.sha256]
-    return drive.model_copy(update={"seen_s": (drive.duration_s or 0.0) if same else 0.0, "seen_in": same})
+    return drive.model_copy(update={"seen_s": drive.duration_s or 0.0, "seen_in": same})
 
 
 def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:

@@ -180,7 +180,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
     """The drives; of evaluated ones whether they were held out, where that is known."""
-    known = all(d.seen_s is not None for d in data)
+    known = any(d.seen_s is not None for d in data)
     columns = [
         Column("drive"),
         Column("length", "s"),
@@ -196,7 +196,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
         truth = "" if d.has_truth is None else "yes" if d.has_truth else "no"
         row: tuple[Cell, ...] = (d.name, d.duration_s, d.imu_samples, d.fixes, truth)
         row = (*row, d.scored_from_s) if started else row
-        held_out = f"no: tuned on {d.seen_s:.0f} s of it" if d.seen_s else "yes"
+        held_out = f"no: tuned on {d.seen_s:.0f} s of it" if d.seen_s else None if d.seen_s is None else "yes"
         rows.append((*row, held_out) if known else row)
     text = (
         "Filters start, and scores with them, at the first fix with 4 s and 20 m of forward driving behind it, which "
