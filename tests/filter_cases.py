@@ -43,14 +43,14 @@ def parameters(model: str, **more) -> FilterParameters:
 
 @cache
 def equipped(duration: float = 24.0) -> Drive:
-    """A drive whose receiver also tells speed and course, and whose antenna is not at the IMU."""
+    """A drive whose receiver also tells speed and course, and whose antenna is neither at the IMU nor at its height."""
     drive = make_drive(duration=duration, gps_std=0.5, jitter=0.3, seed=5)
     truth, t = drive.truth, drive.gps.time
     assert truth is not None
     speed = np.interp(t, truth.time, np.hypot(truth.vx, truth.vy))
     course = np.interp(t, truth.time, np.unwrap(np.arctan2(truth.vy, truth.vx)))
     gps = replace(drive.gps, speed=speed, course=course)
-    return replace(drive, gps=gps, metadata={"gps_lever_arm_m": [1.0, 0.5, 0.0]})
+    return replace(drive, gps=gps, metadata={"gps_lever_arm_m": [1.0, 0.5, 1.2]})
 
 
 @cache

@@ -10,9 +10,11 @@ Conventions
 - SI units and radians inside; degrees only where a person reads or a file's column says so.
 - Local frame: east-north-up; x east, y north. Heading ``theta`` counter-clockwise from east, in (-pi, pi].
 - Body frame: x forward, y left, z up (REP-103). The IMU gives specific force and angular rate in it.
+- Attitude, where it is more than a heading: R = Rz(theta) Ry(pitch) Rx(roll) turns body into local axes, so that
+  ``roll`` is positive left side up and ``pitch`` nose down.
 - Time: float64 seconds, strictly increasing within a sensor; sensors keep their own clocks and rates.
 - State of ``planar5``: x, y (m), vx, vy (m/s), theta (rad). ``process_noise`` is the diagonal of Q, the variance
-  added per nominal IMU step; ``measurement_noise`` the diagonal of R.
+  added per nominal IMU step; ``measurement_noise`` the diagonal of R. Other models have more states behind these.
 - A filter never sees truth. error = estimate - truth. Costs: lower wins, a failed filter costs ``inf``.
 
 Symbols: x, P state mean and covariance; Q, R process and measurement noise covariance; alpha, beta, kappa sigma-point

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from exported import tuned
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.ros import NOT_ESTIMATED, TOPIC
 from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
@@ -52,6 +54,45 @@ def test_odometry_is_read_back(tmp_path: Path, estimate: Estimate):
     body = (drawn[:, 2] + 1j * drawn[:, 3]) * np.exp(-1j * drawn[:, 4])
     expected = np.cov(body.real, body.imag) * 1e6
     np.testing.assert_allclose(m.twist.covariance.reshape(6, 6)[:2, :2], expected, atol=0.02 * expected.max())
+
+
+def on_the_road(state: np.ndarray) -> tuple[Rotation, np.ndarray]:
+    """Attitude and velocity (3,) of a tilted state: as fast upwards as keeps the car on its road."""
+    turned = Rotation.from_euler("ZYX", state[[4, 9, 8]])
+    up = turned.apply([0.0, 0.0, 1.0])
+    return turned, np.append(state[2:4], -(up[:2] @ state[2:4]) / up[2])
+
+
+def test_a_tilted_twist_lies_in_the_road(tmp_path: Path):
+    reader = pytest.importorskip("rosbags.highlevel").AnyReader
+    rng = np.random.default_rng(3)
+    mean = rng.normal(0.0, 1.0, (20, 12)) * [9, 9, 8, 8, 2, 1, 1, 0.1, 0.3, 0.3, 0.1, 0.1]
+    root = rng.normal(0.0, 0.1, (20, 12, 12))
+    estimate = Estimate(
+        np.arange(20.0), mean, root @ root.transpose(0, 2, 1), InitialState(mean[0, :5], np.eye(5), 0.0)
+    )
+    write_estimate(estimate, tmp_path / "e.ros2")
+    with reader([tmp_path / "e.ros2"]) as bag:
+        read = [bag.deserialize(raw, connection.msgtype) for connection, _, raw in bag.messages()]
+    for m, state, p in zip(read, mean, estimate.covariance, strict=True):
+        turned, velocity = on_the_road(state)
+        q, v = m.pose.pose.orientation, m.twist.twist.linear
+        assert (Rotation.from_quat([q.x, q.y, q.z, q.w]) * turned.inv()).magnitude() < 1e-12
+        np.testing.assert_allclose([v.x, v.y, v.z], turned.inv().apply(velocity), atol=1e-12)
+        # x, y, and the rotations about fixed axes, which are roll, pitch and heading
+        states, rows = [0, 1, 8, 9, 4], [0, 1, 3, 4, 5]
+        pose = m.pose.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(pose[np.ix_(rows, rows)], p[np.ix_(states, states)])
+        assert pose[2, 2] == NOT_ESTIMATED
+
+        def seen(error: np.ndarray, state: np.ndarray = state) -> np.ndarray:
+            turned, velocity = on_the_road(state + error)
+            return turned.inv().apply(velocity)[:2]
+
+        jacobian = np.array([(seen(1e-6 * e) - seen(-1e-6 * e)) / 2e-6 for e in np.eye(12)]).T
+        twist = m.twist.covariance.reshape(6, 6)
+        np.testing.assert_allclose(twist[:2, :2], jacobian @ p @ jacobian.T, rtol=1e-6, atol=1e-7)
+        assert twist[2, 2] == NOT_ESTIMATED
 
 
 def test_what_a_bag_can_not_be_is_said(tmp_path: Path, estimate: Estimate, monkeypatch: pytest.MonkeyPatch):

@@ -13,6 +13,7 @@ import polars as pl
 import pymap3d
 import pytest
 from scipy.io import loadmat
+from scipy.spatial.transform import Rotation
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError, SigmaswarmError
@@ -144,6 +145,32 @@ def test_kitti_is_a_pose_matrix(tmp_path: Path, estimate: Estimate):
         pose[:, :, :3] @ pose[:, :, :3].transpose(0, 2, 1), np.eye(3)[None] + 0 * pose[:, :, :3], atol=1e-8
     )
     np.testing.assert_allclose(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]), estimate.mean[:, 4], atol=1e-8)
+
+
+def test_a_tilted_estimate_has_its_attitude(tmp_path: Path):
+    mean = np.random.default_rng(0).normal(0.0, 1.0, (40, 12)) * [
+        9,
+        9,
+        5,
+        5,
+        2,
+        1,
+        1,
+        0.1,
+        0.4,
+        0.4,
+        0.1,
+        0.1,
+    ]
+    estimate = Estimate(np.arange(40.0), mean, np.empty(0), _anywhere())
+    theirs = Rotation.from_euler("ZYX", mean[:, [4, 9, 8]])
+    write_estimate(estimate, tmp_path / "e.kitti")
+    pose = np.loadtxt(tmp_path / "e.kitti").reshape(-1, 3, 4)
+    np.testing.assert_allclose(pose[:, :, :3], theirs.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(pose[:, :, 3], np.column_stack([mean[:, :2], 0 * mean[:, 0]]), atol=1e-9)
+    write_estimate(estimate, tmp_path / "e.tum")
+    quaternion = np.loadtxt(tmp_path / "e.tum")[:, 4:]
+    assert (Rotation.from_quat(quaternion) * theirs.inv()).magnitude().max() < 1e-8
 
 
 def test_matlab_gets_names_and_covariances(tmp_path: Path, estimate: Estimate):

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 import sigmaswarm
+from exported import tuned
 from sigmaswarm.drives.alignment import MAX_DURATION, InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, looks_of
 from sigmaswarm.filters.run import Estimate, run_filter
@@ -27,6 +29,9 @@ SET = FilterParameters(
 )  # fmt: skip
 """Tuned on two KITTI drives by innovation-nll."""
 TRUSTING = replace(SET, gate=None)
+TILTED = replace(
+    tuned("tilted12", "ekf", 0.01, everything=False), lateral_noise=0.01, standstill_noise=6.4e-3, gate=13.1
+)
 REAL = ["colorado-1", "kitti-09-30-0033", "kitti-09-30-0018"]
 Planted = tuple[Drive, InitialState]
 
@@ -107,6 +112,10 @@ def check_planted(name: str, plant: str, p: FilterParameters) -> None:
 @pytest.mark.parametrize("p", [SET, TRUSTING], ids=["gate", "trusting"])
 def test_what_is_planted_in_a_simulated_drive_is_found(plant: str, p: FilterParameters):
     check_planted("simulated", plant, p)
+
+
+def test_what_is_planted_is_found_by_a_tilted_filter():
+    check_planted("simulated", "turned", TILTED)
 
 
 @needs_shared
@@ -218,10 +227,14 @@ def test_while_it_can_not_align_the_estimate_is_the_last_fix_and_is_marked():
     assert own <= raw * 1.001
 
 
-def live(drive: Drive, start: InitialState, late: float = 0.0) -> tuple[LiveFilter, np.ndarray, np.ndarray]:
+def live(
+    drive: Drive, start: InitialState, late: float = 0.0, p: FilterParameters = SET
+) -> tuple[LiveFilter, np.ndarray, np.ndarray]:
     """The filter, its means after each sample and where it was lost; fixes come ``late`` s after their time."""
-    filter = LiveFilter(SET, start, nominal_interval=drive.nominal_interval, lever_arm=drive.lever_arm)
+    lever = [*drive.lever_arm, drive.antenna_height]
+    filter = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=lever)
     gps, imu = drive.gps, drive.imu
+    axes = [getattr(imu, axis) for axis in MODELS[p.model].imu]
     events = sorted(
         [(t + late, 0, i) for i, t in enumerate(gps.time)] + [(t, 1, i) for i, t in enumerate(imu.time)]
     )
@@ -230,18 +243,21 @@ def live(drive: Drive, start: InitialState, late: float = 0.0) -> tuple[LiveFilt
         if not is_imu:
             filter.update(gps.time[i], (gps.x[i], gps.y[i]))
             continue
-        filter.predict(imu.time[i], (imu.ax[i], imu.ay[i], imu.gz[i]))
+        filter.predict(imu.time[i], [axis[i] for axis in axes])
         if imu.time[i] > start.time:
             means.append(filter.state.mean)
             lost.append(filter.state.lost)
     return filter, np.array(means), np.array(lost)
 
 
-@pytest.mark.parametrize("plant", PLANTS)
-def test_live_is_the_run(plant: str):
+LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned", TILTED)}
+
+
+@pytest.mark.parametrize(("plant", "p"), LIVE.values(), ids=LIVE)
+def test_live_is_the_run(plant: str, p: FilterParameters):
     drive, start = PLANTS[plant](drive_of("simulated"))
-    run = run_filter(drive, SET, initial=start)
-    filter, means, lost = live(drive, start)
+    run = run_filter(drive, p, initial=start)
+    filter, means, lost = live(drive, start, p=p)
     assert filter.restarts == list(run.restarts)
     gap = np.flatnonzero(np.diff(run.time) > 10)  # where one sample waits for the next to say the same
     there = ~np.isin(np.arange(len(run.time)), gap + 1)

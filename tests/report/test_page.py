@@ -178,6 +178,32 @@ def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path:
     assert rows["q_theta"][6] != rows["q_vx"][6]
 
 
+def test_a_tilted_filter_is_tuned_evaluated_and_shown(tmp_path: Path):
+    tuned, out = tmp_path / "tuned", tmp_path / "evaluation"
+    tuning = tune(MONDAY, model="tilted12", particles=4, generations=2, out=tuned)
+    found = evaluate(TUESDAY, tuning.parameters)
+    assert found.value("tuesday", "tuned", "position_rmse_m") < 5
+    save(found, tuned, out)
+    assert any("tilted12 (ekf)" in said for said in (read_report(out).title, *read_report(out).lead))
+    file = tomllib.loads((tuned / "tuning.toml").read_text())
+    together = {
+        "q_tilt": ("q_roll", "q_pitch"),
+        "q_accel_bias": ("q_accel_bias_x", "q_accel_bias_y"),
+        "q_gyro_bias_xy": ("q_gyro_bias_x", "q_gyro_bias_y"),
+        "q_gyro_bias_z": ("q_gyro_bias_z",),
+        "q_vxy": ("q_vx", "q_vy"),
+    }
+    for i, name in enumerate(together):
+        file["within_1_percent_of_the_cost"][name] = [1e-9 * (i + 1), "-"]
+    file["result"]["touched_bounds"] = ["q_tilt at its upper bound (0.0001)"]
+    (tuned / "tuning.toml").write_text(tomli_w.dumps(file))
+    rows = {row[0]: row for row in read_report(tuned).sections[0].tables[0].rows}
+    for i, alike in enumerate(together.values()):
+        for name in alike:
+            assert rows[name][3:5] == (1e-9 * (i + 1), "the box's end")
+            assert ("at its upper bound" in str(rows[name][6])) == (name in together["q_tilt"])
+
+
 def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
     tune(MONDAY, model="planar8", use=["lateral"], particles=4, generations=2, out=tmp_path)
     path = tmp_path / "tuning.toml"

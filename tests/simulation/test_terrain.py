@@ -60,6 +60,30 @@ def test_slopes_have_the_terrains_spread_reach_and_correlation(name):
         assert correlation(values, round(length / 2)) == pytest.approx(2 / np.e, abs=0.04)
 
 
+def test_a_terrain_without_limits_has_the_slopes_that_it_asks_for():
+    road = lay_road(STRAIGHT, Terrain("mine", grade_std=0.05, bank_std=0.02), np.random.default_rng(1))
+    at = np.arange(0.0, 60_000.0, 2.0)
+    grade, bank = -np.tan(road.pitch(at)), np.tan(road.roll(at)) / np.cos(road.pitch(at))
+    assert np.std(grade) == pytest.approx(0.05, rel=0.15)
+    assert np.std(bank) == pytest.approx(0.02, rel=0.15)
+    # Far below its limit a road is what it is without one.
+    limited = Terrain("mine", grade_std=0.05, bank_std=0.02, grade_limit=100.0, bank_limit=100.0)
+    np.testing.assert_array_equal(
+        road.pitch(at), lay_road(STRAIGHT, limited, np.random.default_rng(1)).pitch(at)
+    )
+
+
+def test_what_is_flat_is_said_by_the_slopes_and_not_by_the_name():
+    flat, named, hilly = (
+        simulate("brake", terrain=terrain)
+        for terrain in ("flat", TERRAINS["flat"], Terrain("flat", grade_std=0.05))
+    )
+    assert "terrain" not in flat.metadata["scenario"]
+    np.testing.assert_array_equal(flat.imu.ax, named.imu.ax)
+    assert hilly.metadata["scenario"]["grade_std_percent"] > 0.5
+    assert np.std(hilly.imu.ax - flat.imu.ax) > 0.05
+
+
 def test_bends_lean_inwards_and_intersections_hardly():
     terrain = Terrain("bends", superelevation=0.06)
     for radius, share in ((120.0, 1.0), (-120.0, -1.0), (10.0, 0.17)):
@@ -142,7 +166,7 @@ def test_hills_leave_the_way_in_the_plane_and_the_fixes_noise_as_they_were():
     for column in ("time", "x", "y", "vx", "vy", "theta"):
         np.testing.assert_array_equal(getattr(flat.truth, column), getattr(hilly.truth, column))
     np.testing.assert_array_equal(flat.gps.x, hilly.gps.x)
-    assert np.std(hilly.imu.ax - flat.imu.ax) > 0.1  # m/s2, of gravity
+    assert np.std(hilly.imu.ax - flat.imu.ax) > 0.05  # m/s2, of gravity
     assert hilly.metadata["scenario"]["terrain"] == "hilly"
     assert hilly.metadata["scenario"]["climb_m"] > 1.0
     assert "terrain" not in flat.metadata["scenario"]

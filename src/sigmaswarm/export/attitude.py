@@ -19,13 +19,7 @@ def quaternions(mean: Array) -> Array:
 def rotations(mean: Array) -> Array:
     """Of means (k, n), (k, 3, 3): from the body to the local frame."""
     if mean.shape[-1] == tilted.N:
-        x, y, z, w = quaternions(mean).T
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-        return np.moveaxis(np.array(rows), -1, 0)
+        return tilted.rotation(mean)
     c, s = np.cos(mean[:, THETA]), np.sin(mean[:, THETA])
     zero, one = np.zeros_like(c), np.ones_like(c)
     return np.moveaxis(np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]]), -1, 0)

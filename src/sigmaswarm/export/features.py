@@ -14,13 +14,13 @@ from sigmaswarm.versions import __version__
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
     velocity, lateral, stands = schedule.switches(p)
-    tilted = MODELS[p.model].tilts is not None
+    has_tilts = MODELS[p.model].tilts is not None
     biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
     adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
     used = {
         "UNSCENTED": p.kind != "ekf",
-        "TILTED": tilted,
-        "HEADING_ALONE": not tilted,
+        "TILTED": has_tilts,
+        "HEADING_ALONE": not has_tilts,
         "BIASES": biases,
         "BIASES_OR_LATERAL": biases or lateral,
         "ADAPTIVE": adaptive,

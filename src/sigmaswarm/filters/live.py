@@ -79,7 +79,8 @@ class LiveFilter:
     nominal_interval : float
         s between IMU samples.
     lever_arm : sequence of float
-        m forward and left, and perhaps up, from the IMU to the antenna.
+        m forward and left from the IMU to the antenna: a drive's ``lever_arm``. tilted12 reads a third number, up:
+        ``[*drive.lever_arm, drive.antenna_height]``; without it the antenna is as high as the IMU.
     history : float
         s that are kept for late fixes.
     recover : bool

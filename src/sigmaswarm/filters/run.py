@@ -30,7 +30,8 @@ class Estimate:
     time : ndarray, shape (n,)
         s, the IMU's times after ``initial.time``.
     mean : ndarray, shape (n, n_states)
-        x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), and planar8's biases. NaN from a failure on.
+        x, y (m), vx, vy (m/s), theta (rad, wrapped to (-pi, pi]), planar8's biases, and tilted12's roll and pitch (rad)
+        and biases of the other gyros, in the order of the model's states. NaN from a failure on.
     covariance : ndarray, shape (n, n_states, n_states) or (0,)
         Of ``mean``; empty for dead reckoning, which has none.
     initial : InitialState

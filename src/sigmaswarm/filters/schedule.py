@@ -79,7 +79,8 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
     The motion that nobody saw is one turn rate and one acceleration for the whole gap, so its steps together add
     (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of
-    each step's velocity. Roll and pitch, of models that have them, add (GAP_TILT_STD gap)^2.
+    each step's velocity. Roll and pitch, of models that have them, grow by (GAP_TILT_STD gap)^2 besides, which is not
+    a part of this: a `TextbookCar` adds it by itself, as the kernels do.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt

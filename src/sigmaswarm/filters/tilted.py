@@ -28,15 +28,15 @@ AXES = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
 def rotation(state: Array) -> Array:
-    """R, (3, 3), of a state's roll, pitch and theta."""
-    (cr, cp, ct), (sr, sp, st) = np.cos(state[[*ATTITUDE]]), np.sin(state[[*ATTITUDE]])
-    return np.array(
-        [
-            [ct * cp, ct * sp * sr - st * cr, ct * sp * cr + st * sr],
-            [st * cp, st * sp * sr + ct * cr, st * sp * cr - ct * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    """R, (..., 3, 3), of the roll, pitch and theta of states (..., 12)."""
+    angles = np.moveaxis(state[..., [*ATTITUDE]], -1, 0)
+    (cr, cp, ct), (sr, sp, st) = np.cos(angles), np.sin(angles)
+    rows = [
+        [ct * cp, ct * sp * sr - st * cr, ct * sp * cr + st * sr],
+        [st * cp, st * sp * sr + ct * cr, st * sp * cr - ct * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def with_rotation(state: Array, r: Array) -> Array:
@@ -214,7 +214,7 @@ class States:
 def as_angles(state: Array, covariance: Array) -> Array:
     """The covariance (..., 12, 12) of states (..., 12) as angles: of roll, pitch and theta in place of the error.
 
-    e = ends @ (roll, pitch, theta), with the axes that they turn about in the columns.
+    e = A (roll, pitch, theta), small changes; the columns of A are the axes that they turn about. This is its inverse.
     """
     theta, pitch = state[..., ATTITUDE[2]], state[..., ATTITUDE[1]]
     ct, st, tan, sec = np.cos(theta), np.sin(theta), np.tan(pitch), 1 / np.cos(pitch)

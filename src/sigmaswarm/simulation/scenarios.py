@@ -25,6 +25,7 @@ from sigmaswarm.simulation.terrain import (
     HEIGHT,
     ROAD_PITCH,
     ROAD_ROLL,
+    TERRAINS,
     Terrain,
     drive_on,
     find_terrain,
@@ -118,7 +119,7 @@ def simulate(
 
     journey = take_journey(maneuver, where, car, stream("driver"), duration, warm_up)
     record = journey.record
-    if ground.name != "flat":
+    if ground != TERRAINS["flat"]:
         record = drive_on(record, lay_road(journey.path[:, 3], ground, stream("road")), car)
     end = (len(record) - 1) * STEP
     nominal = _times(end, imu_rate, 0.0, stream("imu clock"))
@@ -148,7 +149,7 @@ def simulate(
         "vibration": vibration,
         "gnss_degradation": gnss_degradation,
         # Drives on flat roads say what they said before there were others.
-        **({} if ground.name == "flat" else {"terrain": ground.name} | _slope_figures(record)),
+        **({} if ground == TERRAINS["flat"] else {"terrain": ground.name} | _slope_figures(record)),
         "outages": [list(window) for window in journey.outages],
     }
     return Drive(

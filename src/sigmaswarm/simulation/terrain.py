@@ -18,6 +18,7 @@ Sources, cited behind the values:
 [R] recalled or chosen, not verified.
 """
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -66,7 +67,7 @@ class Terrain:
     Attributes
     ----------
     grade_std, grade_length, grade_limit : float
-        Standard deviation, correlation length and bound of the slope along the road.
+        Standard deviation, correlation length and bound of the slope along the road; inf for no bound.
     bank_std, bank_length, bank_limit : float
         The same of the slope across it.
     crossfall : float
@@ -78,10 +79,10 @@ class Terrain:
     name: str
     grade_std: float = 0.0
     grade_length: float = 50.0
-    grade_limit: float = 0.0
+    grade_limit: float = math.inf
     bank_std: float = 0.0
     bank_length: float = 18.0
-    bank_limit: float = 0.0
+    bank_limit: float = math.inf
     crossfall: float = 0.0
     superelevation: float = 0.0
     banked_radius: float = 120.0
@@ -145,14 +146,14 @@ def _wander(rng: np.random.Generator, count: int, std: float, length: float, lim
     drawn = lfilter([1.0], [1.0, -2 * keep, keep**2], rng.standard_normal(settled + count))
     of_filter = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # its stationary standard deviation
     values = np.asarray(drawn)[settled:] * (std / of_filter)
+    if math.isinf(limit):
+        return values
+    if limit <= 0:
+        return 0 * values
     # Beyond two thirds of the limit it bends towards it, with a slope that does not jump.
     soft = limit / 3
     beyond = np.maximum(np.abs(values) - 2 * soft, 0.0)
-    return (
-        np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
-        if limit > 0
-        else 0 * values
-    )
+    return np.sign(values) * (np.abs(values) - beyond + soft * np.tanh(beyond / soft))
 
 
 def lay_road(curvature: Array, terrain: Terrain, rng: np.random.Generator) -> Road:

@@ -1,6 +1,5 @@
 """The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
 
-import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.records import load_record
 from sigmaswarm.report.pages.commands import tune_command
 from sigmaswarm.report.views.record import Cell, Column, Figure, Report, Section, Table
@@ -103,10 +103,12 @@ def parameters_section(file: TuningRecord) -> Section:
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
     for name, value, unit, density in _parameters(file):
-        searched = _searched_as(name, ranges)
+        searched = _searched_as(name, ranges, file)
         low, high = ranges.get(searched, (None, None))
         free = (low, high) == ("-", "-")
-        found = "any value in the box is as good" if free else touched.get(_searched_as(name, touched), "")
+        found = (
+            "any value in the box is as good" if free else touched.get(_searched_as(name, touched, file), "")
+        )
         remark = "; ".join(said for said in (MEANINGS.get(name, ""), found) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
@@ -130,10 +132,11 @@ _SCALARS_OF: dict[str, tuple[str, ...]] = {
 """What the search calls the entries of a list; those of process_noise are q and the state."""
 
 
-def _searched_as(name: str, known: Collection[str]) -> str:
-    """q_x and q_y are searched as one q_xy where a filter has the same noise to the east as to the north."""
-    both = re.sub("[xy]$", "xy", name)
-    return name if name in known else both
+def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
+    """What a number is called in the search, where some are searched as one: q_x and q_y as q_xy, q_roll as q_tilt."""
+    model = MODELS.get(str(file.filter.get("model")))
+    shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
+    return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
 
 
 def _parameters(file: TuningRecord) -> Iterator[tuple[str, Cell, str, str]]:
