@@ -35,8 +35,10 @@ def split(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
+    from sigmaswarm.doctor.checks.use import suited
 
-    parts = sigmaswarm.split_time(read_known(drive), train_fraction)
+    whole = read_known(drive)
+    parts = sigmaswarm.split_time(whole, train_fraction)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name)
     if json:
@@ -44,6 +46,6 @@ def split(
     else:
         for part in parts:
             stdout().print(f"wrote {out / part.name} ({part.duration:.0f} s)")
-        better = "--model planar8 --use lateral standstill gate"
+        better = f"--model planar8 --use {' '.join(suited(whole))}"
         stdout().print(f"next: sigmaswarm tune {out / parts[0].name} --out tuned {better}")
         stdout().print(f"then: sigmaswarm evaluate tuned {out / parts[1].name}")

@@ -37,7 +37,7 @@ def tune(
     Examples:
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
-        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
+        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill robust
         sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
         sigmaswarm tune drives/training --out tuned --validation drives/monday --objective innovation-nll
         sigmaswarm tune drives/training --out tuned --racing

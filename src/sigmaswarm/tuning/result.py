@@ -135,7 +135,7 @@ class Tuning(Generic[P]):
         if self._heading_is_loose():
             remarks.append(
                 "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
-                "for a car add --model planar8 --use lateral standstill gate, or tune with truth-pose"
+                "for a car add --model planar8 --use lateral standstill robust, or tune with truth-pose"
             )
         better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
         if better is not None and better.lowest_rise < -RISE and self.raised_by == 1.0:

@@ -75,7 +75,7 @@ def evaluation_report(folder: Path) -> Report:
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, own=own)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(_result(scores, data), *without, what_was_tuned(file)),
+        lead=(_result(scores, data, asked.outage_length_s), *without, what_was_tuned(file)),
         figures=_figures(scores, shown),
         remarks=(
             *_remarks(scores, data),
@@ -120,12 +120,12 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
 
 
-def _result(scores: ScoresRecord, data: Sequence[DriveRecord]) -> str:
+def _result(scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: float) -> str:
     """The result in a sentence: position where truth is known, else the drift over outages."""
     drives = said_of_drives(data)
     for measure, what in (
         ("position_rmse_m", "is {} m (RMS) from the truth"),
-        ("outage_drift_m", "drifts {} m (RMS) over an outage"),
+        ("outage_drift_m", f"drifts {{}} m (RMS) over an outage of {outage_length:g} s"),
     ):
         tuned = scores.mean_of("tuned", measure)
         if tuned is not None:
@@ -138,6 +138,8 @@ def _result(scores: ScoresRecord, data: Sequence[DriveRecord]) -> str:
 
 
 def _against(tuned: float, other: float, method: str) -> str:
+    if method in MANUAL:  # a share of what nobody tuned would flatter
+        return f"{LABELS[method]}, which nobody tuned, has {other:.3g} m"
     change = 100 * (other - tuned) / other
     return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {LABELS[method]} ({other:.3g} m)"
 
