@@ -28,13 +28,12 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
     As it states; else the white noise that its fixes show, if that is large; else as of a u-blox M8.
     """
-    std = stated_std(drive) or UNSTATED_GPS_STD
-    if std == UNSTATED_GPS_STD:
-        gps = drive.gps
-        shown = white_noise(gps.x + 1j * gps.y)
-        if shown > max(SHOWN, 3 * motion_in_noise(float(np.median(np.diff(gps.time))))):
-            std = shown
-    return std if isinstance(std, tuple) else (std, std)
+    if stated := stated_std(drive):
+        return stated
+    gps = drive.gps
+    shown, moved = white_noise(gps.x + 1j * gps.y), motion_in_noise(float(np.median(np.diff(gps.time))))
+    std = shown if shown > max(SHOWN, 3 * moved) else UNSTATED_GPS_STD
+    return std, std
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:

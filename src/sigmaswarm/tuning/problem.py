@@ -9,6 +9,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.noise import stated_std
@@ -24,7 +25,7 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
-from sigmaswarm.tuning.receiver import FAR_BELOW, LASTS, FixNoise, fix_noise, said_of_noise
+from sigmaswarm.tuning.receiver import FAR_BELOW, FixNoise, fix_noise, said_of_noise
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -158,7 +159,6 @@ class CarProblem:
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        said: list[str] = []
         for drive, cost, std, near, noise in zip(
             self.replayer.drives, costs, self._receiver_std.mean(axis=1), r, self._fix_noise, strict=True
         ):
@@ -168,19 +168,18 @@ class CarProblem:
             lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off "
             if stated:
                 more = f"{lasting}they are together" if std > LASTS * noise.scatter else ""
-                said.append(
+                return [
                     f"{drive.name}: R was held near the {std:.2g} m per axis that the receiver states{more}"
-                )
-            elif std == UNSTATED_GPS_STD:
-                said.append(
+                ]
+            if std == UNSTATED_GPS_STD:
+                return [
                     f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
                     f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
-                )
-            else:
-                said.append(
-                    f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"
-                )
-        return said[:1]
+                ]
+            return [
+                f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"
+            ]
+        return []
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""

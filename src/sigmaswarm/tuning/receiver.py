@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.noise import stated_std
@@ -13,8 +14,6 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
-LASTS = 2.5
-"""Times by which a stated deviation is larger than the scatter, from which on most of the error lasts."""
 SMOOTH = 0.5
 """m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
 REMEDY = (
