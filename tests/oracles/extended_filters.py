@@ -109,6 +109,7 @@ class ExtendedCar:
     lost : (s,), whether the last fix ended a run of outliers so long that the filter recovers
     outliers, span : (s,), how many fixes in a row had a small weight, and Q's scale from the first to the last of them
     since : Q's scale since the last fix
+    prior : (s, n, n), the covariance before anything is absorbed, stretched where a filter stretches it
     nis, log_determinant, squared_residual, weight : (s,), of the last fix
     """
 
@@ -246,6 +247,7 @@ class ExtendedCar:
         factor = np.where(used, np.maximum(factor, 1), 1)[:, None, None]
         part = whiten(hph, transposed(seen.c))
         self.covariance = self.covariance + (factor - 1) * transposed(part) @ part
+        self.prior = self.covariance  # what the fix shrinks
         seen.s = seen.s + (factor - 1) * hph
         seen.c = factor * seen.c
 
