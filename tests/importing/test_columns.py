@@ -81,6 +81,29 @@ def test_a_saved_recipe_does_the_same(tmp_path: Path):
     np.testing.assert_allclose(again.drive.gps.time, DRIVE.gps.time + 0.125, atol=1e-6)
 
 
+def test_a_recipe_serves_the_next_days_files_whatever_they_are_called(tmp_path: Path):
+    for day in ("monday", "tuesday"):
+        foreign_imu().write_csv(tmp_path / f"{day}_imu.csv")
+        foreign_gps().write_csv(tmp_path / f"{day}_gps.csv")
+    first = imported(tmp_path / "monday_imu.csv", gps=tmp_path / "monday_gps.csv", maps=MAPS)
+    next_day = imported(tmp_path / "tuesday_imu.csv", gps=tmp_path / "tuesday_gps.csv", recipe=first.recipe)
+    assert_close(next_day.drive.imu, first.drive.imu, "time ax ay az gz", 0)
+    assert_close(next_day.drive.gps, first.drive.gps, "time lat lon", 0)
+
+
+def test_of_a_folder_with_two_days_it_says_which_is_taken(tmp_path: Path):
+    for table, role in ((a_drive().imu, "imu"), (a_drive().gps, "gnss")):
+        columns = {"t" if c == "time" else c: v for c, v in vars(table).items() if v is not None}
+        for day in ("monday", "tuesday"):
+            pl.DataFrame(columns).write_csv(tmp_path / f"{role}_{day}.csv")
+    said = [note for note in imported(tmp_path).notes if "is taken for the" in note]
+    assert said == [
+        f"{role}_tuesday.csv has the columns of {role}_monday.csv, and only {role}_monday.csv is taken for the {name}; "
+        f"choose with --{name}-table, and import each log into a drive of its own"
+        for role, name in (("imu", "imu"), ("gnss", "gps"))
+    ]
+
+
 @pytest.mark.parametrize(
     ("names", "scale", "where"),
     [

@@ -126,6 +126,15 @@ def test_vibration_shakes_a_moving_car_and_no_other_sensor():
     assert noise[:50].std() < 0.01
 
 
+def test_vibration_does_not_turn_the_body_for_good():
+    """Roll and pitch rates that are added by shaking keep their sum small: the springs bring the body back."""
+    still, shaken = (simulate("urban", duration=120.0, imu="ideal", vibration=v).imu for v in (0.0, 1.0))
+    for axis, density in (("gx", 0.002), ("gy", 0.003)):
+        added = getattr(shaken, axis) - getattr(still, axis)
+        assert np.diff(added).std() > 0.5 * density * 10 * np.sqrt(2)  # as seen from one sample to the next, but halts
+        assert np.abs(np.cumsum(added) * 0.01).max() < np.radians(0.4)
+
+
 def test_gnss_degradation_is_off_by_default_and_said_when_on():
     plain, worse = (simulate("brake", "rain", gnss_degradation=on) for on in (False, True))
     assert plain.metadata["gps_std_m"] == pytest.approx(2.1)

@@ -16,7 +16,7 @@ from sigmaswarm.importing.gather import Columns, check_part, gather
 from sigmaswarm.importing.guess import SAMPLE, time_of, wrong_unit
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
-from sigmaswarm.importing.source import ROLES, Choice, Guess, Part, Progress, Role, Source
+from sigmaswarm.importing.source import FILES, ROLES, Choice, Guess, Part, Progress, Role, Source
 from sigmaswarm.wording import names_shown
 
 
@@ -191,10 +191,11 @@ def _gather_all(
 
 
 def _with_table(part: Part, source: Source) -> Part:
-    """A part that names no table takes the only one."""
-    if part.table:
+    """A part that names no table takes the only one; and so does one that names a file, of another day's log."""
+    only = next(iter(source.tables.values())) if len(source.tables) == 1 else None
+    if part.table in source.tables or (part.table and (only is None or only.kind != FILES)):
         return part
-    if len(source.tables) > 1:
+    if only is None:
         raise InputError(
             f"{source.path}: holds {len(source.tables)} tables, and none was chosen for {', '.join(part.columns)}; "
             "write a recipe with table = ..., or choose with --imu-topic and the like"

@@ -116,8 +116,21 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
             raise InputError(f"there is no table {chosen[role]!r}; there are {names_shown(samples)}")
         if tables or role in chosen:
             best = chosen[role] if role in chosen else _best(tables, hints[role])
+            notes.extend(_alike(role, best, [t for t in tables if t not in chosen.values()], samples))
             roles[role] = (Part(best, dict(_expressions(found[best], role, notes))),)
     return Guess(roles, tuple(dict.fromkeys(notes)))
+
+
+def _alike(
+    role: Role, taken: str, tables: Sequence[str], samples: Mapping[str, pl.DataFrame]
+) -> Iterator[str]:
+    """Tables of the same columns as the one that is taken: another part of the log, or another log."""
+    alike = [t for t in tables if t != taken and samples[t].columns == samples[taken].columns]
+    if alike:
+        yield (
+            f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {taken}, and only {taken} is "
+            f"taken for the {role}; choose with --{role}-table, and import each log into a drive of its own"
+        )
 
 
 def _best(tables: Sequence[str], hint: str) -> str:

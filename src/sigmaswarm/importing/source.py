@@ -21,6 +21,10 @@ Progress = Callable[[float], None]
 """Called with the share of the log that is read, 0 to 1."""
 
 
+FILES = "columns"
+"""The kind of tables that are files of columns, named as the files are."""
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of a log: its columns, what it is in the format's own words, and its number of rows where known."""

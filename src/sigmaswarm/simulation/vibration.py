@@ -3,13 +3,17 @@
 The levels are white-noise densities seen on two public recordings of real cars, from the differences of
 neighboring samples at 5-16 m/s: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (a phone's
 chip). They are 3 to 8 times what the former shows at standstill, and about 20 times an MPU-6050's data sheet:
-noise from the data sheet is too small in a car. Only such a level is modelled: no spectrum, no bumps.
+noise from the data sheet is too small in a car. Only such a level is modelled: no bumps, and no spectrum but for
+this: the springs bring a body that rolls or pitches back, so what shakes it about these axes has no part that is
+slower than they are. (White noise would turn it by degrees in a minute, which gravity would show as acceleration.)
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sigmaswarm.simulation.motion import Motion
 
@@ -21,6 +25,8 @@ RATE_DENSITY = (0.002, 0.003, 0.0005)
 """rad/s/sqrt(Hz) about the same axes. About the second one, the one recording that has it shows 0.010."""
 FULL_SPEED = 5.0
 """m/s; below it the shaking grows with speed from nothing."""
+SPRINGS = 1.0
+"""Hz; about where a car's body moves on its springs: a choice."""
 
 
 def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
@@ -40,6 +46,10 @@ def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generat
     speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
     level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
     shaken = rng.standard_normal((2, *motion.specific_force.shape)) * level
+    kept = math.exp(-2 * math.pi * SPRINGS / rate)
+    shaken[1, :, :2] = lfilter(
+        [kept, -kept], [1.0, -kept], shaken[1, :, :2], axis=0
+    )  # a first-order high pass
     return replace(
         motion,
         specific_force=motion.specific_force + shaken[0] * FORCE_DENSITY,

@@ -9,15 +9,12 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
-from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 from sigmaswarm.filters.schedule import require_axes
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.tuning.batch import check_drives, replayer_for
@@ -25,7 +22,13 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
-from sigmaswarm.tuning.receiver import FAR_BELOW, FixNoise, fix_noise, said_of_noise
+from sigmaswarm.tuning.receiver import (
+    FixNoise,
+    fix_noise,
+    said_of_accuracy,
+    said_of_noise,
+    said_of_prior,
+)
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -146,40 +149,23 @@ class CarProblem:
         return [fix_noise(drive) for drive in self.replayer.drives]
 
     def doubts(self, point: Array) -> list[str]:
-        """Where no truth was looked at: the prior decided R, or R is far below what the fixes say of themselves."""
+        """Where what the fixes say of themselves plays no part; and, where no truth was looked at, whether R can be."""
+        found = said_of_accuracy(self.parameters(point), self._fix_noise)
         known = all(drive.truth is not None for drive in self.replayer.drives)
-        if known and self.objective.needs_truth:
-            return []
-        return self._held(point) or said_of_noise(self.parameters(point), self._fix_noise)
+        if not (known and self.objective.needs_truth):
+            found += self._held(point) or said_of_noise(self.parameters(point), self._fix_noise)
+        return found
 
     def _held(self, point: Array) -> list[str]:
-        """Where the prior held R near what is known of a receiver: what it went by."""
+        """Where the prior held R near what is known of a receiver."""
         if not self.config.prior:
             return []
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        for drive, cost, std, near, noise in zip(
-            self.replayer.drives, costs, self._receiver_std.mean(axis=1), r, self._fix_noise, strict=True
-        ):
-            if cost <= HELD or near * FAR_BELOW < std:
-                continue
-            stated = stated_std(drive)
-            lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off "
-            if stated:
-                more = f"{lasting}they are together" if std > LASTS * noise.scatter else ""
-                return [
-                    f"{drive.name}: R was held near the {std:.2g} m per axis that the receiver states{more}"
-                ]
-            if std == UNSTATED_GPS_STD:
-                return [
-                    f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
-                    f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
-                ]
-            return [
-                f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"
-            ]
-        return []
+        known = zip(self.replayer.drives, costs, r, self._fix_noise, strict=True)
+        held = (said_of_prior(drive, noise, near) for drive, cost, near, noise in known if cost > HELD)
+        return next(filter(None, held), [])
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""

@@ -11,9 +11,13 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import UNSTATED_GPS_STD
+from sigmaswarm.tuning.prior import receiver_std
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
+NO_PART = 0.05
+"""Share of R below which the stated accuracy of a fix does nothing."""
 SMOOTH = 0.5
 """m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
 REMEDY = (
@@ -73,6 +77,38 @@ def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> l
         return []
     said = f"the filter copies the fixes: its R takes them for right to {r:.2g} m per axis, and {why}"
     return [f"{said}; errors that last look like none in forecasts, and {REMEDY}"]
+
+
+def said_of_prior(drive: Drive, noise: FixNoise, r: float) -> list[str]:
+    """What held R, whose deviation is ``r`` (m), near what is known of a drive's receiver; empty where nothing did."""
+    std = float(np.mean(receiver_std(drive)))
+    if r * FAR_BELOW < std:
+        return []
+    if stated_std(drive):
+        lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off they "
+        more = f"{lasting}are together" if std > LASTS * noise.scatter else ""
+        return [f"{drive.name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
+    if std == UNSTATED_GPS_STD:
+        return [
+            f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
+            f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
+        ]
+    return [f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
+
+
+def said_of_accuracy(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
+    """Where the filter hardly goes by what the receiver states of each fix, though it was asked to."""
+    stated = _median([one.stated for one in drives])
+    if parameters.accuracy_scale is None or not np.isfinite(stated):
+        return []
+    share = parameters.accuracy_scale * stated**2
+    share /= share + float(np.mean(parameters.measurement_noise))
+    if share > NO_PART:
+        return []
+    return [
+        f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` plays no part: it hardly changes "
+        "from fix to fix, or tells nothing of their errors; leave it out"
+    ]
 
 
 def _median(values: list[float]) -> float:

@@ -13,7 +13,7 @@ from sigmaswarm.drives.sheet import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Batch, Choice, Guess, Source, Table, first_bytes
+from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Source, Table, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
@@ -71,7 +71,7 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     files = _files(path) if path.is_dir() else [path]
     remarks: list[str] = []
     scans = {file.name: scan(file, file, limits, remarks) for file in files}
-    yield ColumnFiles(path, scans, tables_of(scans, "columns"), remarks=tuple(remarks))
+    yield ColumnFiles(path, scans, tables_of(scans, FILES), remarks=tuple(remarks))
 
 
 def tables_of(scans: Mapping[str, pl.LazyFrame], kind: str) -> dict[str, Table]:

@@ -207,7 +207,7 @@ def _comparison(
     )
     text = (
         f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse}",
-        f"{HOW_MANUAL}. `sigmaswarm evaluate --against mine.toml` compares with a filter of yours.",
+        f"{HOW_MANUAL}. To compare with a filter of yours: sigmaswarm evaluate --against mine.toml.",
     )
     if scores.drifts:
         tables.append(_drifts(scores, names, shown))
