@@ -2,9 +2,10 @@
 
 import os
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=search`` looks farther.
-settings.register_profile("sigmaswarm", deadline=None, derandomize=True)
-settings.register_profile("search", deadline=None, max_examples=1000)
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("sigmaswarm", patient, derandomize=True)
+settings.register_profile("search", patient, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))

@@ -52,7 +52,7 @@ class Plain:
     def fixes(self, now: float) -> bool:
         seen = (self.gps.time <= now) & (self.gps.time >= now - 3.0)
         t = self.gps.time[seen]
-        if len(t) < 3 or t[-1] - t[0] < 1.5:
+        if len(t) < 3 or t[-1] - t[0] < 1.5 or t[0] - (now - 3.0) > 1.5 * np.diff(t).mean():
             return False
         slopes = [np.polyfit(t - t.mean(), column[seen], 1)[0] for column in (self.gps.x, self.gps.y)]
         return bool(np.hypot(*slopes) < 0.8)
@@ -139,6 +139,15 @@ def test_a_departure_is_seen_before_the_car_is_fast(ramp: float):
     assert stands[(time > 5.0) & (time < 15.0)].mean() > 0.95
     speed = np.cumsum(np.clip(ramp * (time - 15.0), 0.0, 1.0)) * 0.01
     assert speed[stands].max() < 0.3
+
+
+def test_behind_an_outage_a_steady_departure_is_no_standstill():
+    drives = [simulate("urban", seed=seed, gps="white-1m", duration=120.0) for seed in (4, 7)]
+    for drive, (begin, end) in zip(drives, ((95.19, 100.19), (31.18, 36.18)), strict=True):
+        left = drive.gps.select((drive.gps.time < begin) | (drive.gps.time > end))
+        stands = standing(replace(drive, gps=left), judged(left))
+        speed = np.interp(drive.imu.time, drive.truth.time, np.hypot(drive.truth.vx, drive.truth.vy))
+        assert speed[stands].max() < 0.3
 
 
 def test_frozen_fixes_of_a_driving_car_are_no_evidence():

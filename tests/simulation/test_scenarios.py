@@ -131,7 +131,9 @@ def test_vibration_does_not_turn_the_body_for_good():
     still, shaken = (simulate("urban", duration=120.0, imu="ideal", vibration=v).imu for v in (0.0, 1.0))
     for axis, density in (("gx", 0.002), ("gy", 0.003)):
         added = getattr(shaken, axis) - getattr(still, axis)
-        assert np.diff(added).std() > 0.5 * density * 10 * np.sqrt(2)  # as seen from one sample to the next, but halts
+        assert np.diff(added).std() > 0.5 * density * 10 * np.sqrt(
+            2
+        )  # as seen from one sample to the next, but halts
         assert np.abs(np.cumsum(added) * 0.01).max() < np.radians(0.4)
 
 

@@ -42,6 +42,8 @@ FORGETS = 3.0
 """s after the last moment of calm and of fixes that stay: what comes then is another stop."""
 FIX_WINDOW = 3.0
 """s of fixes that must stay where they are."""
+FILLED = 1.5
+"""Mean intervals of fixes by which the first of them may come after the window's beginning."""
 FIX_SPEED = 0.8
 """m/s: the speed that the fixes may show while the car stands."""
 TURNING = math.radians(1.5)
@@ -201,6 +203,8 @@ def fixes_stand(fixes: Array, kinds: Array, now: float) -> bool:
     """True if a straight line through the last seconds' fixes hardly moves; rows begin with t, x, y.
 
     None is after ``now``. ``kinds`` says what each is: see `frozen`. Repeats of a fix of a driving car show nothing.
+    Behind an outage the window must fill up first: the slope of half of it is three times as noisy, and shows a car
+    that departs, by an acceleration as steady as gravity, as standing.
     """
     n, first, last, mean = 0, now, now, 0.0
     for k in range(len(fixes)):
@@ -209,7 +213,11 @@ def fixes_stand(fixes: Array, kinds: Array, now: float) -> bool:
             last = fixes[k, 0]
             n += 1
             mean += fixes[k, 0] - now
-    if n < 3 or last - first < 0.5 * FIX_WINDOW:
+    if (
+        n < 3
+        or last - first < 0.5 * FIX_WINDOW
+        or first - (now - FIX_WINDOW) > FILLED * (last - first) / (n - 1)
+    ):
         return False
     mean = now + mean / n
     tt, tx, ty = 0.0, 0.0, 0.0

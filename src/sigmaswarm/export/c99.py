@@ -131,6 +131,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "RISES": standstill.RISES,
         "TURNING": standstill.TURNING,
         "FIX_WINDOW": standstill.FIX_WINDOW,
+        "FILLED": standstill.FILLED,
         "FIX_SPEED": standstill.FIX_SPEED,
         "BEFORE": frozen.BEFORE,
         "SPEED_WINDOW": frozen.SPEED_WINDOW,
