@@ -10,6 +10,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu
+from sigmaswarm.simulation.outliers import with_outliers
 from support import DRIVES, limited_memory, make_drive, needs_shared
 
 MEMS = {
@@ -316,6 +317,16 @@ def test_a_city_s_receiver():
     assert found_of(kingston, "use").startswith("tune with --use lateral standstill accuracy robust:")
     assert "the receiver states 2.6 m" in found_of(kingston, "gps-correlated")
     assert found_of(kingston, "gps-repeats").startswith("18 fixes")
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["colorado-1", "kingston-1"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_gyro_s_sign_shows_through_outliers(name: str, seed: int):
+    drive = with_outliers(recorded(name), np.random.default_rng(seed))
+    for sign in (1, -1):
+        found = sigmaswarm.diagnose(replace(drive, imu=replace(drive.imu, gz=sign * drive.imu.gz)))
+        assert ("gyro-sign" in serious(found)) == (sign < 0)
 
 
 @pytest.mark.parametrize("jumped", [True, False])

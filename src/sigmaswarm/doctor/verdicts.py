@@ -16,7 +16,9 @@ DEGREE = math.pi / 180
 FAMILIAR = 1.35
 """A factor this close to a known one (1, -1, deg/s) is that one."""
 LEAST_SHARE = 0.2
-"""Of the course's changes that a gyro's column explains at least if its gain is used."""
+"""Of the course's changes that a gyro's column explains at least if its gain is used, unless the gain is CERTAIN."""
+CERTAIN = 12.0
+"""Standard deviations of the gain: in a city, or with outliers, most of the course's changes are the fixes' own."""
 CLEARLY = 16.0
 """Of chi-square: how much better than the log as it stands another reading must be."""
 ALIKE = 0.05
@@ -44,7 +46,8 @@ class Yaw:
 
 def yaw_of(yaw_fit: YawFit | None) -> Yaw:
     """The gyro's column, sign and unit that the course agrees with; in doubt those of the format."""
-    if yaw_fit is None or yaw_fit.share < LEAST_SHARE or abs(yaw_fit.gain) < 6 * yaw_fit.std:
+    size = 0.0 if yaw_fit is None else abs(yaw_fit.gain) / max(yaw_fit.std, 1e-12)
+    if yaw_fit is None or size < 6 or (yaw_fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw("gz", 1.0, known=False)
     for factor in (1.0, -1.0, DEGREE, -DEGREE):
         ratio = yaw_fit.gain / factor
