@@ -206,7 +206,7 @@ def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], trac
 
 
 def sharpest_turn(ready: PreparedDrive) -> Array:
-    """Where the car turns most within 4 s while a filter runs, m east and north, of the fixes."""
+    """Where the car turns most within 4 s while a filter runs, m east and north: the median of the fixes around."""
     imu, gps = ready.drive.imu, ready.drive.gps
     turned = np.concatenate([[0.0], np.cumsum(imu.gz[1:] * np.diff(imu.time))])
     t = imu.time[imu.time > ready.initial.time]
@@ -215,7 +215,8 @@ def sharpest_turn(ready: PreparedDrive) -> Array:
     if len(inside):
         change = np.abs(np.interp(inside + 2, imu.time, turned) - np.interp(inside - 2, imu.time, turned))
         at = inside[int(np.argmax(change))]
-    return np.array([np.interp(at, gps.time, gps.x), np.interp(at, gps.time, gps.y)])
+    around = np.argsort(np.abs(gps.time - at))[:5]
+    return np.array([np.median(gps.x[around]), np.median(gps.y[around])])
 
 
 def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
