@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
@@ -151,6 +152,17 @@ def test_loops_over_lanes_are_vector_instructions(parameters: FilterParameters):
         # The few scalar ones belong to dt^2/2 and its like, once a step.
         assert packed > 0, operation
         assert packed >= 8 * scalar, f"{operation}: {packed} packed, {scalar} scalar"
+
+
+@pytest.mark.skipif(
+    not llvm.get_host_cpu_features().get("avx512f"), reason="this processor has no wide vectors"
+)
+@compiled
+@pytest.mark.parametrize("parameters", [many_sets()[0], PLANAR8], ids=["planar5", "planar8"])
+def test_vectors_are_as_wide_as_the_processor_s(parameters: FilterParameters):
+    run_replays([short_replay()], [parameters])
+    registers = Counter(re.findall(r"\s(?:v\w+pd)\s.*?(zmm|ymm|xmm)", machine_code(parameters.model)))
+    assert registers["zmm"] > 8 * (registers["ymm"] + registers["xmm"])
 
 
 # --- Lanes on their own ------------------------------------------------------------------------------------

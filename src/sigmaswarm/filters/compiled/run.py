@@ -13,7 +13,7 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives import frozen, gaps, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import models, schedule, student, tilted
-from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
+from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel, widen
 from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import STEPS
@@ -171,6 +171,7 @@ def _machine_code(sources, *, steps_to):
     def run_model(steps, flags, fixes, lever, targets, target_end, rows, place, stop, record, innovations):
         if sources == "":  # never; so the name is closed over
             return
+        widen()
         w = new_rows()
         _load(w, rows)
         steps_to(w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations)

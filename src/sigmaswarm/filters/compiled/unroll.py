@@ -20,13 +20,20 @@ NUMBERS = ("at", "fp", "axis_of")
 """Names of functions whose value takes the place of a call."""
 
 
-def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
+FIRST = "_called_first"
+
+
+def unrolled(
+    function: Callable[..., Any], first: Callable[[], None] | None = None, /, **known: Any
+) -> Callable[..., Any]:
     """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
 
     Parameters
     ----------
     function : callable
         Plain Python.
+    first : callable, optional
+        Called before all else.
     **known
         Values of its keyword-only parameters, and of globals.
     """
@@ -40,6 +47,9 @@ def unrolled(function: Callable[..., Any], **known: Any) -> Callable[..., Any]:
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
+    if first is not None:
+        names[FIRST] = first
+        definition.body.insert(0, ast.parse(f"{FIRST}()").body[0])
     ast.fix_missing_locations(tree)
     defined: dict[str, Any] = {}
     exec(compile(tree, function.__code__.co_filename, "exec"), names, defined)
