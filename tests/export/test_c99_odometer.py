@@ -1,4 +1,4 @@
-"""The exported filters with the wheels' speed: C is the run, late readings included; the script says that it has none."""
+"""The exported filters with the wheels' speed: C is the run, late readings included; the script takes none."""
 
 import subprocess
 from dataclasses import replace
