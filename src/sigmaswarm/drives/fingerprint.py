@@ -51,6 +51,6 @@ def fingerprint(drive: Drive) -> str:
                 digest.update(column)
     if drive.odometer is not None:  # behind the others: a drive without one keeps its fingerprint
         digest.update(b"odometer")
-        digest.update(drive.odometer.time)
-        digest.update(drive.odometer.speed)
+        digest.update(drive.odometer.time.tobytes())
+        digest.update(drive.odometer.speed.tobytes())
     return digest.hexdigest()
