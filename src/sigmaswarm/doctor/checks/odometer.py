@@ -10,16 +10,17 @@ from sigmaswarm.doctor.checks.velocity import UNITS
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.doctor.fixes import Course
-from sigmaswarm.drives.drive import Array, Imu, Odometer
+from sigmaswarm.drives.drive import Array, Odometer
 
-SPAN = 6.0
-"""s of fixes whose way is held against the wheels': long enough for a metre of noise, short enough to be straight."""
-STRAIGHT = math.radians(15)
-"""The most that the car may turn meanwhile; the chord is then 0.3% shorter than the way."""
-FEWEST = 8
+SPAN = (6.0, 20.0)
+"""s of fixes whose way is held against the wheels': a tenth of the drive, within these. The longer, the less a metre of
+noise counts; the gyro says how the way bends, and its bias does little within 20 s."""
+SHORTEST = 15.0
+"""m, as the crow flies, of such a way."""
+FEWEST = 6
 """Such ways, at least."""
 WRONG = 0.02
-"""Of the scale: worth a warning, where it is four times as large as what it may err by."""
+"""Of the scale: worth a warning, where it is three times as large as what it may err by."""
 FAMILIAR = 1.25
 """A factor beyond which the unit is another one, not the tires."""
 
@@ -83,11 +84,15 @@ def _stuck(odometer: Odometer, course: Course) -> list[tuple[float, float]]:
 
 def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[Finding]:
     """The ratio of the wheels' way to the fixes', over ways that are about straight."""
-    ratio = _ratios(odometer, course, evidence.drive.imu)
+    ratio, chord = _ratios(odometer, course, evidence)
     if len(ratio) < FEWEST:
         return
     scale = float(np.median(ratio))
-    unsure = 1.4826 * float(np.median(np.abs(ratio - scale))) * 1.2533 / math.sqrt(len(ratio))
+    each = max(
+        1.4826 * float(np.median(np.abs(ratio - scale))),
+        math.sqrt(2) * evidence.noise / float(np.median(chord)),
+    )
+    unsure = 1.2533 * each / math.sqrt(len(ratio))
     size, span = abs(scale), evidence.span
     if scale < 0 and unsure < 0.1 * size:
         yield Finding(
@@ -102,7 +107,7 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
                 "odometer.csv, speed", span, 0.99, f"multiply speed by {factor:.4g}", Repair("odometer", (factor,)),
             )  # fmt: skip
             return
-    if scale > 0 and size > 0.1 and abs(size - 1) > max(WRONG, 4 * unsure):
+    if scale > 0 and size > 0.1 and abs(size - 1) > max(WRONG, 3 * unsure):
         way = "more" if size > 1 else "less"
         yield Finding(
             "odometer-scale", "warning",
@@ -112,28 +117,33 @@ def _scale(odometer: Odometer, course: Course, evidence: Evidence) -> Iterator[F
         )  # fmt: skip
 
 
-def _ratios(odometer: Odometer, course: Course, imu: Imu) -> Array:
-    """The wheels' way over the fixes' for each stretch of `SPAN` s in which the car moves and hardly turns."""
-    turned = _integral(imu.time, imu.gz)
-    way = _integral(odometer.time, odometer.speed)
-    found: list[float] = []
+def _ratios(odometer: Odometer, course: Course, evidence: Evidence) -> tuple[Array, Array]:
+    """The wheels' way, bent as the gyro says, over the fixes', and how far the latter went, m; as the crow flies."""
+    imu = evidence.drive.imu
+    rate = evidence.yaw.factor * getattr(imu, evidence.yaw.column)
+    heading = np.interp(odometer.time, imu.time, _integral(imu.time, rate))
+    east, north = odometer.speed * np.cos(heading), odometer.speed * np.sin(heading)
+    place = _integral(odometer.time, east) + 1j * _integral(odometer.time, north)
+    along = _integral(odometer.time, odometer.speed)
+    span = float(np.clip((course.time[-1] - course.time[0]) / 10, *SPAN))
+    found: list[tuple[float, float]] = []
     first = 0
     for i in range(1, len(course.time)):
-        length = course.time[i] - course.time[first]
-        if length < SPAN:
+        a, b = float(course.time[first]), float(course.time[i])
+        if b - a < span:
             continue
-        a, b = course.time[first], course.time[i]
-        there = (odometer.time >= a) & (odometer.time <= b)
-        known = odometer.time[0] <= a and b <= odometer.time[-1] and np.count_nonzero(there) >= 3
-        steady = bool(course.moving[first : i + 1].all()) and length < 2 * SPAN
-        turn = np.ptp(np.interp([a, (a + b) / 2, b], imu.time, turned))
-        chord = abs(course.position[i] - course.position[first])
-        if known and steady and turn < STRAIGHT and chord > 15.0 and _gap(odometer.time[there]) < 1.0:
-            found.append(float(np.diff(np.interp([a, b], odometer.time, way))[0] / chord))
-            first = i
-        else:  # a little later it may be straight
-            first = max(first + 1, int(np.searchsorted(course.time, a + 1.0)))
-    return np.array(found)
+        there = slice(*np.searchsorted(odometer.time, [a, b]))
+        inside = odometer.time[there]
+        chord = float(abs(course.position[i] - course.position[first]))
+        known = odometer.time[0] <= a and b <= odometer.time[-1] and len(inside) >= 3 and b - a < 2 * span
+        if known and chord > SHORTEST and _gap(inside) < 1.0:
+            way = float(abs(np.diff(np.interp([a, b], odometer.time, place))[0]))
+            ahead = float(np.diff(np.interp([a, b], odometer.time, along))[0])
+            if way > 0.5 * abs(ahead):  # and no turn round
+                found.append((math.copysign(way, ahead) / chord, chord))
+        first = i
+    ratio, chord = np.array(found).T if found else np.zeros((2, 0))
+    return ratio, chord
 
 
 def _gap(time: Array) -> float:
@@ -142,7 +152,7 @@ def _gap(time: Array) -> float:
 
 def _integral(time: Array, values: Array) -> Array:
     steps = 0.5 * np.diff(time) * (values[1:] + values[:-1])
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate([np.zeros(1), np.cumsum(steps)])
 
 
 def _clock(odometer: Odometer, evidence: Evidence) -> Iterator[Finding]:
