@@ -62,7 +62,7 @@ ODOMETER_GRADES = {
         ),
     )
 }
-"""By name. A scale of 1%: tires' wear and pressure, recalled; comma2k19's car is 0.6% low."""
+"""By name. A scale of 1%: tires' wear and pressure, recalled; comma2k19's car is 0.8% low."""
 
 
 def find_odometer(odometer: str | OdometerGrade) -> OdometerGrade:
