@@ -17,7 +17,7 @@ from oracles.extended import THETA, covariance_error, diagonal, mean_error
 from oracles.extended_filters import ExtendedCar
 from oracles.filterpy_car import FilterPyCar
 from sigmaswarm.drives.alignment import InitialState, initial_state
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import Timeline, build_timeline
@@ -49,13 +49,19 @@ def steps_with_fixes(
         yield i, next(fixes) if timeline.absorbs[i] else None
 
 
+def wheels_at(timeline: Timeline) -> np.ndarray:
+    """What the odometer says at each step's end, (k, 3); zeros where nothing."""
+    said = np.zeros((len(timeline.dt), 3))
+    if timeline.wheels is not None:
+        said[timeline.wheels.absorbs] = timeline.wheels.rows
+    return said
+
+
 def some_steps(timeline: Timeline, sets: Sequence[FilterParameters], n: int) -> set[int]:
     """Of each kind of step n, spread over the drive; and the longest one with all that follows for a second."""
     flags = schedule.flags_of(timeline, *schedule.switches(sets[0]))
-    kinds = [
-        flags == schedule.IMU,
-        *(flags & bit != 0 for bit in (schedule.FIX, schedule.LATERAL, schedule.STANDSTILL)),
-    ]
+    bits = (schedule.FIX, schedule.LATERAL, schedule.STANDSTILL, schedule.ODOMETER)
+    kinds = [flags == schedule.IMU, *(flags & bit != 0 for bit in bits)]
     chosen: set[int] = set()
     for kind in kinds:
         steps = np.flatnonzero(kind)
@@ -82,6 +88,7 @@ class CompiledCars:
         )
         self.parts = [slice(a, a + lanes.LANES) for a in range(0, len(sets), lanes.LANES)]
         self.rows = np.zeros((len(sets), layout.N_ROWS))
+        self.wheels = wheels_at(timeline)
         for part in self.parts:
             chunk = packing.Chunk(tuple(sets[part]))
             start = packing.start_rows([initial], [timeline.nominal_interval], chunk)[0]
@@ -104,6 +111,7 @@ class CompiledCars:
             t.steps[i : i + 1].copy(),
             np.array([happens]),
             np.empty((0, 6)) if fix is None else fix[None].copy(),
+            self.wheels[i : i + 1].copy(),
             t.lever,
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),
@@ -119,7 +127,7 @@ class CompiledCars:
         t, step = self.line, live_calls(self.model).step
         z = np.zeros(6) if fix is None else fix
         for row in self.rows[part]:
-            step(row, t.steps[i], happens, z, t.lever, since)
+            step(row, t.steps[i], happens, z, self.wheels[i], t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -202,7 +210,7 @@ def compiled_against_extended(
         compiled.step(i, int(flags[i]), fix, since)
         if beside:
             with np.errstate(all="ignore"):  # of lanes that have failed
-                oracle.step(i, int(flags[i]), fix)
+                oracle.step(i, int(flags[i]), fix, compiled.wheels[i])
                 for name, error in errors_of(compiled, oracle, fix is not None).items():
                     found[name].append(error)
         since = 0.0 if fix is not None else since
@@ -318,6 +326,16 @@ def equipped(drive: Drive) -> Drive:
     if gps.std_x is None:
         gps = replace(gps, std_x=1 + 0.8 * np.sin(gps.time), std_y=1 + 0.8 * np.cos(gps.time))
     return replace(drive, gps=gps, metadata={**drive.metadata, "gps_lever_arm_m": [1.0, -0.5, 0.3]})
+
+
+def wheeled(drive: Drive) -> Drive:
+    """The drive with an odometer of 83 Hz that counts pulses, slips now and then, and is 2% too high."""
+    time = np.arange(drive.imu.time[0], drive.imu.time[-1], 0.012) + 0.0013
+    seen = drive.gps if drive.truth is None else drive.truth
+    speed = np.hypot(np.gradient(seen.x, seen.time), np.gradient(seen.y, seen.time))
+    speed = 1.02 * np.interp(time, seen.time, speed)
+    speed = np.where(np.sin(time) > 0.97, 1.3 * speed, speed)
+    return replace(drive, odometer=Odometer(time, 0.05 * np.floor(speed / 0.05)))
 
 
 def real(name: str) -> Drive:

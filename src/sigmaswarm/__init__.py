@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis, Finding
     from sigmaswarm.doctor.repairs import repair
     from sigmaswarm.drives.alignment import InitialState, initial_state
-    from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+    from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
     from sigmaswarm.drives.reader import read_drive
     from sigmaswarm.drives.split import clip, split_drives, split_time
     from sigmaswarm.drives.writer import write_drive
@@ -74,7 +74,7 @@ _HOMES = {
     "doctor.findings": ("Diagnosis", "Finding"),
     "doctor.repairs": ("repair",),
     "drives.alignment": ("InitialState", "initial_state"),
-    "drives.drive": ("Drive", "Gps", "Imu", "Truth"),
+    "drives.drive": ("Drive", "Gps", "Imu", "Odometer", "Truth"),
     "drives.reader": ("read_drive",),
     "drives.split": ("clip", "split_drives", "split_time"),
     "drives.writer": ("write_drive",),
@@ -135,6 +135,7 @@ __all__ = [
     "Log",
     "Model",
     "ModelEstimate",
+    "Odometer",
     "Score",
     "SigmaPoints",
     "SigmaswarmError",

@@ -13,7 +13,15 @@ import sigmaswarm as library
 from sigmaswarm.cli.simulate import JITTER, VIBRATION
 from sigmaswarm.cli.simulate import simulate as command
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.simulation import ENVIRONMENTS, GPS_GRADES, IMU_GRADES, MANEUVERS, TERRAINS, VEHICLES
+from sigmaswarm.simulation import (
+    ENVIRONMENTS,
+    GPS_GRADES,
+    IMU_GRADES,
+    MANEUVERS,
+    ODOMETER_GRADES,
+    TERRAINS,
+    VEHICLES,
+)
 from support import make_drive
 
 SOME = ("--maneuver", "turns", "brake", "--environment", "rain", "slippery", "--runs", 2, "--seed", 7)
@@ -124,7 +132,7 @@ def test_the_defaults_are_the_library_s():
 
 def test_help_names_every_choice(sigmaswarm):
     said = "".join(line.strip("│ ") + " " for line in sigmaswarm("simulate", "--help").out.splitlines())
-    for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES, TERRAINS):
+    for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES, TERRAINS, ODOMETER_GRADES):
         assert [name for name in choices if name not in said] == []
 
 

@@ -194,7 +194,7 @@ def test_real_drives_survive_the_round_trip(tmp_path: Path, name: str):
 
 
 def test_reader_and_writer_agree_on_the_files():
-    assert {"imu.csv", "gps.csv", "truth.csv", "drive.toml"} == writer.FILES
+    assert {"imu.csv", "gps.csv", "odometer.csv", "truth.csv", "drive.toml"} == writer.FILES
 
 
 def test_reading_back_leaves_the_warnings_filters_of_other_threads_alone(tmp_path: Path, monkeypatch):

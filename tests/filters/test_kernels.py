@@ -101,6 +101,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
             np.array([[1.0, 1.0, 0.0, 1.0, 0.0, 0.0]]),  # dt, Q's scale, gap; ax, ay, gz
             np.array([schedule.IMU]),
             np.empty((0, 4)),
+            np.empty((0, 3)),
             np.zeros(3),
             np.empty((0, 5)),
             np.zeros(1, dtype=np.int64),

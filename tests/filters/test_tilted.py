@@ -109,8 +109,11 @@ def test_an_error_added_is_the_difference():
 
 @pytest.mark.parametrize(
     "h",
-    [tilted.Antenna((1.0, -0.5, 1.5), 0.1), tilted.RearAxle(0.3, 1.4), tilted.States((2, 3))],
-    ids=["fix", "lateral", "velocity"],
+    [
+        *(tilted.Antenna((1.0, -0.5, 1.5), 0.1), tilted.RearAxle(0.3, 1.4)),
+        *(tilted.Wheels(1.2, 0.15), tilted.States((2, 3))),
+    ],
+    ids=["fix", "lateral", "odometer", "velocity"],
 )
 @pytest.mark.parametrize("seed", range(3))
 def test_jacobians_of_measurements_are_their_differences(h, seed: int):
@@ -123,7 +126,8 @@ def test_the_velocity_upwards_is_a_part_of_the_lateral_jacobian():
     state, bank = np.zeros(tilted.N), np.radians(11.0)
     state[[2, 3, 4, 8]] = 8.0 * np.cos(0.7), 8.0 * np.sin(0.7), 0.7, bank
     h = tilted.RearAxle(0.3, 1.4)
-    left, _, v = h._velocity(state)
+    _, left, up = tilted.rotation(state).T
+    v = tilted._along_the_road(state, up)
     held, whole = np.cross(left, v), h.jacobian(state)[0, ANGLES]
     assert np.linalg.norm(held - whole) / np.linalg.norm(held) == pytest.approx(np.tan(bank), rel=1e-9)
 

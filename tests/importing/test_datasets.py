@@ -139,6 +139,7 @@ def write_comma(folder: Path) -> Path:
         gps.time,
         np.column_stack([gps.lat, gps.lon, gps.speed, utc, gps.alt, bearing]),
     )
+    save("CAN/speed", truth.time, np.hypot(truth.vx, truth.vy)[:, np.newaxis])
     (folder / "global_pose").mkdir()
     lat, lon, alt = places(DRIVE, ORIGIN)
     ecef = np.column_stack(pymap3d.geodetic2ecef(lat, lon, alt))
@@ -169,6 +170,9 @@ def test_comma2k19(tmp_path: Path):
     assert_close(got.imu, inside, "gz", 1e-4)  # interpolated between the gyro's own times
     np.testing.assert_allclose(got.imu.time - 3000.0, inside.time, atol=1e-9)
     assert_close(got.gps, DRIVE.gps, "lat lon alt speed course", 1e-9)
+    assert got.odometer is not None and DRIVE.truth is not None
+    np.testing.assert_allclose(got.odometer.time - 3000.0, DRIVE.truth.time, atol=1e-9)
+    np.testing.assert_array_equal(got.odometer.speed, np.hypot(DRIVE.truth.vx, DRIVE.truth.vy))
     assert_close(got.truth, DRIVE.truth, "x y", 1e-6)
     assert_close(
         got.truth, DRIVE.truth, "vx vy", 1e-4

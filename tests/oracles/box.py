@@ -75,6 +75,14 @@ def weighed(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameter
     return [replace(p, gate=None, accuracy_scale=s, robust_dof=d) for p, s, d in each]
 
 
+def wheeled(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameters]:
+    """The sets with an odometer: noise, scale and latency from the box."""
+    rng = np.random.default_rng(seed)
+    noise, scale = 10.0 ** rng.uniform(-4, 1, len(sets)), rng.uniform(0.9, 1.1, len(sets))
+    each = zip(sets, noise.tolist(), scale.tolist(), rng.uniform(0.0, 0.3, len(sets)).tolist(), strict=True)
+    return [replace(p, odometer_noise=n, odometer_scale=s, odometer_latency=d) for p, n, s, d in each]
+
+
 def _equipped(row: np.ndarray, states: int, model: str, kind: str) -> FilterParameters:
     values = row.tolist()
     q, r, more = values[3 : 3 + states], values[3 + states : 5 + states], values[5 + states :]

@@ -148,3 +148,30 @@ def lateral(gz: float, axle: np.ndarray) -> Measurement:
         return h
 
     return Measurement(innovation, change, jacobian)
+
+
+def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
+    """The velocity forward as it was ``delay`` (s,) s ago; ``speed`` (s,) m/s."""
+
+    def innovation(mean: np.ndarray) -> np.ndarray:
+        c, s = _heading(mean)
+        gained = Extended(ax) - (mean[:, 5] if mean.shape[1] == 8 else 0)
+        return (speed - (c * mean[:, 2] + s * mean[:, 3]) + delay * gained)[:, None]
+
+    def change(mean: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        (c0, s0), (c, s) = _heading(mean), _heading(mean, offsets)
+        moved = c * offsets[..., 2] + s * offsets[..., 3]
+        turned = (c - c0) * mean[..., 2] + (s - s0) * mean[..., 3]
+        gained = -offsets[..., 5] if mean.shape[-1] == 8 else 0
+        return (moved + turned - delay[:, None] * gained)[..., None]
+
+    def jacobian(mean: np.ndarray) -> np.ndarray:
+        c, s = _heading(mean)
+        h = np.zeros((len(mean), 1, mean.shape[1]), dtype=Extended)
+        h[:, 0, 2], h[:, 0, 3] = c, s
+        h[:, 0, THETA] = c * mean[:, 3] - s * mean[:, 2]
+        if mean.shape[1] == 8:
+            h[:, 0, 5] = delay
+        return h
+
+    return Measurement(innovation, change, jacobian)

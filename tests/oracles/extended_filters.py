@@ -16,12 +16,13 @@ from oracles.extended import Extended, cholesky, diagonal, transposed, whiten
 from oracles.extended_car import Measurement, coasted, newton, newton_jacobian
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
+from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 GYRO_AT_REST = (
     Extended("0.5") * Extended("3.14159265358979323846264338327950288") / 180
 ) ** 2  # (0.5 deg/s)^2
 MOST_REJECTED = 5
+SLIPS = 9
 GAP_TURN, GAP_TILT, GAP_ACCELERATION = Extended("0.1"), Extended("0.01"), Extended(1)  # rad/s, rad/s, m/s2
 
 
@@ -132,6 +133,8 @@ class ExtendedCar:
         self.r = np.array([p.measurement_noise for p in sets], dtype=Extended)
         self.velocity_noise, self.lateral_noise = column("velocity_noise"), column("lateral_noise")
         self.standstill_noise, self.axle = column("standstill_noise"), column("rear_axle")
+        self.odometer_noise, self.odometer_scale = column("odometer_noise"), column("odometer_scale")
+        self.odometer_latency = column("odometer_latency")
         self.gate, self.latency = column("gate", np.inf), column("latency")
         self.forgetting = column("forgetting")
         self.recent = np.full(len(sets), np.nan, dtype=Extended)
@@ -143,8 +146,11 @@ class ExtendedCar:
         self.patience = (5 - Extended("1e-6")) / nominal
         self.since = Extended(0)
 
-    def step(self, i: int, happens: int, z: np.ndarray | None) -> None:
-        """The time line's step i: predict, then absorb what ``happens`` says there is at its end."""
+    def step(self, i: int, happens: int, z: np.ndarray | None, wheels: np.ndarray | None = None) -> None:
+        """The time line's step i: predict, then absorb what ``happens`` says there is at its end.
+
+        ``wheels`` is what the odometer says there: the mean of readings, their age, and what is added to R.
+        """
         line = self.line
         dt, scale = Extended(line.dt[i]), Extended(line.q_scale[i])
         imu = line.imu(self.axes)[i].astype(Extended)
@@ -160,6 +166,10 @@ class ExtendedCar:
                 self._absorb(self.car.linear(z[2:4], [2, 3]), self.velocity_noise)
         if happens & LATERAL:
             self._absorb(self.car.lateral(line.gz[i], self.axle), self.lateral_noise)
+        if happens & ODOMETER and wheels is not None:
+            speed, age, more = wheels.astype(Extended)
+            told = self.car.odometer(speed / self.odometer_scale, line.ax[i], self.odometer_latency + age)
+            self._absorb(told, self.odometer_noise + more, SLIPS)
         if happens & STANDSTILL:
             self._absorb(self.car.linear(np.zeros(2), [2, 3]), self.standstill_noise)
             biases = {5: [], 8: [7], 12: [7, 10, 11]}[self.n]
@@ -180,10 +190,13 @@ class ExtendedCar:
             added[8, 8] = added[9, 9] = GAP_TILT**2 * gap * dt
         return added
 
-    def _absorb(self, z: Measurement, variance: np.ndarray) -> None:
+    def _absorb(self, z: Measurement, variance: np.ndarray, gate: float = np.inf) -> None:
         r = variance[:, None, None] * np.eye(z.jacobian(self.mean).shape[1], dtype=Extended)
         seen = self.form.measure(self.mean, self.covariance, z, r)
-        self.mean, self.covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+        mean, covariance = self.form.absorb(self.mean, self.covariance, seen, z)
+        used = self.used = _nis(seen) <= gate if gate < np.inf else np.ones(len(mean), dtype=bool)
+        self.mean = np.where(used[:, None], mean, self.mean)
+        self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 
     def _absorb_fix(self, z: Measurement, stated: np.ndarray) -> None:
         r = np.eye(2, dtype=Extended) * (self.r + self.accuracy[:, None] * stated)[:, None]

@@ -15,7 +15,7 @@ ERROR = [*TILT, UP]
 GYRO = [10, 11, 7]
 GRAVITY = Extended("9.81")
 
-__all__ = ["TiltedForm", "fix", "lateral", "linear"]
+__all__ = ["TiltedForm", "fix", "lateral", "linear", "odometer"]
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -102,23 +102,47 @@ def fix(z: np.ndarray, lever: np.ndarray, latency: np.ndarray) -> Measurement:
     return Measurement(innovation, _nothing, jacobian)
 
 
+def on_the_road(mean: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """An axis of the body, the one upwards, and the velocity, which has no part along that; (s, 3) each."""
+    r = attitude(mean)
+    along, up = r[:, :, axis], r[:, :, 2]
+    v = np.concatenate([mean[:, 2:4], np.zeros_like(mean[:, :1])], axis=1)
+    v[:, 2] = -np.sum(up * v, axis=1) / up[:, 2]
+    return along, up, v
+
+
+def odometer(speed: np.ndarray, ax: float, delay: np.ndarray) -> Measurement:
+    """The velocity forward along the road as it was ``delay`` (s,) s ago; on a slope gravity is a part of ax."""
+
+    def innovation(mean: np.ndarray) -> np.ndarray:
+        forward, _, v = on_the_road(mean, 0)
+        gained = Extended(ax) - mean[:, 5] - GRAVITY * forward[:, 2]
+        return (speed + delay * gained - np.sum(forward * v, axis=1))[:, None]
+
+    def jacobian(mean: np.ndarray) -> np.ndarray:
+        # As of `lateral`; and the slope, forward_z, changes by (e x forward)_z = e . (forward x up), up the world's.
+        forward, up, v = on_the_road(mean, 0)
+        slope = (forward[:, 2] / up[:, 2])[:, None]
+        h = np.zeros((len(mean), 1, mean.shape[1]), dtype=Extended)
+        h[:, 0, 2:4] = forward[:, :2] - slope * up[:, :2]
+        h[:, 0, ERROR] = (transposed(skew(v)) @ (forward - slope * up)[..., None])[..., 0]
+        h[:, 0, ERROR] += (delay * GRAVITY)[:, None] * np.cross(forward, [0, 0, 1])
+        h[:, 0, 5] = delay
+        return h
+
+    return Measurement(innovation, _nothing, jacobian)
+
+
 def lateral(gz: float, axle: np.ndarray) -> Measurement:
     """No velocity to the left at the rear axle, and none away from the road."""
 
-    def body(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        r = attitude(mean)
-        left, up = r[:, :, 1], r[:, :, 2]
-        v = np.concatenate([mean[:, 2:4], np.zeros_like(mean[:, :1])], axis=1)
-        v[:, 2] = -np.sum(up * v, axis=1) / up[:, 2]
-        return left, up, v
-
     def innovation(mean: np.ndarray) -> np.ndarray:
-        left, _, v = body(mean)
+        left, _, v = on_the_road(mean, 1)
         return (axle * (Extended(gz) - mean[:, 7]) - np.sum(left * v, axis=1))[:, None]
 
     def jacobian(mean: np.ndarray) -> np.ndarray:
         # Of left . v with up . v = 0: v changes by (dvx, dvy, dvz), left and up by e x left and e x up.
-        left, up, v = body(mean)
+        left, up, v = on_the_road(mean, 1)
         slope = (left[:, 2] / up[:, 2])[:, None]
         h = np.zeros((len(mean), 1, mean.shape[1]), dtype=Extended)
         h[:, 0, 2:4] = left[:, :2] - slope * up[:, :2]

@@ -27,6 +27,7 @@ def import_(
     format: str | None = None,
     gps: Path | None = None,
     truth: Path | None = None,
+    odometer: Path | None = None,
     map: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     time: str | None = None,
     recipe: Path | None = None,
@@ -35,10 +36,12 @@ def import_(
     gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None,
     velocity_topic: Annotated[str | None, Parameter(name=("--velocity-topic", "--velocity-table"))] = None,
     truth_topic: Annotated[str | None, Parameter(name=("--truth-topic", "--truth-table"))] = None,
+    odometer_topic: Annotated[str | None, Parameter(name=("--odometer-topic", "--odometer-table"))] = None,
     receive_times: _Flag = False,
     mount: _Values = None,
     gps_offset: float | None = None,
     truth_offset: float | None = None,
+    odometer_offset: float | None = None,
     origin: _Values = None,
     lever_arm: _Values = None,
     gps_from_truth: _Values = None,
@@ -75,8 +78,11 @@ def import_(
         A log of its own for the fixes.
     truth
         A log of its own for the truth; fixes of a good receiver will do.
+    odometer
+        A log of its own for the wheels' speed.
     map
-        column=expression for a drive's columns, as "ax=-acc_y*9.80665"; "gps.t=stamp" and "truth.x=east" say whose,
+        column=expression for a drive's columns, as "ax=-acc_y*9.80665"; "gps.t=stamp", "truth.x=east" and
+        "odometer.speed=kmh/3.6" say whose,
         "az=" leaves a column out.
     time
         Expression of the time in s, in SOURCE's tables, as "stamp*1e-9" or "utc(date)".
@@ -93,6 +99,8 @@ def import_(
         Topic of the receiver's velocity, m/s east and north.
     truth_topic
         Topic or table of the truth.
+    odometer_topic
+        Topic or table of the wheels' speed, m/s forward.
     receive_times
         Take the times at which messages were received, not their headers' stamps.
     mount
@@ -101,6 +109,8 @@ def import_(
         Seconds to add to the fixes' times.
     truth_offset
         Seconds to add to the truth's times.
+    odometer_offset
+        Seconds to add to the odometer's times.
     origin
         lat,lon,alt of the local frame; the first fix by default.
     lever_arm
@@ -125,11 +135,18 @@ def import_(
     from sigmaswarm.importing.recipe import Recipe
     from sigmaswarm.importing.source import Choice
 
-    topics = {"imu": imu_topic, "gps": gps_topic, "velocity": velocity_topic, "truth": truth_topic}
+    topics = {
+        "imu": imu_topic,
+        "gps": gps_topic,
+        "velocity": velocity_topic,
+        "truth": truth_topic,
+        "odometer": odometer_topic,
+    }
     settings: dict[str, Any] = {
         "mount": mount,
         "gps_offset_s": gps_offset,
         "truth_offset_s": truth_offset,
+        "odometer_offset_s": odometer_offset,
         "origin": None if origin is None else _numbers(origin, 3, "--origin", "50.1,8.7,120"),
         "gps_lever_arm_m": None if lever_arm is None else _numbers(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
         "gps_from_truth": None
@@ -140,6 +157,7 @@ def import_(
         source=source,
         gps=gps,
         truth=truth,
+        odometer=odometer,
         form=format,
         recipe=_with(Recipe.load(recipe) if recipe else Recipe(), settings),
         maps=map or (),
@@ -228,6 +246,7 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
         "imu_samples": len(drive.imu),
         "fixes": len(drive.gps),
         "truth_samples": len(drive.truth) if drive.truth else 0,
+        "odometer_samples": len(drive.odometer) if drive.odometer else 0,
         "notes": list(imported.notes),
     }
 
@@ -237,6 +256,7 @@ def _tell(imported: "Imported", out: Path) -> None:
 
     drive, console = imported.drive, stdout()
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
+    wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
     for note in imported.notes:
         console.print(f"note: {shown(note, 1000)}")
     if not imported.recipe.mount:
@@ -244,7 +264,7 @@ def _tell(imported: "Imported", out: Path) -> None:
     rate = 1 / drive.nominal_interval
     console.print(
         f"wrote {out}: {drive.duration:.1f} s, {len(drive.imu)} IMU samples ({rate:.3g} Hz), "
-        f"{len(drive.gps)} fixes{truth}",
+        f"{len(drive.gps)} fixes{wheels}{truth}",
     )
 
 

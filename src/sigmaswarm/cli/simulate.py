@@ -30,6 +30,7 @@ def simulate(
     vibration: _Flag = False,
     gnss_degradation: _Flag = False,
     terrain: str = "flat",
+    odometer: str | None = None,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
     resume: _Flag = False,
     json: _Flag = False,
@@ -75,6 +76,9 @@ def simulate(
     terrain
         flat, rolling or hilly: hills and banked roads tilt the car, and let gravity into the IMU's level axes. The
         way in the map's plane is that of the flat road.
+    odometer
+        pulses (counted, so coarse and zero when slow), can (fine, 83 Hz) or ideal: the rear wheels' speed with a scale
+        error and their slip, as odometer.csv. None by default.
     workers
         Threads; all cores by default. The result does not depend on it.
     resume
@@ -99,6 +103,7 @@ def simulate(
         "vibration": VIBRATION if vibration else 0.0,
         "gnss_degradation": gnss_degradation,
         "terrain": terrain,
+        "odometer": odometer,
     }
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
     kept = _kept(out, names, resume, options)
@@ -162,6 +167,7 @@ def _require_made_with(file: Path, options: dict[str, Any]) -> None:
             "vibration": scenario["vibration"],
             "gnss_degradation": scenario["gnss_degradation"],
             "terrain": scenario.get("terrain", "flat"),
+            "odometer": about.get("odometer", {}).get("grade"),
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise InputError(f"{file.parent}: is no drive that simulate wrote; name another folder") from None

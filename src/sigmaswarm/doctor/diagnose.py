@@ -6,6 +6,7 @@ from sigmaswarm.doctor.checks import (
     gyro,
     noise,
     observability,
+    odometer,
     sampling,
     tilt,
     use,
@@ -17,7 +18,7 @@ from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
-CHECKS = (gyro, accelerometer, tilt, clock, velocity, noise, sampling, observability, use)
+CHECKS = (gyro, accelerometer, tilt, clock, velocity, odometer, noise, sampling, observability, use)
 """In the order in which findings of one severity are told."""
 
 

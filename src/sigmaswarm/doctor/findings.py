@@ -20,6 +20,9 @@ Action = Literal[
     "drop-samples",
     "state-noise",
     "velocity",
+    "odometer",
+    "shift-odometer",
+    "drop-readings",
 ]
 
 

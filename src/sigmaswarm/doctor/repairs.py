@@ -114,6 +114,29 @@ def _velocity(drive: Drive, values: Values) -> Drive:
     return replace(drive, gps=replace(gps, speed=factor * gps.speed, course=course))
 
 
+def _odometer(drive: Drive, values: Values) -> Drive:
+    """A factor for the odometer's speed."""
+    wheels = drive.odometer
+    return replace(drive, odometer=wheels and replace(wheels, speed=values[0] * wheels.speed))
+
+
+def _shift_odometer(drive: Drive, values: Values) -> Drive:
+    """s, to be added to the odometer's times."""
+    wheels = drive.odometer
+    return replace(drive, odometer=wheels and replace(wheels, time=wheels.time + values[0]))
+
+
+def _drop_readings(drive: Drive, values: Values) -> Drive:
+    """From when to when, s, and so on: the readings of the odometer to leave out."""
+    wheels = drive.odometer
+    if wheels is None:
+        return drive
+    keep = np.ones(len(wheels), dtype=np.bool_)
+    for first, last in zip(values[::2], values[1::2], strict=True):
+        keep &= (wheels.time < first) | (wheels.time > last)
+    return replace(drive, odometer=wheels.select(keep) or None)
+
+
 ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "drop-samples": _drop_samples,
     "drop-fixes": _drop_fixes,
@@ -125,5 +148,8 @@ ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "shift-fixes": _shift_fixes,
     "state-noise": _state_noise,
     "velocity": _velocity,
+    "drop-readings": _drop_readings,
+    "odometer": _odometer,
+    "shift-odometer": _shift_odometer,
 }
 """In the order in which they are done: rows are named by the times they came with."""

@@ -93,6 +93,20 @@ class Gps(_Table):
 
 
 @dataclass(frozen=True, eq=False)
+class Odometer(_Table):
+    """The speed that the wheels tell, each column of shape (n,).
+
+    Attributes
+    ----------
+    time : s, strictly increasing
+    speed : m/s, forward positive, at the rear axle; scale error, quantization and slip as they come
+    """
+
+    time: Array
+    speed: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Truth(_Table):
     """The vehicle's true motion at the IMU's place, each column of shape (n,). Never shown to a filter.
 
@@ -128,6 +142,7 @@ class Drive:
         Where the local frame touches the earth. Always known when ``frame`` is "wgs84".
     metadata : mapping
         Every other key of drive.toml, kept as it was.
+    odometer : Odometer or None
     """
 
     name: str
@@ -137,6 +152,7 @@ class Drive:
     frame: Literal["enu", "wgs84"] = "enu"
     origin: tuple[float, float, float] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    odometer: Odometer | None = None
 
     @property
     def nominal_interval(self) -> float:

@@ -49,4 +49,8 @@ def fingerprint(drive: Drive) -> str:
             if column is not None:
                 digest.update(name.encode())
                 digest.update(column)
+    if drive.odometer is not None:  # behind the others: a drive without one keeps its fingerprint
+        digest.update(b"odometer")
+        digest.update(drive.odometer.time.tobytes())
+        digest.update(drive.odometer.speed.tobytes())
     return digest.hexdigest()

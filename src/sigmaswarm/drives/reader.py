@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from sigmaswarm.drives.checks import remarks_of, shortage_of
-from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
+from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.sheet import Sheet
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
@@ -21,6 +21,7 @@ _GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 
 _IMU = ("t", "ax", "ay", "gz"), ("az", "gx", "gy")
 _GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS)}
+_ODOMETER = ("t", "speed"), ()
 _TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ()
 """The columns of each file: the required and the optional ones."""
 
@@ -44,7 +45,7 @@ def drive_folders(path: Path) -> list[Path]:
 
 
 def read_drive(path: str | Path) -> Drive:
-    """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml and perhaps truth.csv.
+    """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml, perhaps odometer.csv, truth.csv.
 
     Parameters
     ----------
@@ -100,7 +101,11 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if (folder / "truth.csv").exists():
         truth = Truth(**Sheet.read(folder / "truth.csv").columns(*_TRUTH, ignored))
 
-    drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about)
+    odometer = None
+    if (folder / "odometer.csv").exists():
+        odometer = Odometer(**Sheet.read(folder / "odometer.csv").columns(*_ODOMETER, ignored))
+
+    drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
     if shortage := shortage_of(drive):
         raise DriveError(f"{folder}/{shortage}")
     warned = [SigmaswarmWarning(message) for message in ignored]

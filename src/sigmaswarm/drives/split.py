@@ -93,12 +93,14 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
             f"{drive.name}: {start:g} <= t < {end:g} leaves no drive; choose times within {span}"
         )
     truth = drive.truth and drive.truth.select(inside(drive.truth.time))
+    odometer = drive.odometer and drive.odometer.select(inside(drive.odometer.time))
     return replace(
         drive,
         name=drive.name if name is None else name,
         imu=imu,
         gps=drive.gps.select(inside(drive.gps.time)),
         truth=truth or None,  # a table without rows is no truth
+        odometer=odometer or None,
     )
 
 

@@ -20,6 +20,7 @@ from sigmaswarm.drives.alignment import Alignments
 from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.gaps import gaps_before
+from sigmaswarm.drives.odometer import Wheels, put_together
 from sigmaswarm.drives.standstill import standing
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
@@ -129,6 +130,12 @@ class Timeline:
     def stands(self) -> NDArray[np.bool_]:
         """Standstill at the step's end, (k,); found out only for a filter that asks."""
         return standing(self.drive, self.kinds)[self.sample]
+
+    @cached_property
+    def wheels(self) -> Wheels | None:
+        """What the steps take of the odometer, where the drive has one; put together only for a filter that asks."""
+        odometer = self.drive.odometer
+        return None if odometer is None else put_together(odometer, self.start, self.end, self.sampled)
 
     @cached_property
     def alignments(self) -> Alignments:

@@ -7,13 +7,13 @@ from typing import Any
 import polars as pl
 import tomli_w
 
-from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 from sigmaswarm.forking import require_threads
 
-FILES = frozenset({"imu.csv", "gps.csv", "truth.csv", "drive.toml"})
+FILES = frozenset({"imu.csv", "gps.csv", "odometer.csv", "truth.csv", "drive.toml"})
 """All that a drive's folder may hold for ``write_drive`` to replace it."""
 
 
@@ -103,7 +103,7 @@ def _texts(drive: Drive, folder: Path) -> dict[str, str]:
         raise DriveError(
             f"{folder / 'drive.toml'}: TOML can't hold the metadata: {error}; change it"
         ) from None
-    tables = {"imu": drive.imu, "gps": drive.gps, "truth": drive.truth}
+    tables = {"imu": drive.imu, "gps": drive.gps, "odometer": drive.odometer, "truth": drive.truth}
     unwritten = {"gps": {"x", "y"}} if wgs84 else {}
     texts = {
         f"{k}.csv": _csv(table, unwritten.get(k, set())) for k, table in tables.items() if table is not None
@@ -111,7 +111,7 @@ def _texts(drive: Drive, folder: Path) -> dict[str, str]:
     return {"drive.toml": description, **texts}
 
 
-def _csv(table: Imu | Gps | Truth, unwritten: set[str]) -> str:
+def _csv(table: Imu | Gps | Odometer | Truth, unwritten: set[str]) -> str:
     """A table's columns that are there, with the fewest digits that keep every bit."""
     names = sorted((f.name for f in fields(table)), key="gz".__eq__)  # stable: the format has gz last
     columns = {name: getattr(table, name) for name in names if name not in unwritten}

@@ -74,6 +74,9 @@ def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool
         start = (*start, drive.antenna_height)
         axes += ["az", "gx", "gy"]
     events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
+    if drive.odometer is not None:
+        readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
+        events += [(t, 0, _row("odometer", (t, speed))) for t, speed in readings]
     samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
     events += [(t, 1, _row("imu", (t, *u))) for t, *u in samples]
     return (
@@ -108,7 +111,8 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 def _fits_float(p: FilterParameters) -> bool:
     """Whether C's float holds all numbers of a filter."""
-    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.gate, p.accuracy_scale, p.robust_dof]
+    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
+    options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
     numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
     low, high = _FLOAT_RANGE

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 
-from sigmaswarm.drives import timeline
+from sigmaswarm.drives import odometer, timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import schedule, student, tilted
 from sigmaswarm.filters.models import MODELS
@@ -13,7 +13,7 @@ from sigmaswarm.versions import __version__
 
 def features_of(p: FilterParameters) -> dict[str, bool]:
     """Which parts of the templates a filter needs."""
-    velocity, lateral, stands = schedule.switches(p)
+    velocity, lateral, stands, wheels = schedule.switches(p)
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
     adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
@@ -22,7 +22,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "TILTED": has_tilts,
         "HEADING_ALONE": not has_tilts,
         "BIASES": biases,
-        "BIASES_OR_LATERAL": biases or lateral,
+        "BIASES_OR_ALONG": biases or lateral or wheels,
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
         "FORGETTING": adaptive or tracking,
@@ -36,7 +36,10 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "STANDSTILL": stands,
         "VELOCITY_OR_STANDSTILL": velocity or stands,
         "LATERAL_OR_STANDSTILL": lateral or stands,
-        "SCALAR": lateral or (stands and biases),
+        "ODOMETER": wheels,
+        "ALONG": lateral or wheels,
+        "SLOTS": lateral or stands or wheels,
+        "SCALAR": lateral or wheels or (stands and biases),
     }
     return {f"USE_{name}": value for name, value in used.items()}
 
@@ -65,6 +68,13 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "STANDSTILL_NOISE": p.standstill_noise,
         "STANDSTILL_INTERVAL": schedule.STANDSTILL_INTERVAL,
         "STANDSTILL_RATE_NOISE": schedule.STANDSTILL_RATE_NOISE,
+        "ODOMETER_NOISE": p.odometer_noise,
+        "ODOMETER_SCALE": p.odometer_scale,
+        "ODOMETER_LATENCY": p.odometer_latency,
+        "ODOMETER_INTERVAL": odometer.INTERVAL,
+        "SLOW": odometer.SLOW,
+        "STALE": odometer.STALE,
+        "SLIP_GATE": schedule.SLIP_GATE,
         "TILT_STD": max(state.start_std for state in MODELS[p.model].states),
         "GRAVITY": tilted.GRAVITY,
     }

@@ -10,6 +10,7 @@ from types import ModuleType
 
 from sigmaswarm import geodesy
 from sigmaswarm.drives import alignment, frozen, gaps, standstill
+from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, listed, values_of
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters import models, schedule
@@ -22,6 +23,10 @@ FILE = "run_filter.py"
 def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
     """The script, by file name; ``interval`` (s) is what Q refers to, ``as_recorded`` as in `PreparedDrive`."""
     p = parameters
+    if p.odometer_noise is not None:
+        raise InputError(
+            "the script for FilterPy reads no odometer; export the filter as C99, or tune one without odometer"
+        )
     features = features_of(p)
     model = models.MODELS[p.model]
     stands = features["USE_STANDSTILL"] and model.gyro_bias is not None

@@ -24,6 +24,8 @@ from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000
 """Whose times a live filter keeps."""
+MOST_READINGS = 2000
+"""Of the odometer: those of ten seconds at 200 Hz."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
 
@@ -93,9 +95,10 @@ class LiveFilter:
     restarts : list of float
         s: when it did; the last `MOST_RESTARTS`.
     too_late : int
-        Fixes that were left out: they came later than ``history``, or no IMU sample came for too long.
+        Fixes and readings of the odometer that were left out: they came later than ``history``, or no IMU sample came
+        for too long.
     time_jumps : int
-        Samples and fixes that were dropped, stamped far ahead as no other one was.
+        Samples, fixes and readings that were dropped, stamped far ahead as no other one was.
     frozen : int
         Fixes that repeated one of a car that may have moved since, and were not absorbed.
     """
@@ -132,6 +135,7 @@ class LiveFilter:
             counts,
             new_memory()[: 0 if p.standstill_noise is None else None],
             np.zeros((MOST_WAITING + seen, live.N_FIX)),
+            np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
             np.zeros((samples, live.N_RECORD)),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
@@ -210,6 +214,19 @@ class LiveFilter:
             if not self._is_frozen(t, fix):
                 self._lately.fix(t, fix[0], fix[1], var_x, var_y)
         return kept == live.TAKEN
+
+    def update_odometer(self, t: float, speed: float) -> bool:
+        """Take a reading of the odometer: m/s, forward positive.
+
+        It waits for the IMU sample that follows it; one that comes late takes the filter back, as a late fix does.
+
+        Returns
+        -------
+        bool
+            False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
+            already.
+        """
+        return self._calls.speed(*self._memory, t, speed) == live.TAKEN
 
     def _is_frozen(self, t: float, fix: Sequence[float]) -> bool:
         """Whether a fix that was just taken is one that filters don't take for a position."""
@@ -322,7 +339,8 @@ def _believe(
     v = np.zeros(live.N_ALL)
     v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk((p,)))[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
-    v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = -1.0
+    v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = v[live.ODOMETER_SLOT] = -1.0
+    v[live.ODOMETER_TIME] = initial.time
     v[live.NOMINAL] = nominal_interval
     v[live.LEVER][: len(lever_arm)] = lever_arm
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL

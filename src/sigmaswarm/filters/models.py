@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 THETA = 4
 """Index of the heading, in every model."""
+ACCEL_BIAS = 5
+"""Index of the bias of the accelerometer (forward), in the models that have one."""
 GYRO_BIAS = 7
 """Index of the bias of the gyro (z), in the models that have one."""
 
@@ -73,6 +75,20 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
         left = np.cos(state[THETA]) * state[3] - np.sin(state[THETA]) * state[2]
         return np.array([left - rear_axle * (yaw_rate - bias)])
+
+    return h
+
+
+def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
+    """Velocity forward (m/s) ``delay`` s ago, which the wheels tell; ``ax`` is what it has changed by since, per s.
+
+    It is the same at the IMU and at the rear axle behind it.
+    """
+
+    def h(state: Array) -> Array:
+        bias = state[ACCEL_BIAS] if len(state) > ACCEL_BIAS else 0.0
+        forward = np.cos(state[THETA]) * state[2] + np.sin(state[THETA]) * state[3]
+        return np.array([forward - delay * (ax - bias)])
 
     return h
 
@@ -173,9 +189,10 @@ class CarModel:
         ``f(state, dt, imu) -> state``, in the textbook's form.
     imu : tuple of str
         The axes that drive it, as a time line names them.
-    position, velocity, lateral, rates_at_rest : callable
+    position, velocity, lateral, odometer, rates_at_rest : callable
         Measurements: `gps_position` of a lever arm (3,) and a latency, `velocity`, `lateral_velocity` of a yaw rate and
-        the rear axle's distance, `gyro_bias`; those of a tilted model have a ``jacobian``.
+        the rear axle's distance, `wheel_speed` of a forward acceleration and a delay, `gyro_bias`; those of a
+        tilted model have a ``jacobian``.
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str
@@ -194,6 +211,7 @@ class CarModel:
     position: Callable[[Sequence[float], float], Any] = gps_position
     velocity: Callable[[Array], Array] = velocity
     lateral: Callable[[float, float], Any] = lateral_velocity
+    odometer: Callable[[float, float], Any] = wheel_speed
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
@@ -207,6 +225,11 @@ class CarModel:
     def sensors(self) -> tuple[str, ...]:
         """Those whose biases it estimates, in the order of `SENSORS`."""
         return tuple(sensor for sensor in SENSORS if any(s.bias_of == sensor for s in self.states))
+
+    @property
+    def accel_bias(self) -> int | None:
+        """Where the bias of the accelerometer (forward) stands: a reading's delay goes by what it shows."""
+        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS else None
 
     @property
     def gyro_bias(self) -> int | None:
@@ -269,6 +292,7 @@ MODELS: dict[str, CarModel] = {
         position=lambda lever, latency: tilted.Antenna((lever[0], lever[1], lever[2]), latency),
         velocity=tilted.States((2, 3)),
         lateral=tilted.RearAxle,
+        odometer=tilted.Wheels,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.transition, tilted.as_angles),
         kinds=("ekf",),

@@ -20,7 +20,7 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, converted, starts_of, switches
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, Switches, converted, starts_of, switches
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 N_SUMS = R.LOG_DET - R.SQ_POSITION + 1
@@ -75,9 +75,9 @@ class Packed:
 
 def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
     """Group parameter sets so that those of a chunk can run side by side."""
-    groups: dict[tuple[str, bool, bool, bool], list[int]] = {}
+    groups: dict[tuple[str, Switches], list[int]] = {}
     for i, p in enumerate(parameter_sets):
-        groups.setdefault((p.model, *switches(p)), []).append(i)
+        groups.setdefault((p.model, switches(p)), []).append(i)
     parts = [g[i : i + LANES] for g in groups.values() for i in range(0, len(g), LANES)]
     return Packed(
         len(parameter_sets),
@@ -120,6 +120,9 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
             "R_VELOCITY": variance(p.velocity_noise),
             "R_LATERAL": variance(p.lateral_noise),
             "R_STANDSTILL": variance(p.standstill_noise),
+            "R_ODOMETER": variance(p.odometer_noise),
+            "ODOMETER_SCALE": 1 / p.odometer_scale,
+            "ODOMETER_LATENCY": p.odometer_latency,
             "R_RATE": STANDSTILL_RATE_NOISE,
             "REAR_AXLE": p.rear_axle,
             "LATENCY": p.latency,

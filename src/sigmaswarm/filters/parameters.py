@@ -68,6 +68,12 @@ class FilterParameters:
         m from the rear axle forward to the IMU, for ``lateral_noise``.
     standstill_noise : float or None
         m2/s2: variance of the velocity while the car is seen to stand. None: not used.
+    odometer_noise : float or None
+        m2/s2: variance of the wheels' speed, where the log has an odometer. None: not used.
+    odometer_scale : float
+        The odometer's reading over the true speed.
+    odometer_latency : float
+        s: how much older than its time stamp a reading of the odometer is.
     gate : float or None
         The largest normalized innovation squared (NIS) of a fix that is absorbed; 9.2 turns 1% of sound fixes away
         (chi-square, two degrees of freedom). None: every fix is absorbed.
@@ -100,6 +106,9 @@ class FilterParameters:
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
     standstill_noise: Positive | None = _option(None)
+    odometer_noise: Positive | None = _option(None)
+    odometer_scale: Positive = _option(1.0)
+    odometer_latency: Real = _option(0.0)
     gate: Positive | None = _option(None)
     latency: Real = _option(0.0)
     accuracy_scale: Positive | None = _option(None)
@@ -230,6 +239,9 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
         "standstill_noise": "m2/s2",
+        "odometer_noise": "m2/s2",
+        "odometer_scale": "reading over true speed",
+        "odometer_latency": "s",
         "gate": "NIS, dimensionless",
         "latency": "s",
         "accuracy_scale": "dimensionless",

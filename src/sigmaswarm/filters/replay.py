@@ -13,7 +13,17 @@ from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import flags_of, require_accuracy, require_axes, switches
+from sigmaswarm.filters.schedule import (
+    Switches,
+    flags_of,
+    require_accuracy,
+    require_axes,
+    require_odometer,
+    switches,
+)
+
+NO_SPEEDS = np.empty((0, 3))
+"""Of a filter that does not look at the wheels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,25 +65,28 @@ class Replay:
     timeline: Timeline
     initial: InitialState
     targets: Targets
-    _arrays: dict[tuple[bool, bool, bool], "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
+    _arrays: dict[Switches, "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
     def n_hidden(self) -> int:
         """How many fixes are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
-    def arrays(self, velocity: bool, lateral: bool, standstill: bool) -> "DriveArrays":
+    def arrays(
+        self, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
+    ) -> "DriveArrays":
         """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
-        taken = velocity, lateral, standstill
+        taken = velocity, lateral, standstill, odometer
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
-            self._arrays[taken] = line.steps, flags, line.fixes, line.lever, targets.rows, targets.end
+            speeds = line.wheels.rows if odometer and line.wheels else NO_SPEEDS
+            self._arrays[taken] = line.steps, flags, line.fixes, speeds, line.lever, targets.rows, targets.end
         return self._arrays[taken]
 
 
-DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]
-"""steps, flags, fixes, lever, targets and their ends: see `compiled.run.run_lanes`."""
+DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, Array, NDArray[np.int64]]
+"""steps, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +151,10 @@ def run_steps(
     require_axes(replay.timeline.drive, chunk.model)
     if chunk.takes_accuracy:
         require_accuracy(replay.timeline)
-    arrays = replay.arrays(*switches(chunk.sets[0]))
+    taken = switches(chunk.sets[0])
+    if taken[-1]:
+        require_odometer(replay.timeline.drive)
+    arrays = replay.arrays(*taken)
     run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
 
 

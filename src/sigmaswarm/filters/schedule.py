@@ -18,6 +18,7 @@ VELOCITY = 4  # the fix has a velocity
 LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car stands
 HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
+ODOMETER = 64  # the wheels' speed is absorbed
 
 LATERAL_INTERVAL = 0.1
 """s between two looks at the lateral velocity: its error is not white, so more of them tell no more."""
@@ -25,6 +26,10 @@ STANDSTILL_INTERVAL = 0.1
 """s between two looks at the velocity at standstill."""
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
 """rad2/s2: variance of the gyro around its bias while the car stands."""
+SLIP_GATE = 9.0
+"""The largest NIS of the wheels' speed that is absorbed: three sigmas. Wheels that slip or lock lie for seconds, all
+readings alike, so that a small weight for each would still add up. Nor is the end of a long run of them absorbed, as
+with fixes: P grows until it covers what is true, and fixes hold the speed meanwhile."""
 MOST_REJECTED = 5
 """So many fixes in a row may the gate turn away; the next one is absorbed, or a filter that lost its way never
 recovers."""
@@ -38,9 +43,29 @@ GAP_TILT_STD = 0.01
 """rad/s about east and north: how fast road and body may have tilted in a gap. A real drive does as well with 0.02."""
 
 
-def switches(p: FilterParameters) -> tuple[bool, bool, bool]:
-    """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill."""
-    return p.velocity_noise is not None, p.lateral_noise is not None, p.standstill_noise is not None
+Switches = tuple[bool, bool, bool, bool]
+
+
+def switches(p: FilterParameters) -> Switches:
+    """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill, odometer."""
+    noises = p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise
+    velocity, lateral, standstill, odometer = (noise is not None for noise in noises)
+    return velocity, lateral, standstill, odometer
+
+
+def require_odometer(drive: Drive) -> None:
+    """Refuse a drive without an odometer for a filter that uses it.
+
+    Raises
+    ------
+    InputError
+        Naming the drive and the remedy.
+    """
+    if drive.odometer is None:
+        raise InputError(
+            f"{drive.name}: the filter uses the wheels' speed (odometer_noise), and the drive has no odometer.csv; "
+            "take a filter that was tuned without odometer"
+        )
 
 
 def require_accuracy(line: Timeline) -> None:
@@ -92,15 +117,24 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
     return added
 
 
-def flags_of(line: Timeline, velocity: bool, lateral: bool, standstill: bool) -> NDArray[np.int64]:
-    """What happens at the end of each step, as bits FIX ... HIDDEN, shape (k,)."""
+def flags_of(
+    line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
+) -> NDArray[np.int64]:
+    """What happens at the end of each step, as bits FIX ... ODOMETER, shape (k,).
+
+    Where the wheels are looked at and turn, the car does not stand, however calm it is.
+    """
+    wheels = line.wheels if odometer else None
     flags = FIX * line.absorbs + HIDDEN * line.hides + IMU * line.sampled
     if velocity and line.has_velocity:
         flags = flags + VELOCITY * line.absorbs
     if lateral:
         flags = flags + LATERAL * _every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)
     if standstill:
-        flags = flags + STANDSTILL * _every(line, line.stands & line.sampled, STANDSTILL_INTERVAL)
+        stands = line.stands if wheels is None else line.stands & ~wheels.turn
+        flags = flags + STANDSTILL * _every(line, stands & line.sampled, STANDSTILL_INTERVAL)
+    if wheels is not None:
+        flags = flags + ODOMETER * wheels.absorbs
     return flags.astype(np.int64)
 
 

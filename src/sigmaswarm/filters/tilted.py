@@ -176,25 +176,62 @@ class RearAxle:
     yaw_rate: float
     distance: float
 
-    def _velocity(self, state: Array) -> tuple[Array, Array, Array]:
-        """The axes left and up, and the velocity along the road, (3,) each."""
-        _, left, up = rotation(state).T
-        vx, vy = state[2:4]
-        return left, up, np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
-
     def __call__(self, state: Array) -> Array:
-        left, _, v = self._velocity(state)
-        return np.array([left @ v - self.distance * (self.yaw_rate - state[GYRO_BIAS[2]])])
+        _, left, up = rotation(state).T
+        return np.array(
+            [left @ _along_the_road(state, up) - self.distance * (self.yaw_rate - state[GYRO_BIAS[2]])]
+        )
 
     def jacobian(self, state: Array) -> Array:
-        """H, (1, 12); what attitude does to the velocity upwards included."""
-        left, up, v = self._velocity(state)
-        climb = left[2] / up[2]
-        h = np.zeros((1, N))
-        h[0, 2:4] = left[:2] - climb * up[:2]
-        h[0, [*ATTITUDE]] = np.cross(left, v) - climb * np.cross(up, v)
+        """H, (1, 12)."""
+        _, left, up = rotation(state).T
+        h = _jacobian_along(state, left, up)
         h[0, GYRO_BIAS[2]] = self.distance
         return h
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """The velocity forward (m/s), along the road, that the wheels have shown ``delay`` s ago.
+
+    Attributes
+    ----------
+    ax : float
+        m/s2: the specific force forward, of which gravity on a slope is a part.
+    delay : float
+        s
+    """
+
+    ax: float
+    delay: float
+
+    def __call__(self, state: Array) -> Array:
+        forward, _, up = rotation(state).T
+        gained = self.ax - state[ACCEL_BIAS[0]] - GRAVITY * forward[2]
+        return np.array([forward @ _along_the_road(state, up) - self.delay * gained])
+
+    def jacobian(self, state: Array) -> Array:
+        """H, (1, 12)."""
+        forward, _, up = rotation(state).T
+        h = _jacobian_along(state, forward, up)
+        h[0, [*ATTITUDE]] += self.delay * GRAVITY * np.array([forward[1], -forward[0], 0.0])
+        h[0, ACCEL_BIAS[0]] = self.delay
+        return h
+
+
+def _along_the_road(state: Array, up: Array) -> Array:
+    """The velocity (3,) of a car that stays on its road; ``up`` (3,) is the road's normal."""
+    vx, vy = state[2:4]
+    return np.array([vx, vy, -(up[0] * vx + up[1] * vy) / up[2]])
+
+
+def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
+    """H, (1, 12), of the velocity along an axis of the body; what attitude does to the velocity upwards included."""
+    v, climb = _along_the_road(state, up), axis[2] / up[2]
+    h = np.zeros((1, N))
+    h[0, 2:4] = axis[:2] - climb * up[:2]
+    h[0, [*ATTITUDE]] = np.cross(axis, v) - climb * np.cross(up, v)
+    return h
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.drives.checks import shortage_of
-from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Truth
+from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
 from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
@@ -36,7 +36,12 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
     InputError
         Something that a drive needs is missing or can't be right.
     """
-    required: dict[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "gps": (), "truth": ()}
+    required: dict[Role, tuple[str, ...]] = {
+        "imu": ("ax", "ay", "gz"),
+        "gps": (),
+        "truth": (),
+        "odometer": ("speed",),
+    }
     joined: dict[Role, tuple[Nanoseconds, Values]] = {
         role: join(parts, role, required[role], say) for role, parts in gathered.items() if parts
     }
@@ -72,6 +77,9 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
         frame="wgs84" if "lat" in gps else "enu",
         origin=origin,
         metadata=metadata,
+        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
+        if "odometer" in joined
+        else None,
     )
     if shortage := shortage_of(drive):
         raise InputError(f"{name}: {_with_offset(shortage, drive)}")
@@ -89,14 +97,19 @@ def _seconds(
     joined: Mapping[Role, tuple[Nanoseconds, Values]], recipe: Recipe
 ) -> tuple[dict[Role, Array], int]:
     """All times in s, with their offsets; clocks that count from long ago start with the log, at a whole second."""
-    offsets: dict[Role, float] = {"imu": 0.0, "gps": recipe.gps_offset_s, "truth": recipe.truth_offset_s}
+    offsets: dict[Role, float] = {
+        "imu": 0.0,
+        "gps": recipe.gps_offset_s,
+        "truth": recipe.truth_offset_s,
+        "odometer": recipe.odometer_offset_s,
+    }
     for role, offset in offsets.items():
         if not abs(offset) < LONGEST_OFFSET:
             raise InputError(f"--{role}-offset {offset:g} can't be; give seconds")
     moved: dict[Role, Nanoseconds] = {
         role: time + round(offsets[role] * SECOND) for role, (time, _) in joined.items()
     }
-    begin = min(_begin(time) for role, time in moved.items() if role != "truth" or "gps" not in moved)
+    begin = min(_begin(time) for role, time in moved.items() if role in ("imu", "gps") or "gps" not in moved)
     zero = begin // SECOND if begin >= LONG_AGO else 0
     return {role: (time - zero * SECOND) / SECOND for role, time in moved.items()}, zero
 

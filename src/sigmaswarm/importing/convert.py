@@ -27,7 +27,7 @@ class Request:
     Attributes
     ----------
     source : the log; it must hold the IMU
-    gps, truth : further logs, for fixes and truth
+    gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
     form : the source's format, if not found out
     recipe : settings, and parts that take the place of the guess
     maps : ``column=expression``
@@ -39,6 +39,7 @@ class Request:
     source: Path
     gps: Path | None = None
     truth: Path | None = None
+    odometer: Path | None = None
     form: str | None = None
     recipe: Recipe = field(default_factory=Recipe)
     maps: Sequence[str] = ()
@@ -111,7 +112,12 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
 
 def home_of(role: Role, request: Request) -> Path:
     """The log that gives a role."""
-    named: Mapping[Role, Path | None] = {"imu": None, "gps": request.gps, "truth": request.truth}
+    named: Mapping[Role, Path | None] = {
+        "imu": None,
+        "gps": request.gps,
+        "truth": request.truth,
+        "odometer": request.odometer,
+    }
     return named[role] or request.source
 
 
@@ -127,10 +133,11 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
 
 
 def guess_of(source: Source, request: Request) -> Guess:
-    """The reader's guess; a log that is named for the truth and has one table holds the truth, whatever its name."""
+    """The reader's guess; a log that is named for a role and has one table holds it, whatever its name."""
     choice = request.choice
-    if source.path == request.truth and len(source.tables) == 1:
-        choice = replace(choice, tables={**choice.tables, "truth": next(iter(source.tables))})
+    for role, path in (("truth", request.truth), ("odometer", request.odometer)):
+        if source.path == path and len(source.tables) == 1:
+            choice = replace(choice, tables={**choice.tables, role: next(iter(source.tables))})
     return source.guess(choice)
 
 

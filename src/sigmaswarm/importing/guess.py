@@ -30,6 +30,10 @@ _NAMES: tuple[tuple[str, str], ...] = (
     ("vy", "vy|vn|v_?north|north_?vel(?:ocity)?|vel(?:ocity)?_?n(?:orth)?"),
     ("std_x", f"std_?x|sigma_?x|std_?e(?:ast)?|sd_?e|std_?lon|(?:lon(?:gitude)?|east(?:ing)?)_?{_STD}"),
     ("std_y", f"std_?y|sigma_?y|std_?n(?:orth)?|sd_?n|std_?lat|(?:lat(?:itude)?|north(?:ing)?)_?{_STD}"),
+    (
+        "wheel_speed",
+        "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",
+    ),
     ("speed", "speed|(?:ground_?)?speed|velocity|vel|v"),
     ("course", "course"),
     ("bearing", "bearing|track|heading|cog"),
@@ -64,6 +68,7 @@ _GIVEN_IN = {
 """Units that a column of time, acceleration, rate and speed may have; others in its name mean nothing."""
 SAMPLE = 2000
 """Rows by which units are guessed."""
+_WHEELS = re.compile(r"odo|wheel|(?:^|[^a-z])can(?:[^a-z]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|[^a-z])(?:gt|ref)(?:[^a-z]|$)", re.IGNORECASE)
 
 
@@ -109,8 +114,14 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
         "imu": [t for t, f in found.items() if {"ax", "ay", "gz"} <= f.name.keys()],
         "truth": [t for t, f in found.items() if _TRUTH.search(t) and _placed(f)],
         "gps": [t for t, f in found.items() if _placed(f) and not _TRUTH.search(t)],
+        "odometer": [t for t, f in found.items() if _counted(t, f)],
     }
-    hints: dict[Role, str] = {"imu": "imu", "gps": "gps|gnss|fix|location", "truth": "truth"}
+    hints: dict[Role, str] = {
+        "imu": "imu",
+        "gps": "gps|gnss|fix|location",
+        "truth": "truth",
+        "odometer": "odo|wheel",
+    }
     for role, tables in candidates.items():
         if role in chosen and chosen[role] not in samples:
             raise InputError(f"there is no table {chosen[role]!r}; there are {names_shown(samples)}")
@@ -148,6 +159,12 @@ def _placed(found: _Found) -> bool:
     return {"lat", "lon"} <= found.name.keys() or {"x", "y"} <= found.name.keys()
 
 
+def _counted(table: str, found: _Found) -> bool:
+    """Whether a table has the wheels' speed: by the column's name, or by the table's where it has no position."""
+    named = "speed" in found.name and bool(_WHEELS.search(table)) and not _placed(found)
+    return "wheel_speed" in found.name or named
+
+
 def _find(frame: pl.DataFrame) -> _Found:
     """Which column is what; of several that could be one, the first."""
     found = _Found(frame)
@@ -175,7 +192,7 @@ def _split(column: str) -> tuple[str, str]:
     return name, ""
 
 
-LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0}
+LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
 """s between samples that is still likely."""
 SHORTEST_STEP = 1e-4
 """s: no car's sensor is faster."""
@@ -184,6 +201,7 @@ _WANTED: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz"),
     "gps": ("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course", "bearing", "vx", "vy"),
     "truth": ("t", "lat", "lon", "alt", "x", "y", "vx", "vy", "theta"),
+    "odometer": ("t", "wheel_speed", "speed"),
 }
 
 
@@ -196,6 +214,10 @@ def _expressions(found: _Found, role: Role, notes: list[str]) -> Iterator[tuple[
         text = column if re.fullmatch(r"[A-Za-z_]\w*", column) else f"`{column}`"
         if what == "t":
             yield "t", _time(found, text, role, notes)
+        elif what == "wheel_speed":
+            yield "speed", _SCALES.get(_unit(found, what, notes), "{}").format(text)
+        elif what == "speed" and role == "odometer" and "wheel_speed" in found.name:
+            continue
         elif what == "bearing" or (what == "course" and found.largest("course") > 6.4):
             notes.append(f"{column} taken as degrees clockwise from north")
             yield "course", f"radians(90-{text})"
@@ -275,7 +297,7 @@ def _unit(found: _Found, what: str, notes: list[str]) -> str:
         else "g"
         if what in ("gx", "gy", "gz")
         else "s"
-        if what == "speed"
+        if what in ("speed", "wheel_speed")
         else ""
     )
     if kind and found.unit[what] in _GIVEN_IN[kind]:

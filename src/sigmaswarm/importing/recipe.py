@@ -36,12 +36,18 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
         "theta",
         "keep",
     ),
+    "odometer": ("t", "speed", "keep"),
 }
 """What can be given for each role. Beside the drive's own columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
 north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
 rows count. A further table's ``+ax`` is added to ``ax``."""
 
-_SETTINGS: dict[str, type] = {"mount": str, "gps_offset_s": float, "truth_offset_s": float}
+_SETTINGS: dict[str, type] = {
+    "mount": str,
+    "gps_offset_s": float,
+    "truth_offset_s": float,
+    "odometer_offset_s": float,
+}
 _PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
 
 
@@ -51,9 +57,9 @@ class Recipe:
 
     Attributes
     ----------
-    roles : the parts of imu, gps and truth
+    roles : the parts of imu, gps, truth and odometer
     mount : how the IMU sits in the vehicle, as ``parse_mount`` takes it
-    gps_offset_s, truth_offset_s : s, added to the times of fixes and of truth
+    gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times of fixes, of truth and of the odometer
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
     gps_from_truth : Hz, m; make fixes of the truth with so much white noise per axis, for data without a receiver
@@ -63,6 +69,7 @@ class Recipe:
     mount: str = ""
     gps_offset_s: float = 0.0
     truth_offset_s: float = 0.0
+    odometer_offset_s: float = 0.0
     origin: tuple[float, float, float] | None = None
     gps_lever_arm_m: tuple[float, float, float] | None = None
     gps_from_truth: tuple[float, float] | None = None

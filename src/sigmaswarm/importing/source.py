@@ -11,8 +11,8 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.wording import quoted
 
-Role = Literal["imu", "gps", "truth"]
-ROLES: tuple[Role, ...] = ("imu", "gps", "truth")
+Role = Literal["imu", "gps", "truth", "odometer"]
+ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer")
 
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""

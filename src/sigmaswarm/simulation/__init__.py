@@ -1,6 +1,6 @@
 """The simulator: drives of a Tesla Model 3 with seeded sensors, without a CARLA server.
 
-    maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps -> scenarios -> Drive
+    maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps, odometer -> scenarios -> Drive
 
 `simulate` makes one drive, `simulate_many` all conditions; `with_outliers` spoils some fixes of any drive. What is
 modelled, and what is not: docs/simulator.md.
@@ -11,6 +11,7 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment
 from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade
 from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad
 from sigmaswarm.simulation.maneuvers import MANEUVERS
+from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade
 from sigmaswarm.simulation.outliers import with_outliers
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.simulation.terrain import TERRAINS, Terrain
@@ -21,12 +22,14 @@ __all__ = [
     "GPS_GRADES",
     "IMU_GRADES",
     "MANEUVERS",
+    "ODOMETER_GRADES",
     "PAPER_MANEUVERS",
     "TERRAINS",
     "VEHICLES",
     "Environment",
     "GpsGrade",
     "ImuGrade",
+    "OdometerGrade",
     "Terrain",
     "Triad",
     "simulate",

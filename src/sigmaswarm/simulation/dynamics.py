@@ -39,8 +39,8 @@ X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = 
 WHEEL, KAPPA, ALPHA = 12, 16, 20
 STATES = 24
 # What is recorded: the first twelve of the state, and these.
-AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE = range(12, 20)
-RECORDED = 20
+AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
+RECORDED = 21
 
 _LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
 _NOTHING = 1e-60  # of any state; what dies away further would reach denormal numbers, which are slow
@@ -303,6 +303,7 @@ def _record(row: Array, s: Array, rate: Array, ax: float, ay: float, use: float)
     row[:12] = s[:12]
     row[AX], row[AY], row[FRICTION_USE] = ax, ay, use
     row[YAW_ACCEL], row[ROLL_ACCEL], row[PITCH_ACCEL] = rate[YAW_RATE], rate[ROLL_RATE], rate[PITCH_RATE]
+    row[REAR_SPIN] = 0.5 * (s[WHEEL + 2] + s[WHEEL + 3])
     row[PEAK_KAPPA] = row[PEAK_ALPHA] = 0.0
     for i in range(4):
         row[PEAK_KAPPA] = max(row[PEAK_KAPPA], abs(s[KAPPA + i]))

@@ -27,7 +27,7 @@ class Journey:
     maneuver : Maneuver
     path : ndarray, shape (p, 4)
         East m, north m, heading rad, curvature 1/m: what the driver wanted to follow.
-    record : ndarray, shape (n, 20)
+    record : ndarray, shape (n, 21)
         The car's states at each millisecond, see `sigmaswarm.simulation.dynamics`.
     start : float
         s, when the maneuver itself started, after the warm-up.

@@ -77,7 +77,7 @@ class Motion:
 
 
 def sample(record: Array, times: Array) -> Array:
-    """Rows of the record (n, 20 or 29) at any times (k,) in s, linearly between milliseconds."""
+    """Rows of the record (n, 21 or 30) at any times (k,) in s, linearly between milliseconds."""
     place = np.clip(times / STEP, 0, len(record) - 1)
     before = np.minimum(place.astype(np.intp), len(record) - 2)
     weight = (place - before)[:, None]
@@ -101,7 +101,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
 
     Parameters
     ----------
-    rows : ndarray, shape (n, 20) or (n, 29)
+    rows : ndarray, shape (n, 21) or (n, 30)
         Recorded states, see `sigmaswarm.simulation.dynamics`; with the road's, see `sigmaswarm.simulation.terrain`.
     vehicle : Vehicle
         Whose roll and pitch gains apply.

@@ -21,6 +21,7 @@ from sigmaswarm.simulation.gps import GpsGrade, degrade, find_gps, measure_gps
 from sigmaswarm.simulation.imu import ImuGrade, find_imu, measure_imu
 from sigmaswarm.simulation.journey import take_journey
 from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample
+from sigmaswarm.simulation.odometer import OdometerGrade, find_odometer, measure_odometer
 from sigmaswarm.simulation.terrain import (
     HEIGHT,
     ROAD_PITCH,
@@ -58,6 +59,7 @@ def simulate(
     vibration: float = 0.0,
     gnss_degradation: bool = False,
     terrain: str | Terrain = "flat",
+    odometer: str | OdometerGrade | None = None,
 ) -> Drive:
     """Simulate one drive.
 
@@ -93,6 +95,8 @@ def simulate(
     terrain : str or Terrain
         "flat", "rolling" or "hilly": what the road's slopes do to the car's attitude, and so to the IMU. The way in
         the plane, and so the truth, is the same (but for millimeters of the IMU's place above the centre).
+    odometer : str or OdometerGrade, optional
+        "pulses", "can" or "ideal": see `ODOMETER_GRADES`. None by default: nobody counts the wheels' pulses.
 
     Returns
     -------
@@ -134,6 +138,8 @@ def simulate(
     felt = true if ticks is nominal else motion_at(sample(record, ticks), car, imu_place)
     if vibration > 0:
         felt = vibrate(felt, imu_rate, vibration, stream("vibration"))
+    grade = None if odometer is None else find_odometer(odometer)
+    wheels, scale = (None, 1.0) if grade is None else measure_odometer(record, car, grade, stream("odometer"))
     fixes = measure_gps(stamps, seen, gps_grade, stream("gps"), journey.outages)
     scenario = {
         "maneuver": maneuver,
@@ -161,11 +167,13 @@ def simulate(
             "source": "sigmaswarm simulator",
             "vehicle": vehicle_name,
             **_noise_figures(imu_grade, gps_grade),
+            **({} if grade is None else {"odometer": {"grade": grade.name, "scale": round(scale, 6)}}),
             "scenario": scenario,
             "imu_place": _place_figures(imu_place, car),
             "target": journey.maneuver.target,
             "achieved": achieved_figures(maneuver, journey, fixes.time),
         },
+        odometer=wheels,
     )
 
 

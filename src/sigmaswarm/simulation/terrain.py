@@ -175,7 +175,7 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
 
     Parameters
     ----------
-    record : ndarray, shape (n, 20)
+    record : ndarray, shape (n, 21)
         Of the same car on a flat road, see `sigmaswarm.simulation.dynamics`.
     road : Road
     car : Vehicle
@@ -183,7 +183,7 @@ def drive_on(record: Array, road: Road, car: Vehicle) -> Array:
 
     Returns
     -------
-    ndarray, shape (n, 29)
+    ndarray, shape (n, 30)
         The record with the suspension's part in roll and pitch, and the columns ROAD_ROLL to CLIMB_ACCEL.
     """
     vx, vy, turn = record[:, VX], record[:, VY], record[:, YAW_RATE]

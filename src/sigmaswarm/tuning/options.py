@@ -13,7 +13,7 @@ from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
-Option = Literal["velocity", "lateral", "standstill", "gate", "latency", "accuracy", "robust"]
+Option = Literal["velocity", "lateral", "standstill", "odometer", "gate", "latency", "accuracy", "robust"]
 
 INERTIA = 0.7298
 """w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""
@@ -102,8 +102,9 @@ class FilterOptions(TypedDict, total=False):
         Doc(
             "What the filter uses beside position fixes; its parameters are tuned with the rest. velocity: the "
             "receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when "
-            "it stands. gate: turn outlying fixes away. latency: fixes may be older than they say. accuracy: what the "
-            "receiver states of each fix. robust: outlying fixes count less, by Student's t; in place of gate."
+            "it stands. odometer: the speed that the wheels tell, with its scale. gate: turn outlying fixes away. "
+            "latency: fixes may be older than they say. accuracy: what the receiver states of each fix. robust: "
+            "outlying fixes count less, by Student's t; in place of gate."
         ),
     ]
     outage_seed: Annotated[int, Doc("Places the outages of objectives that have some.")]

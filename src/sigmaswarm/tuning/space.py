@@ -49,6 +49,11 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
     ),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
+    "odometer": (
+        Dimension("odometer_noise", "odometer_noise", 0, 1e-4, 10.0),
+        Dimension("odometer_scale", "odometer_scale", 0, 0.9, 1.1, spread=False),
+        Dimension("odometer_latency", "odometer_latency", 0, 0.0, 0.3, spread=False),
+    ),
     "gate": (Dimension("gate", "gate", 0, 4.0, 100.0),),
     "latency": (Dimension("latency", "latency", 0, 0.0, 0.5, spread=False),),
     "accuracy": (Dimension("accuracy_scale", "accuracy_scale", 0, 1e-3, 10.0),),
@@ -58,7 +63,7 @@ ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R beside what the receiver states of each fix."""
 NOISES = (
     *("process_noise", "measurement_noise", "accuracy_scale"),
-    *("velocity_noise", "lateral_noise", "standstill_noise"),
+    *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
 )
 USUAL_INTERVAL = 0.01
 """s: the IMU of a drive that is not known yet."""

@@ -15,7 +15,8 @@ VARIES = 1.5
 
 def suited(drive: Drive) -> tuple[str, ...]:
     """The options of ``--use`` that suit a log by what it states; `check` also looks whether it is sound."""
-    return ("lateral", "standstill", *(("accuracy",) if _spread(drive) else ()), "robust")
+    wheels = ("odometer",) if drive.odometer is not None else ()
+    return ("lateral", "standstill", *wheels, *(("accuracy",) if _spread(drive) else ()), "robust")
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -24,6 +25,8 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         return
     drive = evidence.drive
     reasons = dict.fromkeys(suited(drive), "")  # of every car, unless the log gives a reason
+    if drive.odometer is not None:
+        reasons["odometer"] = "odometer.csv has the wheels' speed"
     if stated := _spread(drive):
         reasons["accuracy"] = f"the stated deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
     if count := int(np.count_nonzero(evidence.outlying)):

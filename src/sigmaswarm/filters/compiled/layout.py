@@ -33,6 +33,7 @@ CONSTANTS = (
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off
+    "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
 )  # fmt: skip
 """Of a parameter set."""

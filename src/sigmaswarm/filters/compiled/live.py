@@ -1,12 +1,13 @@
 """A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
 
 The filter is the first lane of the rows in `layout`. Each step spreads it over all lanes, which costs less than another
-set of kernels would. The memory is five arrays, so that each call takes the same few arguments:
+set of kernels would. The memory is six arrays, so that each call takes the same few arguments:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
     memory  (N_MEMORY, 8) what tells calm, see `drives.standstill`; of no rows where nothing asks
     fixes   (f, N_FIX) by time; those of one time in the order in which they came; each with what it is
+    speeds  (r, 2) readings of the odometer by time, s and m/s; of no rows where the filter takes none
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
 
 A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one. What takes
@@ -26,6 +27,7 @@ from numba.core.dispatcher import Dispatcher
 
 from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
+from sigmaswarm.drives.odometer import INTERVAL, SLOW, STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import LANES
@@ -34,14 +36,14 @@ from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.step import STEPS
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.schedule import FIX, LATERAL, STANDSTILL, VELOCITY
+from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
-# The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, and the intervals
-# in which the constraints were absorbed last.
+# The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
+# in which the constraints and the odometer were absorbed last, and when the latter was.
 N_FILTER = N_KEPT
 OK = R.OK
-TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT = range(N_FILTER, N_FILTER + 4)
-STOP = slice(N_FILTER + 4, N_FILTER + 4 + N_STOP)  # what is remembered of a stop
+TIME, SINCE, LATERAL_SLOT, STANDSTILL_SLOT, ODOMETER_SLOT, ODOMETER_TIME = range(N_FILTER, N_FILTER + 6)
+STOP = slice(N_FILTER + 6, N_FILTER + 6 + N_STOP)  # what is remembered of a stop
 N_BELIEF = STOP.stop
 # Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
 N_SAMPLE = 1 + len(AXES)
@@ -60,8 +62,8 @@ FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
 N_ALL = NEW_SAMPLE.stop
 
-N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN = range(8)
-N_COUNTS = 8
+N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS = range(9)
+N_COUNTS = 9
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
 
 LEAP = 10.0
@@ -77,6 +79,7 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 _NO_FIX = np.zeros(FIX_ROW.stop - FIX_ROW.start)
+_NO_SPEED = np.zeros(3)
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
@@ -87,7 +90,7 @@ _plain = partial(njit, error_model="numpy", nogil=True)
 
 
 def _one_step(sources, *, step, kept):
-    def live_step(v, u, happens, z, lever, since):
+    def live_step(v, u, happens, z, wheels, lever, since):
         """One step of one filter, as in `step`; v (N_FILTER or more,) is its state before and after."""
         if sources == "":  # never; so the name is closed over
             return
@@ -97,7 +100,8 @@ def _one_step(sources, *, step, kept):
                 w[r, l] = v[r]
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (lever[0], lever[1], lever[2]), since,
+            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (lever[0], lever[1], lever[2]), since,
         )  # fmt: skip
         for r in kept:
             v[r] = w[r, 0]
@@ -105,13 +109,13 @@ def _one_step(sources, *, step, kept):
     return live_step
 
 
-def _step_to(v, to, u, happens, z, *, live_step):
+def _step_to(v, to, u, happens, z, wheels, *, live_step):
     """From where the belief is to a moment; u (N_STEP,) with the axes and the gap, its length is put in."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
     u[DT], u[Q_SCALE] = dt, scale
-    live_step(v, u, happens, z, v[LEVER], v[SINCE])
+    live_step(v, u, happens, z, wheels, v[LEVER], v[SINCE])
     v[TIME] = to
 
 
@@ -121,8 +125,9 @@ def _slot(t, start, interval):
     return math.floor((t - start) / interval + 1e-6)
 
 
-def _take(v, counts, fixes, t, u, calm, means, *, step_to):
-    """Step through the fixes up to a sample's time, and absorb there what a car on its wheels can't do."""
+def _take(v, counts, fixes, speeds, t, u, calm, means, *, step_to):
+    """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do."""
+    before = v[TIME]
     end = _seen(counts, fixes, t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
@@ -132,7 +137,7 @@ def _take(v, counts, fixes, t, u, calm, means, *, step_to):
         if z[KIND] >= FROZEN:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
-        step_to(v, z[FIX_TIME], u, happens, z[FIX_ROW])
+        step_to(v, z[FIX_TIME], u, happens, z[FIX_ROW], _NO_SPEED)
         v[SINCE] = 0.0
     happens = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
@@ -140,13 +145,49 @@ def _take(v, counts, fixes, t, u, calm, means, *, step_to):
         if slot != v[LATERAL_SLOT]:
             happens |= LATERAL
             v[LATERAL_SLOT] = slot
-    if calm and _stands(v, fixes, end, t, means):
+    wheels = np.zeros(3)
+    if speeds.shape[0] > 0:
+        slot = _slot(t, v[START], INTERVAL)
+        if slot != v[ODOMETER_SLOT] and _gather(v, counts, speeds, before, t, wheels):
+            happens |= ODOMETER
+            v[ODOMETER_SLOT], v[ODOMETER_TIME] = slot, t
+    if calm and _stands(v, fixes, end, t, means) and not _turn(counts, speeds, t):
         slot = _slot(t, v[START], v[STANDSTILL_INTERVAL])
         if slot != v[STANDSTILL_SLOT]:
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
-        step_to(v, t, u, happens, _NO_FIX)
+        step_to(v, t, u, happens, _NO_FIX, wheels)
+
+
+@_plain
+def _gather(v, counts, speeds, before, t, wheels):
+    """Put the readings since the last look together, as `drives.odometer`; False if none came since ``before``."""
+    end = counts[N_SPEEDS]
+    while end > 0 and speeds[end - 1, 0] > t:
+        end -= 1
+    oldest = t - INTERVAL
+    if end == 0 or speeds[end - 1, 0] <= max(before, oldest):
+        return False
+    first = end
+    while first > 0 and speeds[first - 1, 0] > max(v[ODOMETER_TIME], oldest):
+        first -= 1
+    total, age, n = 0.0, 0.0, end - first
+    for r in range(first, end):
+        total += speeds[r, 1]
+        age += t - speeds[r, 0]
+    wheels[0], wheels[1] = total / n, age / n
+    wheels[2] = SLOW * SLOW if abs(wheels[0]) < SLOW else 0.0
+    return True
+
+
+@_plain
+def _turn(counts, speeds, t):
+    """Whether the wheels turn: the car does not stand then, however calm it is."""
+    end = counts[N_SPEEDS] if speeds.shape[0] > 0 else 0
+    while end > 0 and speeds[end - 1, 0] > t:
+        end -= 1
+    return end > 0 and speeds[end - 1, 0] > t - STALE and abs(speeds[end - 1, 1]) >= SLOW
 
 
 @_plain
@@ -216,7 +257,32 @@ def _keep(v, counts, fixes, history, z):
     return TAKEN
 
 
-def _go_on(v, counts, memory, fixes, history, sample, *, take):
+@_plain
+def _keep_speed(v, counts, speeds, history, t, speed):
+    """Put a reading among the others, by time; where there is no room, without those that nothing needs any more."""
+    if counts[N_SPEEDS] == speeds.shape[0]:
+        oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
+        old = 0
+        while old < counts[N_SPEEDS] and speeds[old, 0] <= oldest - STALE:
+            old += 1
+        for r in range(old, counts[N_SPEEDS]):
+            speeds[r - old] = speeds[r]
+        counts[N_SPEEDS] -= old
+        if old == 0:
+            return LEFT_OUT
+    at = counts[N_SPEEDS]
+    while at > 0 and speeds[at - 1, 0] > t:
+        at -= 1
+    if at > 0 and speeds[at - 1, 0] == t:
+        return IGNORED
+    for r in range(counts[N_SPEEDS], at, -1):
+        speeds[r] = speeds[r - 1]
+    speeds[at, 0], speeds[at, 1] = t, speed
+    counts[N_SPEEDS] += 1
+    return TAKEN
+
+
+def _go_on(v, counts, memory, fixes, speeds, history, sample, *, take):
     """Take an IMU sample whose time is believed: a gap before it is driven by the mean of the two around it."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
@@ -246,10 +312,30 @@ def _go_on(v, counts, memory, fixes, history, sample, *, take):
             record[S_AXES][axis] = 0.5 * (last[1 + axis] + sample[1 + axis])
     record[S_CALM], record[S_MEANS] = 1.0 if calm else 0.0, means
     last[:] = sample
-    take(v, counts, fixes, t, record[S_STEP], calm, means)
+    take(v, counts, fixes, speeds, t, record[S_STEP], calm, means)
 
 
-def _place(v, counts, fixes, history, z, *, take):
+@_plain
+def _first_after(counts, history, t):
+    """The first of the kept samples that is not before a time, or -1 if the filter can't go back to before it."""
+    back = counts[N_HISTORY]
+    while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
+        back -= 1
+    if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
+        return -1
+    return back
+
+
+def _again_from(v, counts, fixes, speeds, history, back, *, take):
+    """Back to before a kept sample, and forward again."""
+    v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
+    for again in range(back, counts[N_HISTORY]):
+        record = _record(counts, history, again)
+        record[:N_BELIEF] = v[:N_BELIEF]
+        take(v, counts, fixes, speeds, record[S_TIME], record[S_STEP], record[S_CALM] > 0.0, record[S_MEANS])
+
+
+def _place(v, counts, fixes, speeds, history, z, *, again_from):
     """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -257,30 +343,24 @@ def _place(v, counts, fixes, history, z, *, take):
         return IGNORED
     if t > v[TIME]:
         return _keep(v, counts, fixes, history, z)
-    back = counts[N_HISTORY]
-    while back > 0 and _record(counts, history, back - 1)[S_TIME] >= t:
-        back -= 1
-    if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
+    back = _first_after(counts, history, t)
+    if back < 0:
         return LEFT_OUT
     kept = _keep(v, counts, fixes, history, z)
     if kept == TAKEN:
-        v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
-        for again in range(back, counts[N_HISTORY]):
-            record = _record(counts, history, again)
-            record[:N_BELIEF] = v[:N_BELIEF]
-            take(v, counts, fixes, record[S_TIME], record[S_STEP], record[S_CALM] > 0.0, record[S_MEANS])
+        again_from(v, counts, fixes, speeds, history, back)
     return kept
 
 
-def _place_and_count(v, counts, fixes, history, z, *, place):
-    kept = place(v, counts, fixes, history, z)
+def _place_and_count(v, counts, fixes, speeds, history, z, *, place):
+    kept = place(v, counts, fixes, speeds, history, z)
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
     return kept
 
 
 def _take_sample(sources, *, go_on, place_and_count):
-    def sample(v, counts, memory, fixes, history, t, ax, ay, gz, az, gx, gy):
+    def sample(v, counts, memory, fixes, speeds, history, t, ax, ay, gz, az, gx, gy):
         """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return
@@ -297,19 +377,19 @@ def _take_sample(sources, *, go_on, place_and_count):
             return
         counts[HOLDS_SAMPLE] = 0
         if agrees:
-            go_on(v, counts, memory, fixes, history, held)
+            go_on(v, counts, memory, fixes, speeds, history, held)
         elif holds:
             counts[TIME_JUMPS] += 1
-        go_on(v, counts, memory, fixes, history, new)
+        go_on(v, counts, memory, fixes, speeds, history, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
-            place_and_count(v, counts, fixes, history, v[FIX_AHEAD].copy())
+            place_and_count(v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
 
     return sample
 
 
 def _take_fix(sources, *, place_and_count):
-    def fix(v, counts, memory, fixes, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
+    def fix(v, counts, memory, fixes, speeds, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -321,7 +401,7 @@ def _take_fix(sources, *, place_and_count):
             if (ahead == z).all():  # the same message again
                 return IGNORED
             if agrees:
-                place_and_count(v, counts, fixes, history, ahead.copy())
+                place_and_count(v, counts, fixes, speeds, history, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
@@ -330,12 +410,35 @@ def _take_fix(sources, *, place_and_count):
             ahead[:] = z
             if not agrees:
                 return IGNORED
-        return place_and_count(v, counts, fixes, history, z)
+        return place_and_count(v, counts, fixes, speeds, history, z)
 
     return fix
 
 
-_MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 3)
+def _take_speed(sources, *, again_from):
+    def speed(v, counts, memory, fixes, speeds, history, t, value):
+        """A reading of the odometer: it waits for its sample, or takes the filter back; none is held back."""
+        if sources == "" or speeds.shape[0] == 0:
+            return IGNORED
+        if not (math.isfinite(t) and math.isfinite(value)):
+            counts[TOO_LATE] += 1
+            return LEFT_OUT
+        if _lies_ahead(v, t):
+            counts[TIME_JUMPS] += 1
+            return LEFT_OUT
+        begun = t > v[START]
+        back = _first_after(counts, history, t) if begun and t <= v[TIME] else 0
+        kept = LEFT_OUT if back < 0 else _keep_speed(v, counts, speeds, history, t, value)
+        if kept == LEFT_OUT:
+            counts[TOO_LATE] += 1
+        elif kept == TAKEN and begun and t <= v[TIME]:
+            again_from(v, counts, fixes, speeds, history, back)
+        return kept
+
+    return speed
+
+
+_MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 4)
 
 
 @dataclass(frozen=True)
@@ -344,14 +447,16 @@ class LiveCalls:
 
     Attributes
     ----------
-    step : ``(v, u, happens, z, lever, since)``, one step as in `step`; v (N_FILTER or more,) is the filter
+    step : ``(v, u, happens, z, wheels, lever, since)``, one step as in `step`; v (N_FILTER or more,) is the filter
     sample : ``(*memory, t, ax, ay, gz, az, gx, gy)``, an IMU sample
     fix : ``(*memory, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    speed : ``(*memory, t, speed)``, a reading of the odometer; what became of it
     """
 
     step: Any
     sample: Any
     fix: Any
+    speed: Any
 
 
 @cache
@@ -361,15 +466,18 @@ def live_calls(model):
     plain = partial(cached_by_sources, model=model, fastmath=False)
     live_step = cached_by_sources(unrolled(_one_step, step=STEPS[model], kept=kept), model)
     take = _bound(_take, step_to=_bound(_step_to, live_step=live_step))
-    place_and_count = _bound(_place_and_count, place=_bound(_place, take=take))
+    again_from = _bound(_again_from, take=take)
+    place_and_count = _bound(_place_and_count, place=_bound(_place, again_from=again_from))
     go_on = _bound(_go_on, take=take)
     sample = plain(unrolled(_take_sample, go_on=go_on, place_and_count=place_and_count))
     fix = plain(unrolled(_take_fix, place_and_count=place_and_count))
-    for function, signature in ((sample, (*_MEMORY, *(float64,) * 7)), (fix, (*_MEMORY, *(float64,) * 8))):
+    speed = plain(unrolled(_take_speed, again_from=again_from))
+    for function, numbers in ((sample, 7), (fix, 8), (speed, 2)):
+        signature = (*_MEMORY, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)
             function.disable_compile()
-    return LiveCalls(live_step, sample, fix)
+    return LiveCalls(live_step, sample, fix, speed)
 
 
 def _bound(function, **known):

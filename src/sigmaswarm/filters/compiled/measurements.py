@@ -13,12 +13,18 @@ it estimates the gyro's bias (its place, or -1); `absorbers` gives the result.
 
 import math
 
-from sigmaswarm.drives.timeline import FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
+from sigmaswarm.drives.odometer import AGE, MORE, SPEED
+from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
 from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos, subroutine
 from sigmaswarm.filters.compiled.layout import C1, C2, Q0, R, at
-from sigmaswarm.filters.compiled.tilted12 import fold, measure_fix_tilted, measure_lateral_tilted
+from sigmaswarm.filters.compiled.tilted12 import (
+    fold,
+    measure_fix_tilted,
+    measure_lateral_tilted,
+    measure_odometer_tilted,
+)
 from sigmaswarm.filters.models import CarModel
-from sigmaswarm.filters.schedule import MOST_REJECTED
+from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
     FORECAST_DOF,
     FORECAST_SCALE,
@@ -319,15 +325,27 @@ def _take_velocity(w, zu, zv, variance, *, n):
             w[at(i, R.V), l] = r * (w[C1 + i, l] * g12 + w[C2 + i, l] * g22)
 
 
-def absorb_lateral(w, u, *, n, gyro_bias):
-    """A car does not slide sideways at its rear axle: 0 = (R(theta)^T v)_left - rear_axle (yaw rate - w).
+def _measure_along(w, u, wheels, *, n, bias, lateral):
+    """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
+
+    To the left: a car does not slide sideways at its rear axle, 0 = left - rear_axle (yaw rate - w). Forward: what the
+    wheels have shown, speed / scale = forward - delay (ax - b).
 
     R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
-    t = R^T P[v, theta] and mu = (e R^T v - k J t)_left.
+    t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is turned by 90 degrees;
+    ``away`` is what is forward in it.
     """
-    gz = u[GZ]
+    if lateral:
+        shown = u[GZ]
+    else:
+        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     for l in range(LANES):
-        second, gamma, axle, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.REAR_AXLE, l], w[R.TT, l]
+        second, gamma = w[R.SECOND, l], w[R.GAMMA, l]
+        if lateral:  # noqa: SIM108 (written out)
+            arm = w[R.REAR_AXLE, l]
+        else:
+            arm = w[R.ODOMETER_LATENCY, l] + age
+        tt = w[R.TT, l]
         s, c = sincos(w[R.T, l])
         d = gamma * math.sqrt(tt) + 1e-300
         sin_d, sin2_h = double_angle(0.5 * d)
@@ -337,28 +355,55 @@ def absorb_lateral(w, u, *, n, gyro_bias):
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
         t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]
-        mu = e * left - second * k * t_forward
-        turn = k * forward + m * t_left
-        variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
-        variance += k * k * (tt * forward * forward - second * gamma * gamma * t_left * t_left)
-        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * forward * t_left
-        w[R.N1, l] = axle * gz - left - mu
+        if lateral:
+            along, away, t_along, t_away = left, forward, t_left, t_forward
+        else:
+            along, away, t_along, t_away = forward, -left, t_forward, -t_left
+        mu = e * along - second * k * t_away
+        turn = k * away + m * t_along
+        if lateral:
+            variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
+        else:
+            variance = c * c * w[R.UU, l] + 2.0 * c * s * w[R.UV, l] + s * s * w[R.VV, l]
+        variance += k * k * (tt * away * away - second * gamma * gamma * t_along * t_along)
+        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
+        w[R.N1, l] = arm * shown - along - mu
+        if lateral == 0:
+            w[R.N1, l] += w[R.ODOMETER_SCALE, l] * speed
         for i in range(n):
-            w[C1 + i, l] = c * w[at(i, R.V), l] - s * w[at(i, R.U), l] - turn * w[at(i, R.T), l]
-        if gyro_bias >= 0:  # the yaw rate has a bias, too
-            w[R.N1, l] -= axle * w[gyro_bias, l]
-            variance += 2.0 * axle * w[C1 + gyro_bias, l] + axle * axle * w[at(gyro_bias, gyro_bias), l]
+            if lateral:
+                w[C1 + i, l] = c * w[at(i, R.V), l] - s * w[at(i, R.U), l] - turn * w[at(i, R.T), l]
+            else:
+                w[C1 + i, l] = c * w[at(i, R.U), l] + s * w[at(i, R.V), l] - turn * w[at(i, R.T), l]
+        if bias >= 0:  # what is shown has a bias, too
+            w[R.N1, l] -= arm * w[bias, l]
+            variance += 2.0 * arm * w[C1 + bias, l] + arm * arm * w[at(bias, bias), l]
             for i in range(n):
-                w[C1 + i, l] += axle * w[at(i, gyro_bias), l]
-        w[R.S11, l] = variance + w[R.R_LATERAL, l]
-    _absorb_one(w)
+                w[C1 + i, l] += arm * w[at(i, bias), l]
+        if lateral:
+            w[R.S11, l] = variance + w[R.R_LATERAL, l]
+        else:
+            w[R.S11, l] = variance + (w[R.R_ODOMETER, l] + more)
 
 
-def _absorb_lateral_tilted(w, u):
-    """As `absorb_lateral`, on a road that is not flat."""
-    measure_lateral_tilted(w, u)
+def absorb_lateral(w, u, *, tilted, measure_lateral):
+    """A car does not slide sideways at its rear axle."""
+    measure_lateral(w, u, (0.0, 0.0, 0.0))
     _absorb_one(w)
-    fold(w)
+    if tilted:
+        fold(w)
+
+
+def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
+    """The wheels' speed, ``wheels`` a row of `drives.odometer.Wheels`; not where it lies so far off that they slip."""
+    measure_odometer(w, u, wheels)
+    for l in range(LANES):
+        used = w[R.N1, l] * w[R.N1, l] <= SLIP_GATE * w[R.S11, l]
+        w[R.S11, l] = w[R.S11, l] if used else math.inf
+        w[R.N1, l] = w[R.N1, l] if used else 0.0
+    _absorb_one(w)
+    if tilted:
+        fold(w)
 
 
 def _absorb_one(w, *, n):
@@ -388,10 +433,9 @@ def _absorb_two(w, *, n, tilted):
 
 
 def absorbers(model: CarModel):
-    """`forecast_fix` and the four `absorb_...` functions, compiled for a model."""
+    """`forecast_fix` and the five `absorb_...` functions, compiled for a model."""
     ready = {
         "n": len(model.states),
-        "gyro_bias": -1 if model.gyro_bias is None else model.gyro_bias,
         "gyro_biases": tuple(model.gyro_axes.values()),
         "adaptive": int("adaptive-ukf" in model.kinds),
         "tilted": int(model.tilts is not None),
@@ -401,12 +445,20 @@ def absorbers(model: CarModel):
     parts += () if ready["tilted"] else (_measure_fix,)
     if ready["tilted"]:
         ready["_measure_fix"] = measure_fix_tilted
+        ready["measure_lateral"], ready["measure_odometer"] = (
+            measure_lateral_tilted,
+            measure_odometer_tilted,
+        )
+    else:
+        for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
+            known = {"n": ready["n"], "bias": -1 if bias is None else bias, "lateral": int(name == "lateral")}
+            ready[f"measure_{name}"] = kernel(_measure_along, **known)
     # With 78 variances each, written into every caller they would double the time that compiling takes.
     made = subroutine if ready["tilted"] else kernel
     for function in parts:
         ready[function.__name__] = made(function, **ready)
-    lateral = _absorb_lateral_tilted if ready["tilted"] else absorb_lateral
-    public = (absorb_fix, forecast_fix, absorb_velocity, absorb_standstill)
-    return {function.__name__: kernel(function, **ready) for function in public} | {
-        "absorb_lateral": kernel(lateral, **ready)
-    }
+    public = (
+        *(absorb_fix, forecast_fix, absorb_velocity, absorb_standstill),
+        *(absorb_lateral, absorb_odometer),
+    )
+    return {function.__name__: kernel(function, **ready) for function in public}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
-from sigmaswarm.drives import frozen, gaps, standstill, timeline
+from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel, widen
@@ -19,22 +19,23 @@ from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import STEPS
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU
+from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
 # Columns of a target: a moment of truth inside an IMU interval.
 WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
 
-# Where a run goes on that is made in pieces: the next step, fix and target, and Q's scale since the last fix.
-NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE = range(4)
+# Where a run goes on that is made in pieces: the next step, fix and target, Q's scale since the last fix, and
+# the next speed of the wheels.
+NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 """For a run that records nothing."""
 
 
 def new_place() -> Array:
     """Where a run begins."""
-    return np.zeros(4)
+    return np.zeros(5)
 
 
 _TWO_PI = 2 * math.pi
@@ -69,7 +70,7 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 
 def _run(
-    w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations,
+    w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
     *, step, state, n_axes, heading, score,
 ):  # fmt: skip
     """The steps from a place to a stop; w holds what the filters are and remember, before and after.
@@ -78,6 +79,8 @@ def _run(
     tuples: a row of an array would count who refers to it, and wait for that at each step.
     """
     z, arm = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (lever[0], lever[1], lever[2])
+    wheels = (0.0, 0.0, 0.0)
+    n_speeds = int(place[NEXT_SPEED])
     n_fixes = int(place[NEXT_FIX])
     n_targets = int(place[NEXT_TARGET])
     n_recorded = 0
@@ -101,7 +104,10 @@ def _run(
         if happens & (FIX | HIDDEN):
             f = n_fixes
             z = (fixes[f, 0], fixes[f, 1], fixes[f, 2], fixes[f, 3], fixes[f, 4], fixes[f, 5])
-        step(w, u, happens, z, arm, since)
+        if happens & ODOMETER:
+            wheels = (speeds[n_speeds, 0], speeds[n_speeds, 1], speeds[n_speeds, 2])
+            n_speeds += 1
+        step(w, u, happens, z, wheels, arm, since)
         if happens & FIX:
             since = 0.0
         if happens & (FIX | HIDDEN):
@@ -125,6 +131,7 @@ def _run(
     if stop == steps.shape[0]:
         _take_logarithm(w)
     place[NEXT_STEP], place[NEXT_FIX], place[NEXT_TARGET], place[SINCE] = stop, n_fixes, n_targets, since
+    place[NEXT_SPEED] = n_speeds
 
 
 @kernel
@@ -152,6 +159,7 @@ def cached_by_sources(make, model, **options):
     elsewhere = (
         frozen,
         gaps,
+        odometer,
         standstill,
         timeline,
         models,
@@ -168,13 +176,15 @@ def cached_by_sources(make, model, **options):
 
 
 def _machine_code(sources, *, steps_to):
-    def run_model(steps, flags, fixes, lever, targets, target_end, rows, place, stop, record, innovations):
+    def run_model(
+        steps, flags, fixes, speeds, lever, targets, target_end, rows, place, stop, record, innovations
+    ):
         if sources == "":  # never; so the name is closed over
             return
         widen()
         w = new_rows()
         _load(w, rows)
-        steps_to(w, steps, flags, fixes, lever, targets, target_end, place, stop, record, innovations)
+        steps_to(w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations)
         _store(w, rows)
 
     return run_model
@@ -199,6 +209,7 @@ def run_lanes(
     steps: Array,
     flags: NDArray[np.int64],
     fixes: Array,
+    speeds: Array,
     lever: Array,
     targets: Array,
     target_end: NDArray[np.int64],
@@ -219,16 +230,17 @@ def run_lanes(
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
         steps absorb them
+    speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : (m, 5) see WEIGHT ... SCORES_HEADING
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, LANES), changed: state, constants and sums of each lane, and what it remembers
-    place : (4,), changed: see NEXT_STEP ... SINCE
+    place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete
     record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes at
         each IMU sample of these steps; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it
         is absorbed; of no rows: none
     """
-    arrays = steps, flags, fixes, lever, targets, target_end, rows, place, stop
+    arrays = steps, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
     KERNELS[model](*arrays, record, innovations)

@@ -17,6 +17,7 @@ from sigmaswarm.filters.schedule import (
     GAP_TURN_STD,
     HIDDEN,
     LATERAL,
+    ODOMETER,
     STANDSTILL,
     VELOCITY,
 )
@@ -40,12 +41,14 @@ def _grow(w, dt, gap, *, tilted):
 
 
 def _step(
-    w, u, happens, z, lever, since,
-    *, predict, grow, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    w, u, happens, z, wheels, lever, since,
+    *, predict, grow, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer,
+    absorb_standstill,
 ):  # fmt: skip
-    """``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`: tuples.
+    """Predict, and absorb what there is.
 
-    ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
+    ``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`, ``wheels``
+    one of `Wheels.rows`: tuples. ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:
@@ -60,6 +63,8 @@ def _step(
         forecast_fix(w, z, lever)
     if happens & LATERAL:
         absorb_lateral(w, u)
+    if happens & ODOMETER:
+        absorb_odometer(w, u, wheels)
     if happens & STANDSTILL:
         absorb_standstill(w, u)
     if settle:

@@ -18,6 +18,7 @@ done after the first.
 
 import math
 
+from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import (
     AX,
     AY,
@@ -194,26 +195,42 @@ def measure_fix_tilted(w, z, lever):
         w[R.S22, l] = w[C2 + R.Y, l] - tau * w[C2 + R.V, l] + jn * w[C2 + R.T, l] - up * w[C2 + R.I, l]
 
 
-@kernel
-def measure_lateral_tilted(w, u):
-    """nu, C and H P H^T of the velocity to the left at the rear axle: `tilted.RearAxle`."""
-    gz = u[GZ]
+def _measure_along(w, u, wheels, *, lateral, bias):
+    """nu, C and S of the velocity to the left at the rear axle, or of that forward: `tilted.RearAxle`, `Wheels`."""
+    if lateral:
+        shown = u[GZ]
+    else:
+        shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     for l in range(LANES):
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
-        e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
+        if lateral:
+            e0, e1, e2 = 2.0 * (q1 * q2 - q0 * q3), 1.0 - 2.0 * (q1 * q1 + q3 * q3), 2.0 * (q2 * q3 + q0 * q1)
+        else:
+            e0, e1, e2 = 1.0 - 2.0 * (q2 * q2 + q3 * q3), 2.0 * (q1 * q2 + q0 * q3), 2.0 * (q1 * q3 - q0 * q2)
         c0, c1, c2 = 2.0 * (q1 * q3 + q0 * q2), 2.0 * (q2 * q3 - q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2)
-        vx, vy, axle = w[R.U, l], w[R.V, l], w[R.REAR_AXLE, l]
+        vx, vy = w[R.U, l], w[R.V, l]
         vz, climb = -(c0 * vx + c1 * vy) / c2, e2 / c2
-        w[R.N1, l] = axle * (gz - w[R.W, l]) - (e0 * vx + e1 * vy + e2 * vz)
         # e x v - climb c x v = (e - climb c) x v
         d0, d1 = e0 - climb * c0, e1 - climb * c1
         hi, hj, ht = d1 * vz, -d0 * vz, d0 * vy - d1 * vx
+        if lateral:
+            arm, noise = w[R.REAR_AXLE, l], w[R.R_LATERAL, l]
+            w[R.N1, l] = arm * (shown - w[bias, l]) - (e0 * vx + e1 * vy + e2 * vz)
+        else:
+            arm, noise = w[R.ODOMETER_LATENCY, l] + age, w[R.R_ODOMETER, l] + more
+            gained = shown - w[bias, l] - GRAVITY * e2
+            w[R.N1, l] = w[R.ODOMETER_SCALE, l] * speed + arm * gained - (e0 * vx + e1 * vy + e2 * vz)
+            hi, hj = hi + arm * GRAVITY * e1, hj - arm * GRAVITY * e0
         for i in range(N):
             w[C1 + i, l] = (
-                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + axle * w[at(i, R.W), l]
+                d0 * w[at(i, R.U), l] + d1 * w[at(i, R.V), l] + arm * w[at(i, bias), l]
                 + hi * w[at(i, R.I), l] + hj * w[at(i, R.J), l] + ht * w[at(i, R.T), l]
             )  # fmt: skip
         w[R.S11, l] = (
-            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + axle * w[C1 + R.W, l]
-            + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l] + ht * w[C1 + R.T, l] + w[R.R_LATERAL, l]
+            d0 * w[C1 + R.U, l] + d1 * w[C1 + R.V, l] + arm * w[C1 + bias, l]
+            + hi * w[C1 + R.I, l] + hj * w[C1 + R.J, l] + ht * w[C1 + R.T, l] + noise
         )  # fmt: skip
+
+
+measure_lateral_tilted = kernel(_measure_along, lateral=1, bias=R.W)
+measure_odometer_tilted = kernel(_measure_along, lateral=0, bias=R.A)

@@ -14,6 +14,8 @@ from sigmaswarm.filters.schedule import (
     GAP_TILT_STD,
     LATERAL,
     MOST_REJECTED,
+    ODOMETER,
+    SLIP_GATE,
     STANDSTILL,
     STANDSTILL_RATE_NOISE,
     VELOCITY,
@@ -22,6 +24,7 @@ from sigmaswarm.filters.schedule import (
     gap_covariance,
     require_accuracy,
     require_axes,
+    require_odometer,
     start_of,
     switches,
 )
@@ -84,8 +87,11 @@ class TextbookCar:
         self.robust = None if p.robust_dof is None else StudentT(p.robust_dof)
         if p.accuracy_scale is not None:
             require_accuracy(timeline)
+        if p.odometer_noise is not None:
+            require_odometer(timeline.drive)
         self._imu = timeline.imu(self.model.imu)
         self.flags = flags_of(timeline, *switches(p))
+        self._wheels_of_step = np.cumsum(self.flags & ODOMETER != 0) - 1
         self._fix_of_step = np.cumsum(timeline.absorbs | timeline.hides) - 1
         self._rejected = 0
         self._since = 0.0
@@ -107,6 +113,13 @@ class TextbookCar:
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
             lateral = model.lateral(float(line.gz[i]), p.rear_axle)
             self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral)
+        if self.flags[i] & ODOMETER and p.odometer_noise is not None and line.wheels is not None:
+            speed, age, more = line.wheels.rows[self._wheels_of_step[i]]
+            wheels = model.odometer(float(line.ax[i]), p.odometer_latency + age)
+            noise = np.array([[p.odometer_noise + more]])
+            innovation = self.filter.measure(np.array([speed / p.odometer_scale]), noise, wheels)
+            if innovation.nis <= SLIP_GATE:
+                self.filter.absorb(innovation)
         if self.flags[i] & STANDSTILL and p.standstill_noise is not None:
             self.filter.update(np.zeros(2), p.standstill_noise * np.eye(2), model.velocity)
             if model.gyro_axes:

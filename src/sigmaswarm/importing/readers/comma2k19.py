@@ -23,11 +23,13 @@ _SENSORS = {
     "accelerometer": ("IMU/accelerometer", "IMU/acceleration"),
     "gyro": ("IMU/gyro", "IMU/gyro_uncalibrated"),
     "gnss": ("GNSS/live_gnss_ublox", "GNSS/live_gnss_qcom"),
+    "speed": ("CAN/speed",),
 }
 _COLUMNS = {
     "accelerometer": ("forward", "right", "down"),
     "gyro": ("forward", "right", "down"),
     "gnss": ("latitude", "longitude", "speed", "utc", "altitude", "bearing"),
+    "speed": ("speed",),
 }
 _FIX = {
     **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
@@ -61,6 +63,8 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
         roles["gps"] = (Part("gnss", _FIX),)
     if "pose" in frames:
         roles["truth"] = (Part("pose", _TRUTH),)
+    if "speed" in frames:
+        roles["odometer"] = (Part("speed", {"t": "t", "speed": "speed"}),)
     notes = ("the IMU's axes turned from forward, right, down; the truth is the camera's",)
     yield Frames(path, frames, Guess(roles, notes, metadata={"licence": "MIT", "dataset": "comma2k19"}))
 
@@ -83,6 +87,8 @@ def _table(folder: Path, columns: tuple[str, ...]) -> pl.DataFrame:
     """Times and values of a sensor."""
     time, values = _load(folder / "t"), _load(folder / "value")
     _require_shape(time, (time.size,), folder / "t")
+    if len(columns) == 1 and values.ndim == 1:
+        values = values[:, np.newaxis]
     _require_shape(values, (len(time), len(columns)), folder / "value")
     return pl.DataFrame({"t": time, **dict(zip(columns, values.T, strict=True))})
 

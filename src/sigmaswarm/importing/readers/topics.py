@@ -21,6 +21,9 @@ _IMU = {
 _FIX = {"lat": "latitude", "lon": "longitude", "alt": "altitude"}
 _VELOCITY = {"vx": "linear.x", "vy": "linear.y"}
 _POSITION = {"x": "position.x", "y": "position.y"}
+_SPEEDS = ("twist.linear.x", "linear.x", "longitudinal_velocity", "speed")
+"""Where messages have the speed of the wheels: nav_msgs and geometry_msgs, Autoware's reports, and others."""
+_WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
 
@@ -66,6 +69,18 @@ def guess_topics(tables: Mapping[str, Table], choice: Choice, first: First, path
         notes.append(
             f"{names_shown(poses)} not taken as truth, since no name says so; choose one with --truth-topic"
         )
+    told = {t for t in tables if pick.speed(t) is not None and _WHEELS.search(t)}
+    told -= {t for t in told if _TRUTH.search(t) or _RECEIVER.search(t) or re.search(r"cmd|command", t)}
+    wheels = pick.topic("odometer", told - {fixes, truth})
+    if wheels:
+        speed = pick.speed(wheels)
+        if speed is None:
+            raise InputError(
+                f"{path}: {wheels} ({tables[wheels].kind}) has none of {', '.join(_SPEEDS)}; choose another topic, or "
+                "map odometer.speed"
+            )
+        roles["odometer"] = (pick.part(wheels, {"speed": speed}),)
+        notes.append(f"{wheels} taken as the wheels' speed, m/s forward")
     return Guess(roles, tuple(notes))
 
 
@@ -115,6 +130,10 @@ class _Picker:
             if column.endswith(first) and at_start and {before + p for p in paths.values()} <= columns:
                 return before
         return None
+
+    def speed(self, topic: str) -> str | None:
+        """The path of a speed forward in a topic's messages."""
+        return next((at + p for p in _SPEEDS if (at := self.prefix(topic, {"speed": p})) is not None), None)
 
     def needed(self, topic: str, paths: Mapping[str, str]) -> str:
         """The prefix, of a topic that must have it."""

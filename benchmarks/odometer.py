@@ -1,0 +1,225 @@
+"""What the wheels' speed is worth: filters tuned and tested with and without it, and with one that lies.
+
+    python benchmarks/odometer.py grades --imus mpu-6050 icm-20602 adis16488
+    python benchmarks/odometer.py faults --imus icm-20602 --objective "truth-pose + 0.2 nees"
+    python benchmarks/odometer.py real drives/comma2k19
+    python benchmarks/odometer.py speed
+
+grades: ten drives of 120 s through a simulated town for each grade of IMU, shaken as real cars are, fixes with 1 m of
+white noise, an odometer that counts pulses (1% of scale error, drawn for each drive); tuned on seven, tested on three,
+another split each seed. faults: the filters of one grade, tested on drives whose odometer lies. real: a drive, tuned
+on its first part and tested on the rest. speed: what a filter's step costs with the odometer used, there, and absent.
+Prints Markdown tables of medians over the seeds. Drift is the RMS over the windows of `switches.py`.
+"""
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sigmaswarm import (
+    Drive,
+    FilterParameters,
+    SigmaswarmWarning,
+    diagnose,
+    read_drive,
+    simulate,
+    split_drives,
+    split_time,
+    tune,
+)
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.replay import run_replays
+from sigmaswarm.scoring.targets import tracking_replay
+from sigmaswarm.simulation import IMU_GRADES
+from sigmaswarm.tuning.space import search_space
+from switches import TITLES, measured, shown
+
+PLAIN = ("lateral", "standstill")
+WHEELS = (*PLAIN, "odometer")
+DRIVES = 10
+GRADES = [name for name in IMU_GRADES if name not in ("ideal", "carla")]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("what", choices=["grades", "faults", "real", "speed"])
+    parser.add_argument("drive", nargs="?", type=Path)
+    parser.add_argument("--model", default="planar8")
+    parser.add_argument("--imus", nargs="+", default=GRADES)
+    parser.add_argument("--odometer", default="pulses")
+    parser.add_argument(
+        "--objective", default="truth-pose", help="for faults one that fixes the covariance's scale"
+    )
+    parser.add_argument("--only", nargs="+", default=[*FAULTS], help="of the faults")
+    parser.add_argument("--seeds", type=int, default=3)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    with ThreadPoolExecutor() as pool:
+        if options.what == "speed":
+            print(speed())
+            return
+        print("| drives | " + " | ".join(TITLES[1:]) + " |\n" + "|---" * len(TITLES) + "|")
+        if options.what == "grades":
+            for imu in options.imus:
+                grade(imu, options, pool)
+        if options.what == "faults":
+            faults(options, pool)
+        if options.what == "real":
+            real(options, pool)
+
+
+def town(imu: str, options: argparse.Namespace, pool: ThreadPoolExecutor) -> list[Drive]:
+    def one(seed: int) -> Drive:
+        more = {"gps": "white-1m", "duration": 120.0, "vibration": 1.0, "odometer": options.odometer}
+        return simulate("urban", seed=seed, imu=imu, **more)
+
+    return list(pool.map(one, range(DRIVES)))
+
+
+def tuned(
+    training: Sequence[Drive],
+    use: Sequence[str],
+    seed: int,
+    options: argparse.Namespace,
+    pool: ThreadPoolExecutor,
+) -> FilterParameters:
+    asked = {"objective": options.objective, "model": options.model, "use": use}
+    return tune(training, seed=seed, executor=pool, **asked).parameters
+
+
+def tell(name: str, what: str, rows: Sequence[Sequence[float]]) -> None:
+    print(f"| {name} | {what} | {shown(np.median(np.array(rows), axis=0))} |", flush=True)
+
+
+def splits(drives: Sequence[Drive], seeds: int) -> list[tuple[list[Drive], list[Drive]]]:
+    return [split_drives(drives, 0.7, rng=np.random.default_rng(seed)) for seed in range(seeds)]
+
+
+def grade(imu: str, options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
+    drives = town(imu, options, pool)
+    for use in (PLAIN, WHEELS):
+        rows = [
+            measured([PreparedDrive(drive) for drive in test], tuned(training, use, seed, options, pool))
+            for seed, (training, test) in enumerate(splits(drives, options.seeds))
+        ]
+        tell(imu, " + ".join((options.model, *use)), rows)
+
+
+def lying(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Callable[[Drive], Drive]:
+    """A drive with other speeds, of the times and the speeds that its odometer tells."""
+
+    def plant(drive: Drive) -> Drive:
+        wheels = drive.odometer
+        assert wheels is not None
+        return replace(drive, odometer=replace(wheels, speed=change(wheels.time, wheels.speed)))
+
+    return plant
+
+
+def slipping(t: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Wheels that spin up by half, or lock, for two seconds of each twelve."""
+    phase = t % 24.0
+    return np.where(phase < 2.0, 1.5 * v, np.where((phase > 12.0) & (phase < 14.0), 0.0, v))
+
+
+def held(begin: float, length: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    def change(t: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.where((t > begin) & (t < begin + length), np.interp(begin, t, v), v)
+
+    return change
+
+
+FAULTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "as it is": lambda t, v: v,
+    "3% high": lambda t, v: 1.03 * v,
+    "slip, 4 s of 24": slipping,
+    "zero below 1 m/s": lambda t, v: np.where(v < 1.0, 0.0, v),
+    "stuck for 20 s": held(60.0, 20.0),
+    "dead from 60 s on": lambda t, v: np.where(t > 60.0, 0.0, v),
+    "late by 0.3 s": lambda t, v: np.interp(t - 0.3, t, v),
+    "unsigned noise of 1 m/s": lambda t, v: np.abs(v + np.random.default_rng(0).standard_normal(len(v))),
+}
+
+
+def exact(drive: Drive) -> Drive:
+    """The drive with the scale that was drawn for it taken off: more than a state for it could find."""
+    scale = drive.metadata["odometer"]["scale"]
+    return lying(lambda t, v: v / scale)(drive)
+
+
+def faults(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
+    """Filters that know no fault, on drives that have one; and what the doctor says of these."""
+    for imu in options.imus:
+        parts = splits(town(imu, options, pool), options.seeds)
+        filters = {
+            use: [tuned(training, use, seed, options, pool) for seed, (training, _) in enumerate(parts)]
+            for use in (PLAIN, WHEELS)
+        }
+        known = [
+            measured(
+                [PreparedDrive(exact(drive)) for drive in test],
+                tuned([exact(drive) for drive in training], WHEELS, seed, options, pool),
+            )
+            for seed, (training, test) in enumerate(parts)
+        ]
+        tell(imu, "each drive's scale known, tuned and tested", known)
+        for use, name in [(PLAIN, "as it is"), *((WHEELS, name) for name in options.only)]:
+            plant, rows, codes = lying(FAULTS[name]), list[list[float]](), list[str]()
+            for (_, test), parameters in zip(parts, filters[use], strict=True):
+                planted = [plant(drive) for drive in test]
+                rows.append(measured([PreparedDrive(drive) for drive in planted], parameters))
+                if not codes:  # of the first split
+                    codes += [
+                        c for drive in planted for c in diagnose(drive).codes if c.startswith("odometer")
+                    ]
+                    codes += [""]
+            codes, tests = [code for code in codes if code], len(parts[0][1])
+            seen = ", ".join(f"{c} {codes.count(c)}/{tests}" for c in sorted(set(codes)))
+            label = "without" if use is PLAIN else name + (f" ({seen})" if seen else "")
+            tell(imu, label, rows)
+
+
+def real(options: argparse.Namespace, pool: ThreadPoolExecutor) -> None:
+    """A drive in two parts."""
+    training, test = split_time(read_drive(options.drive), 0.5)
+    for use in (PLAIN, WHEELS):
+        found = [tuned([training], use, seed, options, pool) for seed in range(options.seeds)]
+        tell(
+            test.name, " + ".join((options.model, *use)), [measured([PreparedDrive(test)], p) for p in found]
+        )
+        if use is WHEELS:
+            print("scales:", ", ".join(f"{p.odometer_scale:.4f}" for p in found))
+            print("latencies:", ", ".join(f"{p.odometer_latency:.2f} s" for p in found))
+
+
+def speed() -> str:
+    """ns of processor time for a set and step, the best of many turns: no odometer, one that is not used, and used."""
+    drive = simulate("urban", seed=1, duration=120.0, odometer="can")
+    lines = ["| filter | without odometer.csv, ns | with it, not used | used |", "|---|---|---|---|"]
+    for model, kind in (("planar5", "ukf"), ("planar8", "ukf"), ("tilted12", "ekf")):
+        figures = []
+        for one, use in ((replace(drive, odometer=None), PLAIN), (drive, PLAIN), (drive, WHEELS)):
+            space = search_space(model, "log10", one.nominal_interval, kind=kind, use=use)
+            points = np.random.default_rng(0).uniform(space.low, space.high, (32, len(space.names)))
+            sets, replay = space.decode(points), tracking_replay(PreparedDrive(one))
+            run_replays([replay], sets)
+            turns = []
+            for _ in range(15):
+                begin = time.thread_time()
+                run_replays([replay], sets)
+                turns.append(time.thread_time() - begin)
+            figures.append(1e9 * min(turns) / len(sets) / len(replay.timeline.dt))
+        lines.append(f"| {model} {kind} | " + " | ".join(f"{f:.1f}" for f in figures) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

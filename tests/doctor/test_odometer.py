@@ -1,0 +1,109 @@
+"""What the doctor says of the wheels' speed, and what its repairs give back."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sigmaswarm import Drive, Odometer, diagnose, read_drive, repair, simulate
+from sigmaswarm.doctor.checks import odometer as subject
+from sigmaswarm.doctor.checks.use import suited
+from sigmaswarm.doctor.evidence import Evidence, gather
+from sigmaswarm.doctor.findings import Diagnosis
+from support import DRIVES, needs_shared
+
+Fault = Callable[[Odometer], Odometer]
+
+
+def times(factor: float) -> Fault:
+    return lambda wheels: replace(wheels, speed=factor * wheels.speed)
+
+
+def shifted(seconds: float) -> Fault:
+    return lambda wheels: replace(wheels, time=wheels.time + seconds)
+
+
+def stuck(begin: float, length: float, value: float | None = None) -> Fault:
+    """The reading of a moment, or another one, for so many seconds."""
+
+    def plant(wheels: Odometer) -> Odometer:
+        held = np.interp(begin, wheels.time, wheels.speed) if value is None else value
+        there = (wheels.time >= begin) & (wheels.time < begin + length)
+        return replace(wheels, speed=np.where(there, held, wheels.speed))
+
+    return plant
+
+
+FAULTS: dict[str, tuple[str, Fault]] = {
+    "3% high": ("odometer-scale", times(1.03)),
+    "5% low": ("odometer-scale", times(0.95)),
+    "backwards": ("odometer-sign", times(-1.0)),
+    "km/h": ("odometer-unit", times(3.6)),
+    "late": ("odometer-clock", shifted(0.5)),
+    "early": ("odometer-clock", shifted(-0.3)),
+    "stuck": ("odometer-stuck", stuck(90.0, 15.0, 11.0)),
+    "stuck at zero": ("odometer-stuck", stuck(60.0, 15.0, 0.0)),
+}
+
+
+@cache
+def evidence() -> Evidence:
+    """Five minutes of town with a cheap receiver and CAN, whose scale was drawn close to 1."""
+    drive = simulate("urban", seed=1, duration=300.0, odometer="can", vibration=1.0)
+    assert abs(drive.metadata["odometer"]["scale"] - 1) < 0.01
+    return gather(drive)
+
+
+def planted(fault: Fault) -> Drive:
+    wheels = evidence().drive.odometer
+    assert wheels is not None
+    return replace(evidence().drive, odometer=fault(wheels))
+
+
+def found(drive: Drive) -> Diagnosis:
+    return Diagnosis(drive.name, tuple(subject.check(replace(evidence(), drive=drive))))
+
+
+def test_nothing_is_said_of_a_sound_odometer():
+    assert not found(evidence().drive).findings
+    assert not list(subject.check(replace(evidence(), drive=replace(evidence().drive, odometer=None))))
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_and_mended(name: str):
+    code, fault = FAULTS[name]
+    drive = planted(fault)
+    diagnosis = found(drive)
+    assert diagnosis.codes == {code}
+    (finding,) = diagnosis.findings
+    assert finding.repair is not None and finding.remedy and finding.where.startswith("odometer.csv")
+    mended, sound = repair(drive, diagnosis).odometer, evidence().drive.odometer
+    assert mended is not None and sound is not None
+    assert not found(replace(drive, odometer=mended)).findings
+    inside = (sound.time > 20) & (sound.time < 280)
+    if code != "odometer-stuck":
+        again = np.interp(sound.time[inside], mended.time, mended.speed)
+        assert np.mean(np.abs(again - sound.speed[inside])) < 0.25
+    else:
+        assert 0.8 * 15 < (len(sound) - len(mended)) / 83.0 < 1.4 * 15
+
+
+def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():
+    diagnosis = diagnose(planted(times(1.06)))
+    assert "odometer-scale" in diagnosis.codes
+    (use,) = (finding for finding in diagnosis.findings if finding.code == "use")
+    assert "--use lateral standstill odometer" in use.what
+    assert "odometer" in suited(evidence().drive)
+    assert "odometer" not in suited(replace(evidence().drive, odometer=None))
+
+
+@needs_shared
+def test_a_real_one():
+    drive = read_drive(DRIVES / "comma2k19")
+    seen = gather(drive)
+    assert not list(subject.check(seen))
+    assert drive.odometer is not None
+    high = replace(drive, odometer=times(1.04)(drive.odometer))
+    assert [f.code for f in subject.check(replace(seen, drive=high))] == ["odometer-scale"]
