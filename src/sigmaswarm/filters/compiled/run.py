@@ -4,6 +4,7 @@
 
 import hashlib
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -166,7 +167,9 @@ def cached_by_sources(make, model, **options):
         *(Path(str(module.__file__)) for module in elsewhere),
     ]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return cached(make(f"{model} {digest}"), **(OPTIONS | options))
+    function = make(f"{model} {digest}")
+    function.__qualname__ += "_" + re.sub(r"\W+", "_", model)  # see `unroll`
+    return cached(function, **(OPTIONS | options))
 
 
 def _machine_code(sources, *, steps_to):
