@@ -3,9 +3,9 @@
 It runs the filter forward, and back again over what the forward pass leaves on tape: see `compiled.smoothing`. It knows
 nothing of measurements; what the filter absorbed, weighed or turned away, it takes as the filter decided it.
 
-What it holds does not grow with the drive. The forward pass keeps a mark every so many samples, from which it can go on;
-the backward pass runs the filter again from mark to mark, the last one first, and keeps what is known in hindsight at the
-marks alone. A third pass, forward from mark to mark, hands the estimates out in the order of time.
+What it holds does not grow with the drive. The forward pass keeps a mark every so many samples, from which it can go
+on; the backward pass runs the filter again from mark to mark, the last one first, and keeps what is known in hindsight
+at the marks alone. A third pass, forward from mark to mark, hands the estimates out in the order of time.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ from sigmaswarm.filters.packing import believed
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
 from sigmaswarm.filters.recovery import Recovery
-from sigmaswarm.filters.replay import Replay
+from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.schedule import IMU, switches
 from sigmaswarm.filters.textbook.car import TextbookCar
@@ -127,51 +127,59 @@ class _Tape:
 
 
 class _Forward(Recording):
-    """A recording that keeps a mark before each of its pieces, and can run one again with every step on tape."""
+    """A recording with every step on tape, which keeps a mark before each of its pieces, and can run one again.
+
+    All of it goes through one kernel: another one rounds otherwise, and the estimates would depend on the marks.
+    """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
         super().__init__(replay, parameters, samples=samples, recover=recover)
+        require_readable(replay, self._chunk)
         self.marks: list[_Mark] = []
-        self._parameters = parameters
-        self._taped: Array | None = None
+        self._switches = switches(parameters)
+        self._kernel: Any = taped_kernel(parameters.model)
+        self._width = len(taped_rows(parameters.model)) + 1  # and whether it is sound
+        self._first, self._taped, self._again = 0, np.empty((0, self._width, 1)), False
         self._anew: list[tuple[int, Array]] = []
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        if self._taped is None:
-            self.marks.append(_Mark(self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._recovery)))
+        self.marks.append(_Mark(self._rows[0, :, 0].copy(), self._place.copy(), deepcopy(self._recovery)))
+        return self._tape_to(stops, record)
+
+    def _tape_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+        self._first, self._anew = int(self._place[NEXT_STEP]), []
+        self._taped = np.empty((int(stops[-1]) - self._first, self._width, 1))
         return super()._run_to(stops, record)
 
     def again(self, number: int, samples: int) -> _Tape:
         """A piece once more, its first ``samples``."""
-        mark, line = self.marks[number], self._replay.timeline
+        mark, sampled, self._again = self.marks[number], self._replay.timeline.sampled, True
         self._rows[0] = mark.rows[:, np.newaxis]  # all lanes are the same filter
         self._place[:] = mark.place
         self._recovery = deepcopy(mark.recovery)
-        first = int(mark.place[NEXT_STEP])
-        stops = np.flatnonzero(line.sampled[first:])[:samples] + 1 + first
         start = self._rows[0, self._state, 0]
-        self._taped = np.empty((stops[-1] - first, len(taped_rows(self._chunk.model)) + 1, 1))
-        self._first, self._anew = first, []
-        lost = self._run_to(stops, np.empty((len(stops), len(self._state) + 1, 1)))
-        taped, self._taped = self._taped, None
+        first = int(mark.place[NEXT_STEP])
+        stops = np.flatnonzero(sampled[first:])[:samples] + 1 + first
+        lost = self._tape_to(stops, np.empty((samples, len(self._state) + 1, 1)))
         ends = np.array([step for step, _ in self._anew], dtype=np.int64)
         started = np.array([state for _, state in self._anew]).reshape(-1, len(self._state))
-        return _Tape(taped[:, :, 0], start, ends, started, line.sampled[first : stops[-1]], lost)
+        return _Tape(self._taped[:, :, 0], start, ends, started, sampled[first : stops[-1]], lost)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        if self._taped is None:
-            super()._steps_to(stop, record)
+        first = int(self._place[NEXT_STEP])
+        taped = self._taped[first - self._first : stop - self._first]
+        steps, flags, *rest = self._replay.arrays(*self._switches)
+        # With IMU in all flags it records all steps.
+        self._kernel(steps, flags | IMU, *rest, self._rows[0], self._place, stop, taped, NO_INNOVATIONS)
+        if self._again:  # nobody asks for what is known already
             return
-        steps, flags, *rest = self._replay.arrays(*switches(self._parameters))
-        taped = self._taped[int(self._place[NEXT_STEP]) - self._first : stop - self._first]
-        kernel: Any = taped_kernel(self._chunk.model)  # with IMU in all flags it records all steps
-        kernel(steps, flags | IMU, *rest, self._rows[0], self._place, stop, taped, NO_INNOVATIONS)
+        at, n = np.flatnonzero(self._replay.timeline.sampled[first:stop]), len(self._state)
+        record[:, :n], record[:, n] = taped[at, :n], taped[at, -1]
 
     def _start_anew(self, start: InitialState) -> None:
         super()._start_anew(start)
-        if self._taped is not None:
-            behind = int(self._place[NEXT_STEP]) - 1 - self._first
-            self._anew.append((behind, self._rows[0, self._state, 0]))
+        behind = int(self._place[NEXT_STEP]) - 1 - self._first
+        self._anew.append((behind, self._rows[0, self._state, 0]))
 
 
 class Smoothing:
@@ -253,9 +261,7 @@ class Smoothing:
     def _smoothed(self, tape: _Tape, behind: Array, samples: int) -> tuple[Array, Array]:
         """States at the samples, (samples, s), and before the first step, (s,)."""
         out, before = np.empty((samples, len(behind))), behind.copy()
-        smooth_back(
-            self._model, tape.steps, tape.start, tape.ends, tape.started, tape.sampled, before, out
-        )
+        smooth_back(self._model, tape.steps, tape.start, tape.ends, tape.started, tape.sampled, before, out)
         return out, before
 
     def _piece(self, number: int, first: int, size: int, sound: int) -> Piece:

@@ -24,8 +24,6 @@ from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.tilted import GRAVITY
 
-_N_QUATERNION = len(QUATERNION)
-
 
 def _plain(function, **known):
     """Compiled as Python divides; nothing here has lanes."""
@@ -76,40 +74,40 @@ def _moved_tilted12(move, p, ap):
 _MOVED = {"planar5": _moved_planar5, "planar8": _moved_planar8, "tilted12": _moved_tilted12}
 
 
-@_plain
-def _spread(state, first, p):
+def _spread(state, p, *, n, first):
     """The covariance (n, n) of a packed upper triangle, column by column."""
     at = first
-    for b in range(p.shape[0]):
+    for b in range(n):
         for a in range(b + 1):
             p[a, b] = p[b, a] = state[at]
             at += 1
 
 
-@_plain
-def _solved(s, x):
+def _solve(s, x, *, n):
     """S^-1 x, in place of x (n, n); S (n, n), symmetric, is overwritten by its Cholesky factor."""
-    n = s.shape[0]
     for a in range(n):
         for b in range(a):
             s[a, a] -= s[a, b] * s[a, b]
         s[a, a] = math.sqrt(s[a, a])
+        one = 1.0 / s[a, a]
         for c in range(a + 1, n):
             for b in range(a):
                 s[c, a] -= s[c, b] * s[a, b]
-            s[c, a] /= s[a, a]
+            s[c, a] *= one
     for a in range(n):
+        one = 1.0 / s[a, a]
         for b in range(a):
             for c in range(n):
                 x[a, c] -= s[a, b] * x[b, c]
         for c in range(n):
-            x[a, c] /= s[a, a]
+            x[a, c] *= one
     for a in range(n - 1, -1, -1):
+        one = 1.0 / s[a, a]
         for b in range(a + 1, n):
             for c in range(n):
                 x[a, c] -= s[b, a] * x[b, c]
         for c in range(n):
-            x[a, c] /= s[a, a]
+            x[a, c] *= one
 
 
 @_plain
@@ -140,23 +138,22 @@ def _turned(q, x, y, z, out):
     out[0], out[1], out[2], out[3] = one * w0, one * w1, one * w2, one * w3
 
 
-def _step_back(before, noted, behind, work, *, n, n_state, tilted, moved):
+def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, moved, spread, solve):
     """From what is known behind a step to what is known before it: ``behind`` (n_state,), in place."""
-    first = n + (_N_QUATERNION if tilted else 0)
     prior = noted[n_state : 2 * n_state]
     p, change, x, s = work[0], work[1], work[2], work[3]
     error, shift = work[4, 0], work[4, 1]
-    _spread(before, first, p)
+    spread(before, p)
     moved(noted[2 * n_state :], p, x)
-    _spread(prior, first, s)
-    _spread(behind, first, change)
+    spread(prior, s)
+    spread(behind, change)
     for a in range(n):
         error[a] = behind[a] - prior[a]
         for b in range(n):
             change[a, b] -= s[a, b]
     if tilted:
         _turn_between(behind[n:first], prior[n:first], error)
-    _solved(s, x)  # X = G^T
+    solve(s, x)  # X = G^T
     for a in range(n):
         shift[a] = 0.0
     for b in range(n):
@@ -208,9 +205,22 @@ def _backwards(sources, *, n, step_back):
 
 @cache
 def _kernel_of(model):
-    n, n_state = len(MODELS[model].states), len(state_rows(model))
-    tilted = int(MODELS[model].tilts is not None)
-    step_back = _plain(_step_back, n=n, n_state=n_state, tilted=tilted, moved=_MOVED[model])
+    n, n_state, tilted = (
+        len(MODELS[model].states),
+        len(state_rows(model)),
+        int(MODELS[model].tilts is not None),
+    )
+    first = n + (len(QUATERNION) if tilted else 0)
+    step_back = _plain(
+        _step_back,
+        n=n,
+        n_state=n_state,
+        first=first,
+        tilted=tilted,
+        moved=_MOVED[model],
+        spread=_plain(_spread, n=n, first=first),
+        solve=_plain(_solve, n=n),
+    )
     make = unrolled(_backwards, n=n, step_back=step_back)
     return cached_by_sources(make, f"{model}, backwards", fastmath=False)
 
@@ -230,4 +240,3 @@ def smooth_back(model, tape, start, ends, started, sampled, behind, out):
     out : (r, s) written: what is known at the ends asked for
     """
     _kernel_of(model)(tape, start, ends, started, sampled, behind, out)
-

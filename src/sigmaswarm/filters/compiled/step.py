@@ -42,7 +42,8 @@ def _grow(w, dt, gap, *, tilted):
 
 def _step(
     w, u, happens, z, lever, since,
-    *, predict, grow, settle, note_move, note_prior, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
+    *, predict, grow, settle, note_move, note_prior,
+    absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_standstill,
 ):  # fmt: skip
     """``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`: tuples.
 

@@ -2,7 +2,7 @@
 
 References
 ----------
-H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8), 1965.
+H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
 S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
 """
 
@@ -63,7 +63,7 @@ def rauch_tung_striebel(
     plus: Retraction = add,
     minus: Retraction = sub,
 ) -> tuple[Array, Array]:
-    """Means (k + 1, n) and covariances (k + 1, n, n) in hindsight, of the filter's and of k predictions between them."""
+    """Means (k + 1, n) and covariances (k + 1, n, n) in hindsight, of a filter's and its k predictions between them."""
     means, covariances = [filtered[-1][0]], [filtered[-1][1]]
     for (mean, covariance), prior in zip(filtered[-2::-1], predictions[::-1], strict=True):
         gain = np.linalg.solve(prior.covariance, prior.cross.T).T  # G = C (P-)^-1
