@@ -24,6 +24,7 @@ from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, taped_ker
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import believed
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
@@ -214,7 +215,8 @@ class Smoothing:
         samples: int = SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._line, self._model = replay.timeline, parameters.model
+        self._line = replay.timeline
+        self._model: ModelName = parameters.model
         self._forward = forward = _Forward(replay, parameters, samples=samples, recover=recover)
         self._sizes: list[tuple[int, int]] = []  # samples of each piece, and how many of them are sound
         for piece in forward:
