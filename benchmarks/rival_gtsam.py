@@ -8,11 +8,13 @@ behind the IMU. What is scored between nodes is what was known there: the newest
 """
 
 import math
+import time
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
+from scipy.interpolate import CubicHermiteSpline
 
 from sigmaswarm import Drive, InitialState
 from sigmaswarm.drives.drive import Array
@@ -159,6 +161,39 @@ class Smoother:
 
 def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = None) -> Run:
     """The drive from its start on; fixes that are ``hidden`` (m,) bool are left out."""
+    return _driven(drive, start, noise, hidden)[0]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What is known in hindsight, and the processor time, s, of the optimizer alone."""
+
+    run: Run
+    spent: float
+
+
+def run_batch(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = None) -> Batch:
+    """All factors of a drive at once, by Levenberg and Marquardt from iSAM2's last estimate, which is near.
+
+    Between nodes the position is the cubic of their places and velocities, the heading linear.
+    """
+    causal, smoother, times = _driven(drive, start, noise, hidden)
+    graph, first = smoother.isam.getFactorsUnsafe(), smoother.isam.calculateBestEstimate()
+    begun = time.process_time()
+    found = gtsam.LevenbergMarquardtOptimizer(graph, first).optimize()
+    spent = time.process_time() - begun
+    nodes = range(smoother.count + 1)
+    poses, speeds = [found.atPose3(X(j)) for j in nodes], np.array([found.atVector(V(j)) for j in nodes])
+    places = np.array([pose.translation() for pose in poses])
+    theta = np.unwrap([pose.rotation().yaw() for pose in poses])
+    track = CubicHermiteSpline(np.array(times), places[:, :2], speeds[:, :2])(causal.time)
+    return Batch(Run(causal.time, track[:, 0], track[:, 1], np.interp(causal.time, times, theta)), spent)
+
+
+def _driven(
+    drive: Drive, start: InitialState, noise: Noise, hidden: Array | None
+) -> tuple[Run, "Smoother", list[float]]:
+    """Estimates, the smoother at the end, and the times of its nodes."""
     imu, gps = drive.imu, drive.gps
     assert imu.az is not None and imu.gx is not None and imu.gy is not None
     force = np.column_stack([imu.ax, imu.ay, imu.az])
@@ -169,6 +204,7 @@ def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = 
         shown &= ~hidden
     fixes = np.column_stack([gps.time, gps.x, gps.y])[shown]
     smoother, now, at_node, waiting = Smoother(start, noise), start.time, start.time, 0
+    times = [start.time]
     first = int(np.searchsorted(imu.time, start.time, side="right"))
     rows = np.empty((len(imu.time) - first, 4))
     for k in range(first, len(imu.time)):
@@ -178,17 +214,19 @@ def run(drive: Drive, start: InitialState, noise: Noise, hidden: Array | None = 
                 smoother.integrate(force[k], rate[k], fixes[waiting, 0] - now)
             now = at_node = fixes[waiting, 0]
             smoother.node(rate[k], fixes[waiting, 1:], arm)
+            times += [now] * (smoother.count + 1 - len(times))
             waiting += 1
         if imu.time[k] > now:
             smoother.integrate(force[k], rate[k], imu.time[k] - now)
             now = imu.time[k]
         if now - at_node >= NODES + 0.05:  # a fix is missing
             smoother.node(rate[k], None, arm)
+            times += [now] * (smoother.count + 1 - len(times))
             at_node = now
         state = smoother.predicted() if now > at_node else gtsam.NavState(smoother.pose, smoother.velocity)
         x, y, _ = state.position()
         rows[k - first] = now, x, y, state.attitude().yaw()
-    return Run(rows[:, 0], rows[:, 1], rows[:, 2], np.unwrap(rows[:, 3]))
+    return Run(rows[:, 0], rows[:, 1], rows[:, 2], np.unwrap(rows[:, 3])), smoother, times
 
 
 def _diagonal(deviations: list[float]) -> gtsam.noiseModel.Diagonal:

@@ -52,10 +52,12 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.custom.log import Log
     from sigmaswarm.filters.custom.model import Model, Tunable
     from sigmaswarm.filters.custom.run import ModelEstimate, run_model
+    from sigmaswarm.filters.custom.smoothing import smooth_model
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import datasheet, preset
     from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
+    from sigmaswarm.filters.smoothing import smooth
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.report.compare import comparison_table
     from sigmaswarm.report.study import save_study, study_figures, study_tables
@@ -98,6 +100,8 @@ _HOMES = {
     "filters.live": ("LiveFilter",),
     "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
+    "filters.custom.smoothing": ("smooth_model",),
+    "filters.smoothing": ("smooth",),
     "report.compare": ("comparison_table",),
     "report.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
@@ -167,6 +171,8 @@ __all__ = [
     "save_study",
     "simulate",
     "simulate_many",
+    "smooth",
+    "smooth_model",
     "split_drives",
     "split_time",
     "study_figures",

@@ -139,7 +139,7 @@ def consistency(
     initial = replace(initial, covariance=p0 * initial.covariance)
     nees, nis = [], 0.0
     for j in range(runs):
-        own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 2))]))
+        own = replace(line, fixes=np.hstack([fixes[:, j], np.zeros((len(fixes), 4))]))
         replay = Replay(own, initial, Targets.none(own))
         recording = Recording(replay, wrong)
         run = recording.whole()

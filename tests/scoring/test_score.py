@@ -11,7 +11,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
-from sigmaswarm.scoring.score import PositionErrors, quantiles_of, score_estimate, score_raw_gps
+from sigmaswarm.scoring.score import PieceErrors, quantiles_of, score_estimate, score_raw_gps
 from support import make_drive
 
 SET = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
@@ -79,7 +79,7 @@ def test_quantiles_are_those_of_a_loop(variant: str):
     ]
     score = score_estimate(drive, estimate)
     assert [score.position_median, score.position_95] == pytest.approx(expected, rel=1e-9)
-    pieces = PositionErrors(drive.truth, estimate.initial)
+    pieces = PieceErrors(drive.truth, estimate.initial)
     for first in range(0, len(estimate.time), 777):
         part = slice(first, first + 777)
         pieces.add(estimate.time[part], estimate.mean[part])

@@ -21,6 +21,7 @@ def evaluate(
     outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
     trust_log: Annotated[bool, Parameter(negative=())] = False,
+    smooth: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -34,6 +35,7 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday
         sigmaswarm evaluate tuned drives/friday --out evaluation
         sigmaswarm evaluate tuned drives/friday --against mine.toml
+        sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
         sigmaswarm evaluate tuned drives/friday --json
 
     Parameters
@@ -56,6 +58,8 @@ def evaluate(
         was tuned so is evaluated so.
     trust_log
         Don't ask the doctor whether something is seriously wrong with the drives.
+    smooth
+        Also compare the tuned filter in hindsight, each of its estimates with all fixes known, later ones too.
     json
         Print the scores for machines.
     """
@@ -80,6 +84,7 @@ def evaluate(
         outage_seed=outage_seed,
         as_recorded=as_recorded or tuned_as_recorded(tuning),
         seen=seen_by(file) or None,
+        smooth=smooth,
     )
     _warn_of_training_drives(result)
     written: list[Path] = []

@@ -25,6 +25,7 @@ def run(
     beside: Path | None = None,
     before: Path | None = None,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
+    smooth: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
@@ -38,6 +39,7 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.tum --truth truth.tum
         sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
         sigmaswarm run tuned drives/friday --out estimate.ros2 --beside friday.mcap
+        sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
 
     Parameters
     ----------
@@ -59,6 +61,9 @@ def run(
     as_recorded
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is run so.
+    smooth
+        Estimates in hindsight: each knows all fixes, later ones too. Where the filter started anew smoothing ends, and
+        begins again behind it.
     json
         Print a summary for machines.
     """
@@ -75,6 +80,7 @@ def run(
         write_pieces,
     )
     from sigmaswarm.filters.run import estimates, replay_of
+    from sigmaswarm.filters.smoothing import smoothed_estimates
 
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -93,7 +99,7 @@ def run(
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []
-    pieces = _watched(estimates(replay, parameters), restarts)
+    pieces = _watched((smoothed_estimates if smooth else estimates)(replay, parameters), restarts)
     write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside, name=read.name)
     fixes = write_fixes(read, first, before, origin=place, time_origin=began) if before else 0
     if truth and true:
@@ -105,7 +111,9 @@ def run(
         if restarts:
             at = ", ".join(f"{t:.2f}" for t in restarts)
             stdout().print(f"the filter lost its way and started anew at t = {at} s")
-        stdout().print(f"wrote {len(time)} estimates from {first:.2f} s to {last:.2f} s to {out}")
+        stdout().print(
+            f"wrote {len(time)} {'smoothed ' if smooth else ''}estimates from {first:.2f} s to {last:.2f} s to {out}"
+        )
         earlier = first - float(read.imu.time[0])
         if earlier > NOT_WORTH_TELLING:
             stdout().print(

@@ -15,6 +15,7 @@ from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
+from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.packing import Chunk, believed, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
@@ -89,6 +90,8 @@ class LiveFilter:
         Start anew where the filter is lost.
     as_recorded : bool
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
+    lag : float, optional
+        s: keep so much of the past that `smoothed` can say what is known now of the moment so long ago.
 
     Attributes
     ----------
@@ -113,7 +116,10 @@ class LiveFilter:
         history: float = 1.0,
         recover: bool = True,
         as_recorded: bool = False,
+        lag: float | None = None,
     ) -> None:
+        if lag is not None and not 0 < lag < np.inf:
+            raise InputError(f"lag = {lag}: give a positive number of seconds, or leave it out")
         p = parameters
         self.parameters = p
         self._calls = live.live_calls(p.model)
@@ -125,7 +131,9 @@ class LiveFilter:
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
         # More than the history takes: an IMU may run faster than it says.
-        samples = max(1, int(np.ceil(1.25 * history / nominal_interval)))
+        samples = max(
+            1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
+        )
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
         self._belief = _believe(p, initial, nominal_interval, lever_arm)
         self._belief[live.AS_RECORDED] = as_recorded
@@ -144,6 +152,7 @@ class LiveFilter:
         self._history = history
         self._last_fix, self._came_late = -np.inf, False
         self._looked = -1.0  # the interval between looks in which the last one was
+        self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=len(self._memory[3]) + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Take an IMU sample. One that is not after the last one is left out, one more than 10 s ahead held back.
@@ -312,14 +321,32 @@ class LiveFilter:
     @property
     def state(self) -> LiveState:
         """What the filter believes after the last IMU sample and all fixes up to then."""
-        mean, covariance = self._believed()
+        return self._state_at(float(self._belief[live.TIME]), self._belief[self._state])
+
+    @property
+    def smoothed(self) -> LiveState:
+        """What is known by now of the last IMU sample that lies ``lag`` s or more back: a fixed-lag smoother's state.
+
+        It is the state that `smooth` gives for that moment, of the same data up to now. Its ``time`` says when it was;
+        it never lies before the start, or before the filter's last start anew. Computed when asked for.
+
+        Raises
+        ------
+        InputError
+            If no ``lag`` was given.
+        """
+        if self._lag is None:
+            raise InputError("a live filter without lag has no smoothed state; make it with lag=2.0, say")
+        return self._state_at(*self._lag.smoothed(self._memory))
+
+    def _state_at(self, time: float, packed: Array) -> LiveState:
+        """``packed``: the model's state rows, (s,)."""
+        mean, covariance = (of[0] for of in believed(packed[:, np.newaxis], self.parameters.model))
         sound = self._belief[live.OK] == 1.0 and np.isfinite(mean).all() and np.isfinite(covariance).all()
         if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
             mean[THETA] = wrap_angle(float(mean[THETA]))
         lost = self._recovery is not None and self._recovery.lost
-        return LiveState(
-            float(self._belief[live.TIME]), mean, covariance, not (sound and self._plausible), lost
-        )
+        return LiveState(time, mean, covariance, not (sound and self._plausible), lost)
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:

@@ -148,14 +148,18 @@ def run_steps(
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
     """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    require_readable(replay, chunk)
+    arrays = replay.arrays(*switches(chunk.sets[0]))
+    run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
+
+
+def require_readable(replay: Replay, chunk: Chunk) -> None:
+    """Raise `InputError` where a drive lacks what filters read of it."""
     require_axes(replay.timeline.drive, chunk.model)
     if chunk.takes_accuracy:
         require_accuracy(replay.timeline)
-    taken = switches(chunk.sets[0])
-    if taken[-1]:
+    if switches(chunk.sets[0])[-1]:
         require_odometer(replay.timeline.drive)
-    arrays = replay.arrays(*taken)
-    run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
 
 
 def joined(parts: Sequence[Sums], axis: int) -> Sums:

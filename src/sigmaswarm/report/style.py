@@ -19,6 +19,7 @@ DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
 LOOKS: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),
+    "smoothed": Look(INDIGO, 1.6),
     "against": Look(SKY, 1.6),
     "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
     "datasheet": Look(PURPLE, 1.2, "dashdot"),
@@ -37,7 +38,7 @@ STUDY_LOOKS: dict[str, Look] = {
     "raw_gps": LOOKS["raw_gps"],
 }
 """Of the series in a study's tracks, the first one on top."""
-LABELS = {"truth": "truth", **method_names(own=True), **METHODS}
+LABELS = {"truth": "truth", **method_names(own=True, smoothed=True), **METHODS}
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:

@@ -8,12 +8,15 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
-from sigmaswarm.filters.replay import joined
+from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate
+from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import Seed, drift_reference, outage_replay, outage_windows, placements
 
+SMOOTHED = "smoothed"
+"""The method that is the tuned filter in hindsight."""
 OWN = "against"
 """The method that is a filter of the user's own."""
 WATCHED = ("tuned", OWN)
@@ -45,8 +48,8 @@ class Outages:
         """What an estimate drifts that never sees a fix: it needs no run of its own for that."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
-    def run(self, filters: Mapping[str, FilterParameters]) -> None:
-        """Run filters with the fixes hidden. No steps are kept."""
+    def run(self, filters: Mapping[str, FilterParameters], smoothed: FilterParameters | None = None) -> None:
+        """Run filters with the fixes hidden, and a smoother. No steps are kept."""
         for seed in self.seeds:
             self._ready.forget()
             outages = outage_replay(self._ready, length=self._length, seed=seed)
@@ -57,7 +60,23 @@ class Outages:
                 self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
                 if scores[i, 0].failed:
                     self.failed.add(method)
+            if smoothed is not None:
+                self._smooth(outages, smoothed)
             self._ready.forget()
+
+    def _smooth(self, outages: Replay, parameters: FilterParameters) -> None:
+        """What a smoother is off at the ends of the outages, where it knows of the fixes behind them."""
+        smoothing, of = Smoothing(outages, parameters, recover=True), self._each.setdefault(SMOOTHED, [])
+        ends, at, places = self._ends[len(of)], 0, np.empty((0, 2))
+        for piece in smoothing:
+            here = ends[at : np.searchsorted(ends, piece.time[-1], side="right")]  # each ends at a sample
+            places = np.vstack([places, piece.mean[np.searchsorted(piece.time, here), :2]])
+            at += len(here)
+        if smoothing.failure:
+            self.failed.add(SMOOTHED)
+        reference = drift_reference(self._ready)
+        true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
+        of.append(float(np.sqrt(np.mean(np.square(places - np.column_stack(true)).sum(axis=1)))))
 
     def drift(self, method: str) -> float:
         """RMS over the outages of all placements, m; NaN where none fits or the method failed."""

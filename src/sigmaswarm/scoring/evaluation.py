@@ -20,7 +20,7 @@ from sigmaswarm.filters.replay import joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import OWN, WATCHED, Outages, rms_drift
+from sigmaswarm.scoring.drifts import OWN, SMOOTHED, WATCHED, Outages, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
@@ -63,14 +63,17 @@ KIND_NAMES = {
 """What people call the kinds of filters."""
 
 
-def method_names(kind: str = "ukf", model: str = "planar5", *, own: bool = False) -> dict[str, str]:
+def method_names(
+    kind: str = "ukf", model: str = "planar5", *, own: bool = False, smoothed: bool = False
+) -> dict[str, str]:
     """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's.
 
-    ``own``: the user's own filter first.
+    ``own``: the user's own filter first; ``smoothed``: the tuned one in hindsight behind it.
     """
     suffix = "" if model == "planar5" else f", {model}"
     first = {OWN: "your own filter"} if own else {}
-    return first | METHODS | {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
+    first |= {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
+    return first | ({SMOOTHED: "tuned, smoothed"} if smoothed else {}) | METHODS | first
 
 
 @dataclass(frozen=True)
@@ -320,6 +323,7 @@ def evaluate(
     outage_seed: int = 0,
     as_recorded: bool = False,
     seen: Sequence[Landmarks] | None = None,
+    smooth: bool = False,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -342,6 +346,9 @@ def evaluate(
         What the tuning saw: ``tuning.seen``, or `tuning.record.seen_by` its file. The evaluation then says how much
         of each drive that is, whatever it is called, and however it was cut or mended. Where only whole drives are
         known (a tuning.toml without its seen.npz), it says nothing of drives that are none of them.
+    smooth : bool
+        Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
+        behind it.
 
     Raises
     ------
@@ -361,14 +368,20 @@ def evaluate(
         ready = prepared(drive, as_recorded=as_recorded)
         known = None if seen is None else known_overlap(landmarks(drive), seen)
         filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
-        each = _evaluated(ready, filters, name, outage_length, outage_seed)
+        each = _evaluated(ready, filters, name, outage_length, outage_seed, smooth=smooth)
         found[name] = replace(each, seen=known)
-    names = method_names(parameters.kind, parameters.model, own=against is not None)
+    names = method_names(parameters.kind, parameters.model, own=against is not None, smoothed=smooth)
     return Evaluation(found, names, outage_length, outage_seed)
 
 
 def _evaluated(
-    ready: PreparedDrive, filters: Mapping[str, FilterParameters], name: str, length: float, seed: int
+    ready: PreparedDrive,
+    filters: Mapping[str, FilterParameters],
+    name: str,
+    length: float,
+    seed: int,
+    *,
+    smooth: bool,
 ) -> Evaluated:
     """Every method once over the whole drive, and the filters again with the outages."""
     drive = ready.drive
@@ -390,9 +403,10 @@ def _evaluated(
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
+    hindsight = {SMOOTHED: tracker.smooth(SMOOTHED, tracking, filters["tuned"])} if smooth else {}
     del recorded, tracking  # the next pass has steps and targets of its own
     for of in outages.values():
-        of.run(filters)
+        of.run(filters, filters["tuned"] if smooth else None)
     each = {
         method: replace(
             whole[i, 0],
@@ -402,13 +416,17 @@ def _evaluated(
         )
         for i, method in enumerate(filters)
     }
-    scores = {**each, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
-    for method in (*filters, "imu_only"):
+    hindsight = {
+        method: replace(score, failed=score.failed or any(method in of.failed for of in outages.values()))
+        for method, score in hindsight.items()
+    }
+    scores = {**each, **hindsight, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
+    for method in (*filters, *hindsight, "imu_only"):
         short, long = (of.drift(method) for of in outages.values())
         scores[method] = replace(scores[method], outage_drift=short, long_outage_drift=long)
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
-        scores={method: scores[method] for method in (OWN, *METHODS) if method in scores},
+        scores={method: scores[method] for method in (OWN, "tuned", SMOOTHED, *METHODS) if method in scores},
         consistency=None if failed else consistency_of(innovations, nees),
         innovations=innovations,
         tracks=tracker.tracks(name),

@@ -5,9 +5,10 @@ IMU sample, the estimate linearly interpolated to the truth time. `targets.py` f
 the compiled batch; tests hold the two together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive, Truth
@@ -81,8 +82,8 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
     return np.asarray(np.log(2 * np.pi) + half_log_det + 0.5 * (dof + 2) * np.log1p(nis / scale))
 
 
-class PositionErrors:
-    """How far estimates that come in pieces lie from the truth, at the moments of truth that are scored.
+class PieceErrors:
+    """What `score_estimate` says of estimates that come in pieces.
 
     Parameters
     ----------
@@ -94,26 +95,40 @@ class PositionErrors:
     def __init__(self, truth: Truth, initial: InitialState) -> None:
         self._truth = truth
         self._next = int(np.searchsorted(truth.time, initial.time, side="left"))
-        self._time, self._place = initial.time, initial.mean[:2]
+        self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
         self._parts: list[Array] = []
+        self._turned: list[Array] = []
 
     def add(self, time: Array, mean: Array) -> None:
-        """The next estimates: times (r,) in s, and means (r, n), which begin with x and y in m."""
+        """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
         stop = int(np.searchsorted(self._truth.time, time[-1], side="right"))
         at = slice(self._next, stop)
-        nodes = np.concatenate([[self._time], time])
-        off = [
-            np.interp(self._truth.time[at], nodes, np.concatenate([[self._place[i]], mean[:, i]]))
-            - column[at]
-            for i, column in enumerate((self._truth.x, self._truth.y))
-        ]
-        self._parts.append(np.hypot(*off))
-        self._next, self._time, self._place = stop, time[-1], mean[-1, :2].copy()
+        truth, nodes = self._truth.select(at), np.concatenate([[self._time], time])
+        pose = np.vstack([self._pose, mean[:, : THETA + 1]])
+        pose[:, THETA] = np.unwrap(pose[:, THETA])
+        x, y, theta = (np.interp(truth.time, nodes, pose[:, i]) for i in (0, 1, THETA))
+        self._parts.append(np.hypot(x - truth.x, y - truth.y))
+        self._turned.append(wrap_angle(theta - truth.theta)[_heading_counts(truth)])
+        self._next, self._time, self._pose = stop, time[-1], pose[-1]
 
     @property
     def quantiles(self) -> tuple[float, float]:
         """The 50% and 95% quantiles so far, m; NaN where there are none, or an estimate was none."""
         return quantiles_of(np.concatenate(self._parts)) if self._parts else quantiles_of(np.empty(0))
+
+    @property
+    def score(self) -> Score:
+        """Of position and heading so far."""
+        if not self._parts:
+            return Score()
+        off, wrong = np.concatenate(self._parts), np.concatenate(self._turned)
+        median, most = quantiles_of(off)
+        return Score(
+            position_rmse=_rms(off),
+            position_median=median,
+            position_95=most,
+            heading_rmse=_rms(wrong),
+        )
 
 
 def scored_truth(truth: Truth, start: float, end: float) -> Truth:
@@ -132,23 +147,13 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
     """Position and heading error of an estimate; NaN without truth or after a failure."""
     if drive.truth is None:
         return Score(failed=estimate.failure is not None)
-    truth = scored_truth(drive.truth, estimate.initial.time, estimate.time[-1])
-    time = np.concatenate([[estimate.initial.time], estimate.time])
-    pose = slice(THETA + 1)  # a larger model has biases behind it, of which the start says nothing
-    mean = np.vstack([estimate.initial.mean[pose], estimate.mean[:, pose]])
-    x, y, theta = (
-        np.interp(truth.time, time, column) for column in (mean[:, 0], mean[:, 1], np.unwrap(mean[:, THETA]))
-    )
-    wrong = wrap_angle(theta - truth.theta)[np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE]
-    off = np.hypot(x - truth.x, y - truth.y)
-    median, most = quantiles_of(off)
-    return Score(
-        position_rmse=_rms(off),
-        position_median=median,
-        position_95=most,
-        heading_rmse=_rms(wrong),
-        failed=estimate.failure is not None,
-    )
+    errors = PieceErrors(drive.truth, estimate.initial)
+    errors.add(estimate.time, estimate.mean)
+    return replace(errors.score, failed=estimate.failure is not None)
+
+
+def _heading_counts(truth: Truth) -> NDArray[np.bool_]:
+    return np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
 
 
 def score_raw_gps(drive: Drive, initial: InitialState) -> Score:

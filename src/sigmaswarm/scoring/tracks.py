@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,9 @@ from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
+from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
-from sigmaswarm.scoring.score import PositionErrors
+from sigmaswarm.scoring.score import PieceErrors, Score
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
 Columns = Mapping[str, NDArray[np.floating[Any]]]
@@ -121,7 +122,7 @@ class Tracker:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
         recording = Recording(replay, parameters, recover=recover)
         truth = self._ready.drive.truth
-        errors = None if truth is None else PositionErrors(truth, replay.initial)
+        errors = None if truth is None else PieceErrors(truth, replay.initial)
 
         def pieces() -> Iterator[Columns]:
             for piece in recording:
@@ -135,6 +136,21 @@ class Tracker:
             found = recording.innovations
             self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
         return recording
+
+    def smooth(self, series: str, replay: Replay, parameters: FilterParameters) -> Score:
+        """Run a smoother over all fixes of the drive, and keep its track; its score."""
+        smoothing = Smoothing(replay, parameters, recover=True)
+        truth = self._ready.drive.truth
+        errors = None if truth is None else PieceErrors(truth, smoothing.initial)
+
+        def pieces() -> Iterator[Columns]:
+            for piece in smoothing:
+                if errors:
+                    errors.add(piece.time, piece.mean)
+                yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
+
+        self._keep(series, pieces(), len(replay.timeline.imu_time))
+        return replace(errors.score if errors else Score(), failed=smoothing.failure is not None)
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         """Keep the track of an estimate that is there already."""

@@ -57,6 +57,8 @@ SCRATCH = (
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
+    # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
+    *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(12)),
 )  # fmt: skip
 
 _BLOCKS = {
@@ -70,7 +72,7 @@ N_ROWS = len(NAMES)
 
 R: Any = namedtuple("R", NAMES)(*range(N_ROWS))  # pyright: ignore[reportUntypedNamedTuple]
 """Each row's number under its name."""
-P0, Q0, C1, C2, FP = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0
+P0, Q0, C1, C2, FP, PRIOR, MOVE = R.XX, R.Q_X, R.C1_X, R.C2_X, R.FP0, R.PRIOR_X, R.MOVE0
 """First rows: P[i, j] with i <= j stands in row P0 + j (j + 1) / 2 + i, the others' i-th in row Q0 + i and so on."""
 
 

@@ -41,7 +41,7 @@ def axis_of(bias):
     return {R.W: GZ, R.K: GX, R.L: GY}[bias]
 
 
-def absorb_fix(w, z, lever, since, *, n, adaptive):
+def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
     """A position fix of the antenna, a row of `Timeline.fixes`; ``since`` is Q's scale since the last fix.
 
     What no lane needs is left out; what other lanes need does not change a bit.
@@ -61,6 +61,8 @@ def absorb_fix(w, z, lever, since, *, n, adaptive):
         _fade(w)
     if robust > 0:
         _weigh(w, since)
+    if note_prior:  # P may have been stretched
+        note_prior(w)
     for l in range(LANES):
         rx, ry, use = w[R.R1, l] / w[R.WEIGHT, l], w[R.R2, l] / w[R.WEIGHT, l], w[R.USE, l]
         s11, s12, s22 = w[R.S11, l] + rx, w[R.S12, l], w[R.S22, l] + ry
@@ -432,9 +434,10 @@ def _absorb_two(w, *, n, tilted):
         fold(w)
 
 
-def absorbers(model: CarModel):
-    """`forecast_fix` and the five `absorb_...` functions, compiled for a model."""
+def absorbers(model: CarModel, note_prior=None):
+    """`forecast_fix` and the five `absorb_...` functions, compiled for a model; for `note_prior` see `tape`."""
     ready = {
+        "note_prior": note_prior,
         "n": len(model.states),
         "gyro_biases": tuple(model.gyro_axes.values()),
         "adaptive": int("adaptive-ukf" in model.kinds),

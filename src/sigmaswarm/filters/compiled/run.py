@@ -4,6 +4,8 @@
 
 import hashlib
 import math
+import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,8 @@ from sigmaswarm.filters import models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel, widen
 from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
-from sigmaswarm.filters.compiled.step import STEPS
+from sigmaswarm.filters.compiled.step import STEPS, step_of
+from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
@@ -172,7 +175,9 @@ def cached_by_sources(make, model, **options):
         *(Path(str(module.__file__)) for module in elsewhere),
     ]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return cached(make(f"{model} {digest}"), **(OPTIONS | options))
+    function = make(f"{model} {digest}")
+    function.__qualname__ += "_" + re.sub(r"\W+", "_", model)  # see `unroll`
+    return cached(function, **(OPTIONS | options))
 
 
 def _machine_code(sources, *, steps_to):
@@ -190,18 +195,24 @@ def _machine_code(sources, *, steps_to):
     return run_model
 
 
-def _kernel_of(model):
+def _kernel_of(model, step, rows, name):
     described = MODELS[model]
     heading = R.HEADING if described.tilts else R.T
     steps_to = kernel(
-        _run, step=STEPS[model], state=state_rows(model), n_axes=len(described.imu),
+        _run, step=step, state=rows, n_axes=len(described.imu),
         heading=heading, score=kernel(_score, heading=heading),
     )  # fmt: skip
-    return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), model)
+    return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), name)
 
 
-KERNELS = {model: _kernel_of(model) for model in STEPS}
+KERNELS = {model: _kernel_of(model, STEPS[model], state_rows(model), model) for model in STEPS}
 """By model."""
+
+
+@cache
+def taped_kernel(model):
+    """As `KERNELS`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
+    return _kernel_of(model, step_of(model, noted=True), taped_rows(model), f"{model}, taped")
 
 
 def run_lanes(

@@ -3,6 +3,7 @@
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
 from sigmaswarm.drives.timeline import DT, GAP
+from sigmaswarm.filters.compiled import tape
 from sigmaswarm.filters.compiled.lanes import LANES, kernel
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.measurements import absorbers
@@ -42,8 +43,8 @@ def _grow(w, dt, gap, *, tilted):
 
 def _step(
     w, u, happens, z, wheels, lever, since,
-    *, predict, grow, settle, absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer,
-    absorb_standstill,
+    *, predict, grow, settle, note_move, note_prior,
+    absorb_fix, forecast_fix, absorb_velocity, absorb_lateral, absorb_odometer, absorb_standstill,
 ):  # fmt: skip
     """Predict, and absorb what there is.
 
@@ -55,6 +56,9 @@ def _step(
         predict(w, u)
         if gap > 0.0:
             grow(w, dt, gap)
+    if note_prior:
+        note_move(w, dt)
+        note_prior(w)
     if happens & FIX:
         absorb_fix(w, z, lever, since)
         if happens & VELOCITY:
@@ -76,14 +80,26 @@ _PREDICTIONS = {
     "planar8": (predict_planar8, None),
     "tilted12": (predict_tilted12, settle),
 }
-STEPS = {
-    name: kernel(
+
+
+def step_of(name, *, noted=False):
+    """A step of LANES filters of a model, to be called by other compiled functions.
+
+    ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
+    """
+    model = MODELS[name]
+    predict, settle = _PREDICTIONS[name]
+    note_prior = tape.note_prior(name) if noted else None
+    return kernel(
         _step,
         predict=predict,
         settle=settle,
-        grow=kernel(_grow, tilted=int(MODELS[name].tilts is not None)),
-        **absorbers(MODELS[name]),
+        note_move=tape.note_move(name) if noted else None,
+        note_prior=note_prior,
+        grow=kernel(_grow, tilted=int(model.tilts is not None)),
+        **absorbers(model, note_prior=note_prior),
     )
-    for name, (predict, settle) in _PREDICTIONS.items()
-}
-"""By model: a step of LANES filters, to be called by other compiled functions."""
+
+
+STEPS = {name: step_of(name) for name in _PREDICTIONS}
+"""By model."""

@@ -7,6 +7,7 @@ it puts numbers in place of rows' names, which Numba would have to look up one b
 
 import ast
 import copy
+import hashlib
 import inspect
 import textwrap
 from collections.abc import Callable
@@ -53,7 +54,24 @@ def unrolled(
     ast.fix_missing_locations(tree)
     defined: dict[str, Any] = {}
     exec(compile(tree, function.__code__.co_filename, "exec"), names, defined)
-    return defined[function.__name__]
+    made = defined[function.__name__]
+    if known:
+        made.__qualname__ = f"{function.__qualname__}_{_told_apart(definition, known)}"
+    return made
+
+
+def _told_apart(definition: ast.FunctionDef, known: dict[str, Any]) -> str:
+    """What tells a function from others that are made of the same one: a hash of what it says and of what it calls.
+
+    Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
+    kernels of two models that two processes have compiled may bear one name, and once both are loaded from the cache,
+    one of them would run in place of the other.
+    """
+    parts = [ast.dump(definition)]
+    for name, value in sorted(known.items(), key=lambda item: item[0]):
+        called = getattr(value, "py_func", value)
+        parts.append(f"{name} {getattr(called, '__qualname__', None) or repr(value)}")
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
 class _Writer(ast.NodeTransformer):

@@ -80,15 +80,21 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     run = runner.run(0, parameters, covariances=True)
     run.mean[:, model.places(model.angles)] = wrap_angle(run.mean[:, model.places(model.angles)])
     steps = runner.steps[0]
-    estimate = ModelEstimate(log.time, run.mean, run.covariance, steps.measurement_time, run.nis, run.nll)
-    if run.failed < 0:
-        return estimate
-    moment = log.time[0] + steps.dt[: run.failed + 1].sum()
-    failure = (
+    failure = failure_in(log, steps, run.failed)
+    return ModelEstimate(
+        log.time, run.mean, run.covariance, steps.measurement_time, run.nis, run.nll, failure
+    )
+
+
+def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
+    """The sentence that says in which step a filter failed; None where it did in none (-1)."""
+    if failed < 0:
+        return None
+    moment = log.time[0] + steps.dt[: failed + 1].sum()
+    return (
         f"{log.name}: the filter failed at t = {moment:.3f} s (covariance not positive definite, or f or h gave no "
         "finite number); are all variances positive?"
     )
-    return replace(estimate, failure=failure)
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,5 +126,6 @@ def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> In
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))
     filter.covariance = covariance + (factor - 1) * cross @ np.linalg.solve(seen, cross.T)
+    filter.prediction = replace(filter.prediction, covariance=filter.covariance)  # as if Q had been larger
     variance = innovation.variance + (factor - 1) * seen
     return Innovation(innovation.nu, variance, factor * cross, innovation.noise)

@@ -50,7 +50,9 @@ class ExtendedKalmanFilter(GaussianFilter):
         """x' = f(x), P' = F P F^T + Q."""
         jacobian = complex_step(lambda s: self.f(s, dt, u), self.mean)
         self.mean = self.f(self.mean, dt, u)
+        cross = self.covariance @ jacobian.T
         self.covariance = jacobian @ self.covariance @ jacobian.T + process_noise
+        self._expect(cross)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None

@@ -43,6 +43,23 @@ class Innovation:
         return float(self.nu @ np.linalg.solve(self.variance, self.nu))
 
 
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a filter expects before it absorbs anything, and how that hangs together with what was: see `smoothing`.
+
+    Attributes
+    ----------
+    mean, covariance : ndarray, shapes (n,), (n, n)
+        m- and P-; with what a measurement's filter adds to P- before it absorbs it (`adaptive.stretched`).
+    cross : ndarray, shape (n, n)
+        Covariance of the state before with the state after.
+    """
+
+    mean: Array
+    covariance: Array
+    cross: Array
+
+
 def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
     """``values``, shape (..., m), with the columns that are angles (rad) brought to within half a turn of zero."""
     values = values.copy()
@@ -55,10 +72,16 @@ class GaussianFilter:
 
     mean: Array
     covariance: Array
+    prediction: Prediction
+    """The last one."""
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Push the state through the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
         raise NotImplementedError
+
+    def _expect(self, cross: Array) -> None:
+        """Keep the prediction, and its covariance with the state before."""
+        self.prediction = Prediction(self.mean, self.covariance, cross)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None

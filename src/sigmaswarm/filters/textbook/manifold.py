@@ -80,7 +80,9 @@ class ErrorStateKalmanFilter(_OnManifold):
         """x' = f(x), P' = F P F^T + Q."""
         f = self.transition(self.mean, dt, u)
         self.mean = self.f(self.mean, dt, u)
+        cross = self.covariance @ f.T
         self.covariance = f @ self.covariance @ f.T + process_noise
+        self._expect(cross)
 
     def measure(self, measurement: Array, measurement_noise: Array, h: Any = None) -> Innovation:
         """nu = z - h(x), S = H P H^T + R, C = P H^T."""
@@ -110,11 +112,14 @@ class ManifoldUnscentedKalmanFilter(_OnManifold):
         """x' = f(x) plus the mean error; P' is the spread of the errors around it, and Q."""
         wm, wc = self.points.weights(len(self.mean))
         centre = self.f(self.mean, dt, u)
-        errors = np.array([self.manifold.minus(self.f(s, dt, u), centre) for s in self._sigmas()])
+        drawn = self._errors()
+        sigmas = [self.manifold.plus(self.mean, error) for error in drawn]
+        errors = np.array([self.manifold.minus(self.f(s, dt, u), centre) for s in sigmas])
         shift = wm @ errors
         spread = errors - shift
         self.mean = self.manifold.plus(centre, shift)
         self.covariance = (spread.T * wc) @ spread + process_noise
+        self._expect((drawn.T * wc) @ spread)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None

@@ -137,9 +137,11 @@ class UnscentedKalmanFilter(GaussianFilter):
         offsets[:, self.angles] -= 2 * np.pi * np.round(turned / (2 * np.pi))
         shift = wm @ offsets  # the weights add up to one, so this is the mean seen from the centre
         spread = offsets - shift
+        before = drawn - drawn[0]
         self.mean = sigmas[0] + shift
         self.covariance = (spread.T * wc) @ spread + process_noise
         self._propagated = sigmas[0] + offsets
+        self._expect((before.T * wc) @ spread)
 
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None

@@ -37,12 +37,18 @@ def tune_command(
 
 
 def evaluate_command(
-    drives: Sequence[str], outage_length: float, outage_seed: int, *, own: bool = False
+    drives: Sequence[str],
+    outage_length: float,
+    outage_seed: int,
+    *,
+    own: bool = False,
+    smoothed: bool = False,
 ) -> tuple[str, str]:
     """The command of an evaluation, and what it can't say."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
     words += ["--against", "against.toml"] if own else []
+    words += ["--smooth"] if smoothed else []
     note = (
         "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
         "folders instead."

@@ -20,7 +20,7 @@ from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
-from sigmaswarm.scoring.drifts import OWN
+from sigmaswarm.scoring.drifts import OWN, SMOOTHED
 from sigmaswarm.scoring.evaluation import (
     HOW_MANUAL,
     Measure,
@@ -37,14 +37,14 @@ from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
 
 MANUAL = ("defaults", "datasheet")
-LINES = ("truth", "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
+LINES = ("truth", SMOOTHED, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
     "fixes are hidden from it, measured against those fixes, and whether its forecasts miss the fixes by as "
     "much as it says (NIS)."
 )
-SHOWN = ("truth", "tuned", OWN, "datasheet", "raw_gps")
+SHOWN = ("truth", "tuned", SMOOTHED, OWN, "datasheet", "raw_gps")
 """Those that are shown from the start."""
 
 
@@ -53,11 +53,17 @@ def evaluation_report(folder: Path) -> Report:
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     asked = load_record(EvaluationRecord, folder / ASKED_FILE)
     file = load_record(TuningRecord, folder / FILE)
-    own = OWN in scores.mean
+    own, smoothed = OWN in scores.mean, SMOOTHED in scores.mean
     names = method_names(
-        str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5")), own=own
+        str(file.filter.get("kind", "ukf")),
+        str(file.filter.get("model", "planar5")),
+        own=own,
+        smoothed=smoothed,
     )
-    lines = tuple(Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if own or m != OWN)
+    there = {OWN: own, SMOOTHED: smoothed}
+    lines = tuple(
+        Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if there.get(m, True)
+    )
     tracks = TrackView(tuple(load_tracks(folder / TRACKS_FILE)), lines, "tuned")
     if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
         t.name for t in tracks.drives
@@ -72,7 +78,9 @@ def evaluation_report(folder: Path) -> Report:
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
     )
     shown = measures(asked.outage_length_s)
-    command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, own=own)
+    command, note = evaluate_command(
+        list(scores.drives), asked.outage_length_s, asked.outage_seed, own=own, smoothed=smoothed
+    )
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, data, asked.outage_length_s), *without, what_was_tuned(file)),

@@ -24,7 +24,7 @@ from sigmaswarm.scoring.evaluation import Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, Columns, Picture
 
-DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", "truth")
+DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 
 
@@ -134,7 +134,7 @@ def _paths(series: Mapping[str, Columns], labels: Mapping[str, str]) -> tuple[Ma
 
 
 def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ...]:
-    """Position and heading error over time, with the tuned filter's own 3-sigma bounds; nothing without truth."""
+    """Position and heading error over time, with the tuned filter's own 3-sigma bounds, and in hindsight."""
     series = picture.whole.series
     tuned = series["tuned"]
     if "position_error" not in tuned:
@@ -144,13 +144,19 @@ def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ..
     radius = Curve(
         tuned["time"], tuned["position_3sigma"], Look(GREY, 1.0), f"3 sigma of the {labels['tuned']}"
     )
-    bound = Band(tuned["time"], -sigma, sigma, Look(MIST))
+    bounds: list[Mark] = [Band(tuned["time"], -sigma, sigma, Look(MIST))]
+    radii: list[Mark] = [radius]
+    if smoothed := series.get("smoothed"):
+        time, sigma = smoothed["time"], smoothed["heading_3sigma"]
+        look = Look(GREY, 1.0, "dot")
+        bounds.append(Band(time, -sigma, sigma, Look(SILVER)))
+        radii.append(Curve(time, smoothed["position_3sigma"], look, f"3 sigma of the {labels['smoothed']}"))
     position = [Curve(series[m]["time"], series[m]["position_error"], LOOKS[m], labels[m]) for m in methods]
     heading = [Curve(series[m]["time"], series[m]["heading_error"], LOOKS[m]) for m in methods]
     # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
     scale = Axis("position error, m", "log", (0.03, None))
     title = f"{picture.whole.name}: error against truth"
     return (
-        Chart(title, (radius, *position), Axis(), scale),
-        Chart("", (bound, *heading), Axis("time, s"), Axis("heading error, deg", range=(-30.0, 30.0))),
+        Chart(title, (*radii, *position), Axis(), scale),
+        Chart("", (*bounds, *heading), Axis("time, s"), Axis("heading error, deg", range=(-30.0, 30.0))),
     )

@@ -1,0 +1,242 @@
+"""The backward pass of Rauch, Tung and Striebel, compiled: one filter over the steps on a tape, the last one first.
+
+    G   = P A^T (P-)^-1
+    m^s = m + G (m^s' - m-)
+    P^s = P + G (P^s' - P-) G^T
+
+with m, P the filter's state before a step, m-, P- its prediction, and m^s', P^s' what is known behind the step in
+hindsight (H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, Unscented Rauch-Tung-Striebel
+smoother, IEEE TAC 53(3), 2008: P A^T is the cross-covariance of its sigma points, see `tape`). With X = G^T the gain is
+the solution of P- X = A P. A model with attitude takes differences and sums in the tangent space: see `tilted`.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+
+import math
+from functools import cache
+
+import numpy as np
+from numba import njit
+
+from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
+from sigmaswarm.filters.compiled.run import cached_by_sources
+from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.tilted import GRAVITY
+
+
+def _plain(function, **known):
+    """Compiled as Python divides; nothing here has lanes."""
+    return njit(unrolled(function, **known), error_model="numpy", nogil=True)
+
+
+@_plain
+def _moved_planar5(move, p, ap):
+    """A P."""
+    h, je, jn = 0.5 * move[0], move[1], move[2]
+    for c in range(5):
+        vx, vy = p[2, c] + je * p[4, c], p[3, c] + jn * p[4, c]
+        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
+        ap[2, c], ap[3, c], ap[4, c] = vx, vy, p[4, c]
+
+
+@_plain
+def _moved_planar8(move, p, ap):
+    """A P."""
+    dt, je, jn, cos, sin = move[0], move[1], move[2], move[3], move[4]
+    h = 0.5 * dt
+    for c in range(8):
+        vx = p[2, c] + je * p[4, c] - (cos * p[5, c] - sin * p[6, c])
+        vy = p[3, c] + jn * p[4, c] - (sin * p[5, c] + cos * p[6, c])
+        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
+        ap[2, c], ap[3, c], ap[4, c] = vx, vy, p[4, c] - dt * p[7, c]
+        ap[5, c], ap[6, c], ap[7, c] = p[5, c], p[6, c], p[7, c]
+
+
+@_plain
+def _moved_tilted12(move, p, ap):
+    """A P, of the error; its third, first and second part stand in rows 4, 8 and 9."""
+    dt, east, north = move[0], move[1], move[2]
+    h, g = 0.5 * dt, GRAVITY * dt
+    for c in range(12):
+        e, n, up = p[8, c], p[9, c], p[4, c]
+        vx = p[2, c] + g * n - north * up - move[3] * p[5, c] - move[4] * p[6, c]
+        vy = p[3, c] - g * e + east * up - move[6] * p[5, c] - move[7] * p[6, c]
+        ap[0, c], ap[1, c] = p[0, c] + h * (p[2, c] + vx), p[1, c] + h * (p[3, c] + vy)
+        ap[2, c], ap[3, c] = vx, vy
+        ap[8, c] = e - move[3] * p[10, c] - move[4] * p[11, c] - move[5] * p[7, c]
+        ap[9, c] = n - move[6] * p[10, c] - move[7] * p[11, c] - move[8] * p[7, c]
+        ap[4, c] = up - move[9] * p[10, c] - move[10] * p[11, c] - move[11] * p[7, c]
+        for a in (5, 6, 7, 10, 11):
+            ap[a, c] = p[a, c]
+
+
+_MOVED = {"planar5": _moved_planar5, "planar8": _moved_planar8, "tilted12": _moved_tilted12}
+
+
+def _spread(state, p, *, n, first):
+    """The covariance (n, n) of a packed upper triangle, column by column."""
+    at = first
+    for b in range(n):
+        for a in range(b + 1):
+            p[a, b] = p[b, a] = state[at]
+            at += 1
+
+
+def _solve(s, x, *, n):
+    """S^-1 x, in place of x (n, n); S (n, n), symmetric, is overwritten by its Cholesky factor."""
+    for a in range(n):
+        for b in range(a):
+            s[a, a] -= s[a, b] * s[a, b]
+        s[a, a] = math.sqrt(s[a, a])
+        one = 1.0 / s[a, a]
+        for c in range(a + 1, n):
+            for b in range(a):
+                s[c, a] -= s[c, b] * s[a, b]
+            s[c, a] *= one
+    for a in range(n):
+        one = 1.0 / s[a, a]
+        for b in range(a):
+            for c in range(n):
+                x[a, c] -= s[a, b] * x[b, c]
+        for c in range(n):
+            x[a, c] *= one
+    for a in range(n - 1, -1, -1):
+        one = 1.0 / s[a, a]
+        for b in range(a + 1, n):
+            for c in range(n):
+                x[a, c] -= s[b, a] * x[b, c]
+        for c in range(n):
+            x[a, c] *= one
+
+
+@_plain
+def _turn_between(q, p, error):
+    """The turn from attitude p to q, q = exp(e) p, in the error's places; quaternions (4,)."""
+    w = q[0] * p[0] + q[1] * p[1] + q[2] * p[2] + q[3] * p[3]
+    x = -q[0] * p[1] + q[1] * p[0] - q[2] * p[3] + q[3] * p[2]
+    y = -q[0] * p[2] + q[1] * p[3] + q[2] * p[0] - q[3] * p[1]
+    z = -q[0] * p[3] - q[1] * p[2] + q[2] * p[1] + q[3] * p[0]
+    if w < 0.0:  # the same attitude, the short way
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    k = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
+    error[8], error[9], error[4] = k * x, k * y, k * z
+
+
+@_plain
+def _turned(q, x, y, z, out):
+    """exp((x, y, z)) q."""
+    angle = 0.5 * math.sqrt(x * x + y * y + z * z)
+    k = 0.5 * math.sin(angle) / angle if angle > 0.0 else 0.5
+    c, x, y, z = math.cos(angle), k * x, k * y, k * z
+    w0 = c * q[0] - x * q[1] - y * q[2] - z * q[3]
+    w1 = c * q[1] + x * q[0] + y * q[3] - z * q[2]
+    w2 = c * q[2] - x * q[3] + y * q[0] + z * q[1]
+    w3 = c * q[3] + x * q[2] - y * q[1] + z * q[0]
+    one = 1.0 / math.sqrt(w0 * w0 + w1 * w1 + w2 * w2 + w3 * w3)
+    out[0], out[1], out[2], out[3] = one * w0, one * w1, one * w2, one * w3
+
+
+def _step_back(before, noted, behind, work, *, n, n_state, first, tilted, moved, spread, solve):
+    """From what is known behind a step to what is known before it: ``behind`` (n_state,), in place."""
+    prior = noted[n_state : 2 * n_state]
+    p, change, x, s = work[0], work[1], work[2], work[3]
+    error, shift = work[4, 0], work[4, 1]
+    spread(before, p)
+    moved(noted[2 * n_state :], p, x)
+    spread(prior, s)
+    spread(behind, change)
+    for a in range(n):
+        error[a] = behind[a] - prior[a]
+        for b in range(n):
+            change[a, b] -= s[a, b]
+    if tilted:
+        _turn_between(behind[n:first], prior[n:first], error)
+    solve(s, x)  # X = G^T
+    for a in range(n):
+        shift[a] = 0.0
+    for b in range(n):
+        for a in range(n):
+            shift[a] += x[b, a] * error[b]
+    for a in range(n):
+        behind[a] = before[a] + shift[a]
+    if tilted:
+        _turned(before[n:first], shift[8], shift[9], shift[4], behind[n:first])
+        behind[8] = behind[9] = behind[4] = 0.0
+    for a in range(n):  # (P^s' - P-) X
+        for b in range(n):
+            s[a, b] = 0.0
+        for c in range(n):
+            for b in range(n):
+                s[a, b] += change[a, c] * x[c, b]
+    for c in range(n):
+        for a in range(n):
+            for b in range(n):
+                p[a, b] += x[c, a] * s[c, b]
+    at = first
+    for b in range(n):
+        for a in range(b + 1):
+            behind[at] = 0.5 * (p[a, b] + p[b, a])
+            at += 1
+
+
+def _backwards(sources, *, n, step_back):
+    def backwards(tape, start, ends, started, sampled, behind, out):
+        if sources == "":  # never; so the name is closed over
+            return
+        work = np.empty((5, n, n))
+        written, starts = out.shape[0], started.shape[0]
+        for s in range(tape.shape[0] - 1, -1, -1):
+            if sampled[s]:
+                written -= 1
+                out[written] = behind
+            anew = starts > 0 and ends[starts - 1] == s
+            if anew:
+                starts -= 1
+                behind[:] = tape[s, : len(behind)]
+            before = tape[s - 1] if s > 0 else start
+            if starts > 0 and ends[starts - 1] == s - 1:
+                before = started[starts - 1]
+            step_back(before, tape[s], behind, work)
+
+    return backwards
+
+
+@cache
+def _kernel_of(model):
+    n, n_state, tilted = (
+        len(MODELS[model].states),
+        len(state_rows(model)),
+        int(MODELS[model].tilts is not None),
+    )
+    first = n + (len(QUATERNION) if tilted else 0)
+    step_back = _plain(
+        _step_back,
+        n=n,
+        n_state=n_state,
+        first=first,
+        tilted=tilted,
+        moved=_MOVED[model],
+        spread=_plain(_spread, n=n, first=first),
+        solve=_plain(_solve, n=n),
+    )
+    make = unrolled(_backwards, n=n, step_back=step_back)
+    return cached_by_sources(make, f"{model}, backwards", fastmath=False)
+
+
+def smooth_back(model, tape, start, ends, started, sampled, behind, out):
+    """Smooth the steps on a tape, from what is known in hindsight behind the last one.
+
+    Parameters
+    ----------
+    model : its name
+    tape : (k, t) `tape.taped_rows` of each step
+    start : (s,) the filter's state before the first one: its `state_rows`
+    ends, started : (a,) int, (a, s) the steps behind which the filter started anew, and its state then: what lies
+        before is smoothed without what comes behind
+    sampled : (k,) bool: the steps whose ends are asked for
+    behind : (s,) changed: what is known in hindsight, behind the last step and then before the first
+    out : (r, s) written: what is known at the ends asked for
+    """
+    _kernel_of(model)(tape, start, ends, started, sampled, behind, out)

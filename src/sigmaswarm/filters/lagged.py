@@ -1,0 +1,70 @@
+"""What a live filter knows by now of a moment some seconds ago."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.compiled.lagged import N_TAPED, TAPE, again_call
+from sigmaswarm.filters.compiled.layout import N_KEPT, state_rows
+from sigmaswarm.filters.compiled.smoothing import smooth_back
+from sigmaswarm.filters.compiled.tape import taped_rows
+from sigmaswarm.filters.names import ModelName
+
+LiveMemory = tuple[Array, NDArray[np.int64], Array, Array, Array, Array]
+"""belief, counts, memory, fixes, speeds, history: see `compiled.live`."""
+NEARLY = 1e-6
+"""s: what rounding may take off a lag."""
+
+
+class FixedLag:
+    """A fixed-lag smoother behind a live filter's memory: its last samples are taken again, on tape, and smoothed.
+
+    Late fixes have changed that memory already where they belong. What it holds has a fixed size.
+
+    Parameters
+    ----------
+    model : its name
+    lag : float
+        s
+    most_steps : int
+        That the memory can hold.
+    """
+
+    def __init__(self, model: ModelName, lag: float, *, most_steps: int) -> None:
+        self._model, self._lag = model, lag
+        self._state, self._width = state_rows(model), len(taped_rows(model))
+        self._belief = np.zeros(TAPE + most_steps * self._width)
+        self._again = again_call(model)
+        nothing = np.zeros((0, len(self._state)))
+        self._no_starts = np.zeros(0, dtype=np.int64), nothing
+        self._out = nothing
+        # Compiled now: no sample waits for it.
+        nobody = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD))
+        self._again(self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0)
+        self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
+
+    def smoothed(self, memory: LiveMemory) -> tuple[float, Array]:
+        """The moment, s, and its state rows, (s,)."""
+        belief, counts, _, fixes, speeds, history = memory
+        now, kept = float(belief[live.TIME]), int(counts[live.N_HISTORY])
+        order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
+        # The belief before a sample is the one after the sample before it.
+        moments = history[order, live.TIME]
+        first = int(np.searchsorted(moments, now - self._lag + NEARLY, side="right")) - 1
+        if not kept:
+            return now, belief[self._state]
+        first = max(first, 0)
+        before = history[order[first], : live.N_BELIEF]
+        v = self._belief
+        v[: len(belief)] = belief  # the settings
+        v[: live.N_BELIEF] = before
+        v[N_TAPED] = 0.0
+        self._again(v, counts, fixes, speeds, history, first)
+        tape = v[TAPE : TAPE + int(v[N_TAPED]) * self._width].reshape(-1, self._width)
+        return float(moments[first]), self._back(tape, before[self._state], v[:N_KEPT][self._state])
+
+    def _back(self, tape: Array, start: Array, behind: Array) -> Array:
+        sampled = np.zeros(len(tape), dtype=np.bool_)
+        smooth_back(self._model, tape, start, *self._no_starts, sampled, behind, self._out)
+        return behind

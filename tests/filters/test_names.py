@@ -1,0 +1,36 @@
+"""Kernels of different models must not share a name in a process: one would run in place of the other."""
+
+from sigmaswarm.filters.compiled import run, step
+from sigmaswarm.filters.compiled.live import live_calls
+from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.models import MODELS
+
+
+def _scaled(w, *, n, inner):
+    return inner(w) * n
+
+
+def _doubled(w, *, k):
+    return w * k
+
+
+def test_what_is_made_of_one_function_bears_names_of_its_own():
+    two, three = (unrolled(_doubled, k=k) for k in (2, 3))
+    assert two(1) == 2
+    assert two.__qualname__ != three.__qualname__
+    outer = {unrolled(_scaled, n=n, inner=f).__qualname__ for n in (1, 2) for f in (two, three)}
+    assert len(outer) == 4
+    assert unrolled(_doubled, k=2).__qualname__ == two.__qualname__, (
+        "in another process it has to be the same"
+    )
+
+
+def test_kernels_of_models_bear_names_of_their_own():
+    made = [[of[model] for model in MODELS] for of in (step.STEPS, run.KERNELS)]
+    made += [
+        [getattr(live_calls(model), name) for model in ("planar5", "planar8")]
+        for name in ("step", "sample", "fix")
+    ]
+    for each in made:
+        names = [getattr(one, "py_func", one).__qualname__ for one in each]
+        assert len({*names}) == len(names), names
