@@ -18,6 +18,7 @@ demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
 
 test: $(VENV)/test-installed
+	$(BIN)/python tests/warm.py
 	$(BIN)/python -m pytest -n auto
 
 check: $(VENV)/check-installed
