@@ -78,7 +78,7 @@ $(DOCS)/installed: pyproject.toml constraints.txt docs/constraints.txt
 	$(PYTHON) -m venv $(DOCS)
 	cut -d= -f1 docs/constraints.txt | grep -v '^#' | sed 's/$$/==/' > $(DOCS)/said
 	{ grep -v -i -F -f $(DOCS)/said constraints.txt; cat docs/constraints.txt; } > $(DOCS)/constraints.txt
-	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check pip
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(DOCS)/constraints.txt pip
 	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(DOCS)/constraints.txt --editable . --group docs
 	touch $@
 
