@@ -11,6 +11,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 
 import generate
+from numpydoc.xref import DEFAULT_LINKS
 
 import sigmaswarm
 
@@ -39,7 +40,10 @@ templates_path = [
     str(Path(__file__).parent / "_templates")
 ]  # autosummary looks from the source, Sphinx from here
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = False
+numpydoc_xref_param_type = True  # of the types that docstrings name, ours lead to their pages
+numpydoc_xref_aliases = {name: f"sigmaswarm.{name}" for name in sigmaswarm.__all__}
+numpydoc_xref_ignore = "all"
+DEFAULT_LINKS.clear()  # lead to Python's own pages, which are not in this folder
 add_module_names = False
 default_role = "py:obj"
 

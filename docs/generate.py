@@ -24,7 +24,7 @@ def _page(name: str) -> str:
     body = re.sub(
         r"\n\n((?:    sigmaswarm .*\n)+)", lambda m: f"\n\n```console\n{inspect.cleandoc(m[1])}\n```\n", body
     )
-    body = re.sub(r"\*\*(Arguments|Parameters)\*\*:", r"## \1", body)
+    body = body.replace("**Arguments**:", "## Arguments").replace("**Parameters**:", "## Options")
     return f"# sigmaswarm {name}\n\n{body.strip()}\n"
 
 

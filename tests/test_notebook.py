@@ -86,6 +86,11 @@ def test_they_show_the_numbers(shown: dict[str, Page]):
     assert {"q_theta", "Before you trust it:"} <= set(shown["tuning"].texts)
 
 
+def test_numbers_are_short():
+    shown = [notebook.number(value) for value in (5641.7, 12.345, 1.2e-5, -1234.5, 3e8, float("nan"), None)]
+    assert shown == ["5642", "12.3", "1.2e-05", "-1234", "3e+08", "-", "-"]
+
+
 def test_the_track_lies_north_up_and_to_one_scale():
     page = Page(
         notebook.track("a", {"truth": ([0, 300, 300], [0, 0, 100]), "fixes": ([np.nan, 150], [0, 50])})

@@ -25,8 +25,10 @@ COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
 
 
 def number(value: float | None) -> str:
-    """Three digits that count; a dash for what can't be said."""
-    return "-" if value is None or not math.isfinite(value) else f"{value:.3g}"
+    """Three digits that count, and thousands in full; a dash for what can't be said."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
