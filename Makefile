@@ -4,15 +4,20 @@
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
 # make parity    how closely the filters agree, over a whole drive
 # make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30
+# make docs      build the site into docs/_build: open docs/_build/html/index.html
+# make pictures  make the site's pictures anew: the demo's, and those of measured figures
+# make dist      build wheel and sdist into dist/
+# make dist-check  try the wheel on each Python that is found, each in an empty environment
 # make notebook  execute examples/paper.ipynb and keep its outputs in it
 
 PYTHON ?= python3
 MINUTES ?= 30
 VENV := .venv
+DOCS := .venv-docs
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check bench parity fuzz notebook clean
+.PHONY: demo test check bench parity fuzz docs pictures dist dist-check notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
@@ -36,6 +41,20 @@ parity: $(VENV)/test-installed
 fuzz: $(VENV)/test-installed
 	cd tests && ../$(BIN)/python -m fuzzing --minutes $(MINUTES) --found ../fuzz-found
 
+docs: $(DOCS)/installed
+	$(DOCS)/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto --conf-dir docs . docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
+pictures: $(VENV)/installed
+	$(BIN)/python docs/pictures.py
+
+dist: $(VENV)/release-installed
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist
+
+dist-check: dist
+	$(PYTHON) tests/installed.py dist
+
 notebook: $(VENV)/test-installed
 	$(BIN)/python examples/execute.py examples/paper.ipynb
 
@@ -55,5 +74,14 @@ $(VENV)/check-installed: $(VENV)/test-installed
 	$(PIP) --group check
 	touch $@
 
+# constraints.txt holds here, too, but for what docs/constraints.txt says otherwise.
+$(DOCS)/installed: pyproject.toml constraints.txt docs/constraints.txt
+	$(PYTHON) -m venv $(DOCS)
+	cut -d= -f1 docs/constraints.txt | grep -v '^#' | sed 's/$$/==/' > $(DOCS)/said
+	{ grep -v -i -F -f $(DOCS)/said constraints.txt; cat docs/constraints.txt; } > $(DOCS)/constraints.txt
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(DOCS)/constraints.txt pip
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint $(DOCS)/constraints.txt --editable . --group docs
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(DOCS) docs/_build docs/reference/generated dist demo .pytest_cache .ruff_cache .hypothesis

@@ -4,7 +4,6 @@ import inspect
 import json
 import subprocess
 import sys
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -216,8 +215,3 @@ def test_a_type_checker_knows_the_options(tmp_path: Path):
 def test_arguments_in_the_old_order_are_told():
     with pytest.raises(sigmaswarm.InputError, match="evaluate takes the drives first"):
         sigmaswarm.evaluate(SET, [DRIVE])
-
-
-def test_the_version_is_said_once():
-    stated = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["version"]
-    assert stated == sigmaswarm.__version__

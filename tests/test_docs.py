@@ -13,7 +13,9 @@ import pytest
 from sigmaswarm.cli.app import app
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "docs"
+MADE = {DOCS / "_build", DOCS / "reference" / "generated"}
+PAGES = [ROOT / "README.md", *(p for p in sorted(DOCS.rglob("*.md")) if not MADE & set(p.parents))]
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
@@ -21,8 +23,8 @@ def commands():
     for page in PAGES:
         for block in re.findall(r"```console\n(.*?)```", page.read_text(), re.DOTALL):
             for line in block.splitlines():
-                if line.startswith("sigmaswarm "):
-                    yield pytest.param(line, id=f"{page.name}: {line}")
+                if line.strip().startswith("sigmaswarm "):
+                    yield pytest.param(line.strip(), id=f"{page.relative_to(ROOT)}: {line.strip()}")
 
 
 @pytest.mark.parametrize("line", list(commands()))
@@ -32,10 +34,14 @@ def test_shown_commands_parse(line):
 
 def links():
     """Every link of a page to a file or a place in one: page, target as it stands there."""
-    for page in [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *NOTEBOOKS]:
+    for page in [
+        *PAGES,
+        *(ROOT / f"{name}.md" for name in ("CONTRIBUTING", "CHANGELOG", "SECURITY")),
+        *NOTEBOOKS,
+    ]:
         for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
             if not re.match(r"[a-z]+:", target):
-                yield pytest.param(page, target, id=f"{page.name}: {target}")
+                yield pytest.param(page, target, id=f"{page.relative_to(ROOT)}: {target}")
 
 
 def prose(page: Path) -> str:
@@ -68,10 +74,30 @@ def test_links_point_at_what_is_there(page: Path, target: str):
 
 def test_every_page_is_in_the_readme_and_leads_on():
     listed = {p.values[1].partition("#")[0] for p in links() if p.values[0].name == "README.md"}
-    assert {f"docs/{page.name}" for page in PAGES if page.parent.name == "docs"} <= listed
+    assert {f"docs/{page.name}" for page in PAGES if page.parent == DOCS} <= listed
     for page in PAGES:
         others = {p.values[1].partition("#")[0] for p in links() if p.values[0] == page} - {"", page.name}
         assert len(others) > 1, f"{page.name} leads nowhere"
+
+
+def contents(page: Path):
+    """The pages that a page of the site puts into its table of contents."""
+    for block in re.findall(r"```{toctree}\n(.*?)```", page.read_text(), re.DOTALL):
+        for line in block.splitlines():
+            name = re.sub(r".*<(.*)>", r"\1", line.strip())
+            if name and not name.startswith(":") and "*" not in name:
+                yield next(
+                    p for e in (".md", ".ipynb") if (p := (page.parent / f"{name}{e}").resolve()).exists()
+                )
+
+
+def test_the_site_s_contents_hold_every_page_once():
+    found, ahead = [DOCS / "index.md"], [DOCS / "index.md"]
+    while ahead:
+        below = [page for page in contents(ahead.pop()) if page.suffix == ".md" or page in NOTEBOOKS]
+        found, ahead = found + below, ahead + [page for page in below if page.suffix == ".md"]
+    assert len(found) == len(set(found))
+    assert set(PAGES) - {ROOT / "README.md"} <= set(found)
 
 
 def held():

@@ -12,6 +12,7 @@ from cyclopts import App, CycloptsError, MissingArgumentError
 import sigmaswarm
 from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
+from sigmaswarm.cli.completion import completion
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
@@ -51,6 +52,7 @@ for command in (
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")
+app.command(completion, name="--completion")
 
 
 def main() -> NoReturn:

@@ -2,12 +2,16 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm import notebook
 from sigmaswarm.errors import DriveError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -45,6 +49,17 @@ class _Table:
         """The same table with only some of its rows (a mask or a slice)."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
         return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The columns that there are, in the order and units of the attributes; needs pandas.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
+        return notebook.to_pandas({name: column for name, column in columns.items() if column is not None})
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,3 +189,25 @@ class Drive:
     def duration(self) -> float:
         """Time from the first to the last IMU sample, s."""
         return float(self.imu.time[-1] - self.imu.time[0])
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: what was recorded, and where the fixes and the truth lie."""
+        tables: dict[str, _Table | None] = {"IMU": self.imu, "fixes": self.gps, "truth": self.truth}
+        rows = [
+            (name, len(each), _rate(each.time), _span(each.time)) for name, each in tables.items() if each
+        ]
+        paths = {"fixes": (self.gps.x, self.gps.y)}
+        if self.truth:
+            paths["truth"] = (self.truth.x, self.truth.y)
+        heads = ("", "rows", "rate, Hz", "length, s")
+        return notebook.table(self.name, heads, rows) + notebook.track(self.name, paths)
+
+
+def _rate(time: Array) -> float:
+    """Of the median interval, Hz; NaN where there is none."""
+    interval = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return 1 / interval if interval > 0 else float("nan")
+
+
+def _span(time: Array) -> float:
+    return float(time[-1] - time[0]) if len(time) else 0.0

@@ -14,7 +14,6 @@ from sigmaswarm.export.attitude import quaternions, rotations
 from sigmaswarm.export.maps import MAPS, Origin
 from sigmaswarm.export.ros import ros2
 from sigmaswarm.files import whole_file
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.forking import require_threads
 from sigmaswarm.geodesy import enu_to_geodetic
@@ -173,27 +172,17 @@ def true_trajectory(drive: Drive) -> Estimate:
     return Estimate(truth.time, mean, np.empty(0), InitialState(mean[0], np.eye(5), float(truth.time[0])))
 
 
-def _columns(estimate: Estimate) -> dict[str, Array]:
-    """Time and states by name."""
-    states = next(m.names for m in MODELS.values() if len(m.states) == estimate.mean.shape[1])
-    return {"t": estimate.time} | {name: estimate.mean[:, i] for i, name in enumerate(states)}
-
-
 def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
     for number, estimate in enumerate(pieces):
-        columns = _columns(estimate)
-        if estimate.covariance.size:  # dead reckoning has none
-            std = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
-            columns |= {f"std_{name}": std[:, i] for i, name in enumerate(list(columns)[1:])}
         require_threads()
-        pl.DataFrame(columns).write_csv(file, include_header=number == 0)
+        pl.DataFrame(estimate.columns(std=True)).write_csv(file, include_header=number == 0)
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
     """MATLAB's format tells an array's size before its numbers, so all pieces are held."""
     from scipy.io import savemat
 
-    parts = [_columns(estimate) | {"covariance": estimate.covariance} for estimate in pieces]
+    parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]
     savemat(
         file, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, oned_as="column"
     )

@@ -2,21 +2,26 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm import notebook
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Innovations, Recording, failure_at
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import run_steps
 from sigmaswarm.geodesy import wrap_angle
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -52,6 +57,53 @@ class Estimate:
     failure: str | None = None
     restarts: tuple[float, ...] = ()
     lost: NDArray[np.bool_] | None = None
+
+    def columns(self, *, std: bool = False) -> dict[str, Array]:
+        """Time and states by name, in the units of ``mean``, each of shape (n,).
+
+        ``std``: standard deviations too, where there is a covariance, as ``std_`` and the state's name.
+        """
+        states = next(m.names for m in MODELS.values() if len(m.states) == self.mean.shape[1])
+        named = {"t": self.time} | {name: self.mean[:, i] for i, name in enumerate(states)}
+        if not std or not self.covariance.size:  # dead reckoning has none
+            return named
+        deviations = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return named | {f"std_{name}": deviations[:, i] for i, name in enumerate(states)}
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Time, states and their standard deviations, a row for each time; needs pandas.
+
+        Raises
+        ------
+        InputError
+            Where pandas is not installed.
+        """
+        return notebook.to_pandas(self.columns(std=True))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: where it ends and how sure it is there, what went wrong, and the track."""
+        columns = self.columns(std=True)
+        sound = np.flatnonzero(np.isfinite(self.mean).all(axis=1))
+        last = int(sound[-1]) if len(sound) else -1
+        at = f" at {self.time[last]:.2f} s" if len(sound) else ""
+        rows = [
+            (
+                name,
+                float(values[last]),
+                float(columns[f"std_{name}"][last]) if f"std_{name}" in columns else None,
+            )
+            for name, values in columns.items()
+            if len(sound) and name != "t" and not name.startswith("std_")
+        ]
+        rows = [(name, value, notebook.number(std)) for name, value, std in rows]
+        restarts = [f"lost, and started anew, at {t:.1f} s" for t in self.restarts]
+        return (
+            notebook.table(
+                f"Estimate, {len(self.time)} times; the last one{at}", ("", "m, m/s, rad", "sigma"), rows
+            )
+            + notebook.listed("To know:", [*([self.failure] if self.failure else []), *restarts])
+            + notebook.track("Estimate", {"estimate": (self.mean[:, 0], self.mean[:, 1])})
+        )
 
 
 def run_filter(

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
+from sigmaswarm import notebook
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
@@ -38,6 +40,9 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.versions import versions
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 METHODS = {
     "tuned": "tuned filter",
@@ -293,6 +298,38 @@ class Evaluation:
             for m in self.names
         ]
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The same for pandas, which must be installed.
+
+        Raises
+        ------
+        InputError
+            Where it is not.
+        """
+        return notebook.to_pandas(self.to_frame().to_dict(as_series=False))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: means over the drives, each drive below, and where raw GPS is better."""
+        heads = ("method", *(measure.heading for measure in self.measures.values()))
+
+        def rows(value: Callable[[str, str], float | None]) -> list[list[str]]:
+            return [
+                [name, *(notebook.number(value(m, k)) for k in MEASURES)] for m, name in self.names.items()
+            ]
+
+        each = "".join(
+            notebook.table(drive, heads, rows(partial(self.value, drive))) for drive in self.drives
+        )
+        if len(self.drives) == 1:
+            return each + notebook.listed("To know:", self.worse_than_raw)
+        shown = notebook.table(
+            f"Mean over {len(self.drives)} drives, lower is better", heads, rows(self.mean)
+        )
+        return (
+            f"{shown}{notebook.listed('To know:', self.worse_than_raw)}"
+            f"<details><summary>each drive</summary>{each}</details>"
+        )
 
     def save(self, folder: Path) -> list[Path]:
         """Write scores.json, scores.csv, evaluation.json and tracks.npz; their paths."""

@@ -8,6 +8,7 @@ import numpy as np
 import tomli_w
 from typing_extensions import TypeVar
 
+from sigmaswarm import notebook
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
@@ -208,6 +209,20 @@ class Tuning(Generic[P]):
         prior = getattr(self.config, "prior", None)
         guarded = f" + {prior:g} x the prior of R where it is smaller than the receiver's" if prior else ""
         return objective_named(name).summary + guarded
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: each parameter and how far it can move, and what to know before trusting it."""
+        rows = [
+            (
+                s.name,
+                s.value,
+                *("any" if end is None else notebook.number(end) for end in (s.lowest, s.highest)),
+            )
+            for s in self.sensitivities
+        ]
+        caption = f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {len(self.data)} drive(s)"
+        heads = ("parameter", "value", "within 1% of the cost: from", "to")
+        return notebook.table(caption, heads, rows) + notebook.listed("Before you trust it:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `FilterParameters.load` reads."""

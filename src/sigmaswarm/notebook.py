@@ -1,0 +1,126 @@
+"""What notebooks show of a record: tables and tracks as HTML that needs nothing else, and pandas' tables.
+
+Of plain numbers and texts alone: each record says itself what it shows. Texts are escaped, since names come from logs.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sigmaswarm.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
+"""Of a picture, in pixels."""
+MOST_POINTS = 400
+"""That a line of a picture has; a notebook keeps its pictures."""
+COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
+"""As in all other pictures, told apart by people who see few colours, too."""
+
+
+def number(value: float | None) -> str:
+    """Three digits that count, and thousands in full; a dash for what can't be said."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
+
+
+def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table whose first column names its rows, with what a screen reader goes by: a caption, and scopes of heads."""
+
+    def cell(value: object) -> str:
+        text = number(value) if isinstance(value, float) else str(value)
+        return f'<td style="text-align:right">{escape(text)}</td>'
+
+    heads = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
+    body = "".join(
+        f'<tr><th scope="row" style="text-align:left">{escape(str(name))}</th>{"".join(map(cell, values))}</tr>'
+        for name, *values in rows
+    )
+    return (
+        f'<table><caption style="text-align:left"><b>{escape(caption)}</b></caption>'
+        f"<thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def listed(title: str, sentences: Sequence[str]) -> str:
+    """Sentences under a title; nothing where there are none."""
+    items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
+    return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
+
+
+def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
+    """A picture of paths from above, north up, east and north to one scale, and a sentence that says what it shows.
+
+    Parameters
+    ----------
+    title : str
+        What it is a picture of.
+    paths : mapping of str to (x, y)
+        m east and north, shape (n,) each; not finite where nothing is known. The one called fixes is drawn as dots.
+        A name of `COLORS` has its colour.
+    """
+    drawn = {name: _thinned(*path) for name, path in paths.items()}
+    drawn = {name: path for name, path in drawn.items() if len(path)}
+    if not drawn:
+        return ""
+    points = np.concatenate(list(drawn.values()))
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = high - low
+    scale = min((WIDTH - 2 * MARGIN) / max(span[0], 1e-9), (HEIGHT - 2 * MARGIN) / max(span[1], 1e-9), 1e6)
+    said = (
+        f"{title} seen from above, {span[0]:.0f} m from west to east and {span[1]:.0f} m from south to north: "
+        f"{', '.join(drawn)}"
+    )
+    shapes = "".join(_shape(name, path, low, high, scale) for name, path in drawn.items())
+    key = " ".join(
+        f'<span style="color:{COLORS.get(name, "#555555")}">{"&#9679;" if name == "fixes" else "&#9473;"}</span>'
+        f" {escape(name)}"
+        for name in drawn
+    )
+    return (
+        f'<figure style="margin:0"><svg role="img" aria-label="{escape(said)}" width="{WIDTH:.0f}" '
+        f'height="{HEIGHT:.0f}" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" xmlns="http://www.w3.org/2000/svg" '
+        f'style="background:#ffffff"><title>{escape(said)}</title>{shapes}</svg>'
+        f"<figcaption>{key} &middot; {span[0]:.0f} m x {span[1]:.0f} m, north up</figcaption></figure>"
+    )
+
+
+def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Some of the points that are finite, first and last among them, shape (m, 2)."""
+    points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) <= MOST_POINTS:
+        return points
+    return points[np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)]
+
+
+def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
+    color = COLORS.get(name, "#555555")
+    at = MARGIN + scale * np.stack([path[:, 0] - low[0], high[1] - path[:, 1]], axis=1)
+    if name == "fixes":
+        return "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.5" fill="{color}"/>' for x, y in at)
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
+    start = f'<circle cx="{at[0, 0]:.1f}" cy="{at[0, 1]:.1f}" r="3.5" fill="{color}"/>'
+    return f'<polyline points="{line}" fill="none" stroke="{color}" stroke-width="1.5"/>{start}'
+
+
+def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
+    """A table of pandas.
+
+    Raises
+    ------
+    InputError
+        Where pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError:
+        raise InputError("to_pandas needs pandas, which is not installed: pip install pandas") from None
+    return pd.DataFrame(dict(columns))

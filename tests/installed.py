@@ -1,0 +1,106 @@
+"""Try a wheel as a user gets it: alone, in an empty environment, outside the checkout, on each Python that is found.
+
+    python tests/installed.py dist
+    python tests/installed.py dist --this-python
+
+By hand, or `make dist-check`: it installs everything anew and runs the demo, which takes minutes.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import zipfile
+from pathlib import Path
+
+PYTHONS = ("3.11", "3.12", "3.13")
+CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
+MUST_HOLD = (
+    "sigmaswarm/py.typed",
+    "sigmaswarm/export/templates/ins_gps.c.in",
+    "sigmaswarm/report/draw/page/page.html",
+)
+
+
+def contents_wrong(wheel: Path) -> list[str]:
+    """What a wheel lacks, or should not have."""
+    names = zipfile.ZipFile(wheel).namelist()
+    lacking = [f"lacks {name}" for name in MUST_HOLD if name not in names]
+    folders = {name.partition("/")[0] for name in names}
+    stray = [f"has {name}" for name in folders if name != "sigmaswarm" and not name.startswith("sigmaswarm-")]
+    return lacking + stray + [f"has {name}" for name in names if "test" in Path(name).name]
+
+
+def tried(python: str, wheel: Path) -> str:
+    """Install and run with one Python; what it took."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+        environment["NUMBA_CACHE_DIR"] = str(folder / "cache")  # a user's first run has none
+
+        def run(*command: str | Path) -> tuple[str, float]:
+            begun = time.perf_counter()
+            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+            if done.returncode:
+                raise SystemExit(
+                    f"{python}: {' '.join(map(str, command))} failed:\n{done.stdout}{done.stderr}"
+                )
+            return done.stdout, time.perf_counter() - begun
+
+        run(python, "-m", "venv", folder / "venv")
+        scripts = folder / "venv" / ("Scripts" if os.name == "nt" else "bin")
+        inside = scripts / "python"
+        _, installed = run(
+            inside, "-m", "pip", "install", "--quiet", "--constraint", CONSTRAINTS, wheel.resolve()
+        )
+        version, _ = run(scripts / "sigmaswarm", "--version")
+        again, _ = run(inside, "-m", "sigmaswarm", "--version")
+        place, _ = run(inside, "-c", "import sigmaswarm; print(sigmaswarm.__file__)")
+        assert str(folder) in str(Path(place.strip())), f"another sigmaswarm is used: {place}"
+        assert version == again, (version, again)
+        assert f"-{version.strip()}-" in wheel.name, (version, wheel.name)
+        shown, demo = run(scripts / "sigmaswarm", "demo", "--out", "demo")
+        assert "tuned filter" in shown, shown
+        run(scripts / "sigmaswarm", "report", Path("demo") / "evaluation")
+        run(scripts / "sigmaswarm", "export", Path("demo") / "tuning", "--to", "c99", "--out", "filter-c")
+        assert (folder / "demo" / "evaluation" / "page.html").stat().st_size > 1e6
+        assert (folder / "filter-c" / "ins_gps.c").exists()
+        return f"{version.strip()}: installed in {installed:.0f} s, demo in {demo:.0f} s"
+
+
+def found(version: str) -> str | None:
+    """A Python of that version: on the path, or among those that pyenv keeps; a name may be a mere shim."""
+    kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    named = [f"python{version}", *map(str, sorted(kept.glob(f"{version}.*/bin/python"), reverse=True))]
+    for python in filter(shutil.which, named):
+        if not subprocess.run([python, "--version"], capture_output=True).returncode:
+            return python
+    return None
+
+
+def main() -> None:
+    """Say for each Python what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("dist", type=Path, help="folder with the wheel")
+    parser.add_argument("--this-python", action="store_true", help="only the Python that runs this")
+    asked = parser.parse_args()
+    (wheel,) = asked.dist.glob("*.whl")
+    if wrong := contents_wrong(wheel):
+        raise SystemExit(f"{wheel.name} {'; '.join(wrong)}")
+    for file in sorted(asked.dist.iterdir()):
+        print(f"{file.name}: {file.stat().st_size / 1e3:.0f} kB")
+    if asked.this_python:
+        print(tried(sys.executable, wheel))
+        return
+    for version in PYTHONS:
+        python = found(version)
+        print(
+            f"Python {version}: {tried(python, wheel) if python else 'SKIPPED, it is not there'}", flush=True
+        )
+
+
+if __name__ == "__main__":
+    main()
