@@ -63,7 +63,14 @@ def _again(sources, *, take):
         for number in range(first, counts[N_HISTORY]):
             record = _record(counts, history, number)
             take(
-                v, counts, fixes, speeds, record[S_TIME], record[S_STEP], record[S_CALM] > 0.0, record[S_MEANS]
+                v,
+                counts,
+                fixes,
+                speeds,
+                record[S_TIME],
+                record[S_STEP],
+                record[S_CALM] > 0.0,
+                record[S_MEANS],
             )
 
     return again
