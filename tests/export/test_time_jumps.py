@@ -100,8 +100,8 @@ def same_in_both(program: Path, fed: list[str]) -> np.ndarray:
     """Feed both, row by row; what they say is the same after each row."""
     ours, theirs = in_python(fed), in_c(program, fed)
     np.testing.assert_array_equal(theirs[:, :4], ours[:, :4])
-    # A minute without fixes carries a car kilometres away, and each rounding of its heading along: 1e-10 of the way.
-    away = np.maximum(1.0, 0.1 * np.abs(ours[:, 4:]).max(axis=1, keepdims=True))
+    # A minute without fixes carries a car kilometres away, and each rounding of its heading along: 1e-9 of the way.
+    away = np.maximum(1.0, np.abs(ours[:, 4:]).max(axis=1, keepdims=True))
     np.testing.assert_allclose((theirs[:, 4:] - ours[:, 4:]) / away, 0.0, atol=1e-9)
     return ours
 
