@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Action, Diagnosis
 from sigmaswarm.drives.drive import Drive
@@ -129,12 +130,8 @@ def _shift_odometer(drive: Drive, values: Values) -> Drive:
 def _drop_readings(drive: Drive, values: Values) -> Drive:
     """From when to when, s, and so on: the readings of the odometer to leave out."""
     wheels = drive.odometer
-    if wheels is None:
-        return drive
-    keep = np.ones(len(wheels), dtype=np.bool_)
-    for first, last in zip(values[::2], values[1::2], strict=True):
-        keep &= (wheels.time < first) | (wheels.time > last)
-    return replace(drive, odometer=wheels.select(keep) or None)
+    spans = zip(values[::2], values[1::2], strict=True)
+    return replace(drive, odometer=(wheels and without(wheels, spans)) or None)
 
 
 ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
@@ -19,7 +20,7 @@ from sigmaswarm.files import whole_file
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
-from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.smoothing import Smoothing
@@ -121,16 +122,7 @@ class Tracker:
     ) -> Recording:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
         recording = Recording(replay, parameters, recover=recover)
-        truth = self._ready.drive.truth
-        errors = None if truth is None else PieceErrors(truth, replay.initial)
-
-        def pieces() -> Iterator[Columns]:
-            for piece in recording:
-                if errors:
-                    errors.add(piece.time, piece.mean)
-                yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
-
-        self._keep(series, pieces(), len(replay.timeline.imu_time))
+        errors = self._follow(series, recording, replay.initial, len(replay.timeline.imu_time))
         self.quantiles[series] = errors.quantiles if errors else (np.nan, np.nan)
         if recording.failure is None:
             found = recording.innovations
@@ -140,17 +132,22 @@ class Tracker:
     def smooth(self, series: str, replay: Replay, parameters: FilterParameters) -> Score:
         """Run a smoother over all fixes of the drive, and keep its track; its score."""
         smoothing = Smoothing(replay, parameters, recover=True)
+        errors = self._follow(series, smoothing, smoothing.initial, len(replay.timeline.imu_time))
+        return replace(errors.score if errors else Score(), failed=smoothing.failure is not None)
+
+    def _follow(self, series: str, run: Iterable[Piece], initial: InitialState, n: int) -> PieceErrors | None:
+        """Keep the track of n samples that comes piece by piece; its errors, where there is truth."""
         truth = self._ready.drive.truth
-        errors = None if truth is None else PieceErrors(truth, smoothing.initial)
+        errors = None if truth is None else PieceErrors(truth, initial)
 
         def pieces() -> Iterator[Columns]:
-            for piece in smoothing:
+            for piece in run:
                 if errors:
                     errors.add(piece.time, piece.mean)
                 yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
 
-        self._keep(series, pieces(), len(replay.timeline.imu_time))
-        return replace(errors.score if errors else Score(), failed=smoothing.failure is not None)
+        self._keep(series, pieces(), n)
+        return errors
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
         """Keep the track of an estimate that is there already."""

@@ -1,7 +1,7 @@
 """The wheels' speed against fixes and accelerometer: sign, unit, scale, clock, and a counter that is stuck."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +51,19 @@ def check(evidence: Evidence) -> Iterator[Finding]:
             "odometer.csv, speed", (stuck[0][0], stuck[-1][1]), 0.95, "leave these readings out",
             Repair("drop-readings", tuple(t for span in stuck for t in span)),
         )  # fmt: skip
-        keep = np.ones(len(odometer), dtype=np.bool_)
-        for a, b in stuck:
-            keep &= (odometer.time < a) | (odometer.time > b)
-        odometer = odometer.select(keep)
+        odometer = without(odometer, stuck)
         if len(odometer) < FEWEST:
             return
     yield from _scale(odometer, course, evidence)
     yield from _clock(odometer, evidence)
+
+
+def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
+    """The readings that lie in none of the spans, from when to when, s."""
+    keep = np.ones(len(odometer), dtype=np.bool_)
+    for first, last in spans:
+        keep &= (odometer.time < first) | (odometer.time > last)
+    return odometer.select(keep)
 
 
 def _stuck(odometer: Odometer, course: Course) -> list[tuple[float, float]]:
