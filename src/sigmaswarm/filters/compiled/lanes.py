@@ -12,58 +12,26 @@ nothing branches on it, so the other lanes neither wait nor change.
 import math
 
 import numpy as np
-from numba import njit, types
-from numba.extending import lower_builtin, type_callable
+from numba import config
 
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.vectors import FLAGS, LANES, put_loops
 
-LANES = 16
-"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
-
-# NaN and inf must keep their meaning, so the flags are named instead of fastmath=True. The check for division
-# by zero of error_model="python" would be an early exit, which no vectorized loop may have.
-FLAGS = {"contract", "reassoc", "nsz", "arcp"}
-OPTIONS = {"error_model": "numpy", "fastmath": FLAGS, "nogil": True}
-
-
-def widen():
-    """Ask for vectors as wide as the processor has them, in the function that calls this; nothing in plain Python.
-
-    LLVM takes half of that on Intel's processors, where wide ones once slowed the clock down.
-    """
-
-
-@type_callable(widen)
-def _type_of_widen(_context):
-    return lambda: types.void
-
-
-@lower_builtin(widen)
-def _lower_widen(context, builder, _signature, _arguments):
-    set.add(
-        builder.function.attributes, '"prefer-vector-width"="512"'
-    )  # past llvmlite's list, which lacks it
-    return context.get_dummy_value()
+# The check for division by zero of error_model="python" would be an early exit.
+OPTIONS = {"error_model": "numpy", "fastmath": {*FLAGS}, "nogil": True}
 
 
 def kernel(function, **known):
-    """Compile a function for use in others, with its keyword-only parameters bound: see `unrolled`.
+    """A function to be written into others, with its keyword-only parameters bound: see `unrolled` and `put_loops`.
 
-    It takes the array of rows ``w``, so that it knows of one base pointer only.
+    It takes the array of rows ``w``, and gives nothing. Its loops over lanes become functions of their own; what
+    remains is a few decisions.
     """
-    return njit(unrolled(function, widen, **known), forceinline=True, **OPTIONS)
+    made = unrolled(function, None if config.DISABLE_JIT else put_loops, **known)
+    made.is_kernel = True
+    return made
 
 
-def subroutine(function, **known):
-    """As `kernel`, but called rather than written into its callers: for what is long and called from many places."""
-    return njit(unrolled(function, widen, **known), **OPTIONS)
-
-
-def _inline(function):
-    return njit(function, inline="always", error_model="numpy")
-
-
-@_inline
 def _reduced(x):
     """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
 
@@ -85,7 +53,6 @@ def _reduced(x):
     return n, sin, cos
 
 
-@_inline
 def sincos(x):
     """Sine and cosine."""
     n, sin, cos = _reduced(x)
@@ -98,7 +65,6 @@ def sincos(x):
     return s, c
 
 
-@_inline
 def double_angle(x):
     """sin 2x and sin^2 x, which need to know of the quadrant only whether it is odd."""
     n, sin, cos = _reduced(x)
@@ -108,7 +74,6 @@ def double_angle(x):
     return -double if odd else double, sin_x * sin_x
 
 
-@_inline
 def angle_of(y, x):
     """The angle of the vector (x, y), in [-pi, pi], without branches or calls; to the last digit or two.
 

@@ -15,7 +15,7 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
-from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos, subroutine
+from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, Q0, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
     fold,
@@ -23,6 +23,7 @@ from sigmaswarm.filters.compiled.tilted12 import (
     measure_lateral_tilted,
     measure_odometer_tilted,
 )
+from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.models import CarModel
 from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
@@ -94,7 +95,6 @@ def forecast_fix(w, z, lever, *, n):
         w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
 
 
-@kernel
 def _look(w, l):
     """Add what a fix says of the filter's own S, before it is absorbed; gives its NIS."""
     s11, s12, s22 = w[R.S11, l] + w[R.R1, l], w[R.S12, l], w[R.S22, l] + w[R.R2, l]
@@ -289,7 +289,9 @@ def _adapt(w, since, *, n):
 
 def absorb_velocity(w, z, *, n):
     """The receiver's velocity over ground, m/s east and north; linear in the state."""
-    _take_velocity(w, z[FIX_U], z[FIX_V], R.R_VELOCITY)
+    for l in range(LANES):
+        w[R.R1, l] = w[R.R_VELOCITY, l]
+    _take_velocity(w, z[FIX_U], z[FIX_V])
 
 
 def absorb_standstill(w, u, *, n, gyro_biases, tilted):
@@ -297,7 +299,9 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
     These are linear in the error, so one after the other is all at once, if the error is folded in at the end.
     """
-    _take_velocity(w, 0.0, 0.0, R.R_STANDSTILL)
+    for l in range(LANES):
+        w[R.R1, l] = w[R.R_STANDSTILL, l]
+    _take_velocity(w, 0.0, 0.0)
     for row in gyro_biases:
         shown = u[axis_of(row)]
         for l in range(LANES):
@@ -310,18 +314,18 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
         fold(w)
 
 
-def _take_velocity(w, zu, zv, variance, *, n):
-    """Absorb a velocity; then its rows of P once more from P+ H^T = C S^-1 R, as in `_keep_digits`."""
+def _take_velocity(w, zu, zv, *, n):
+    """Absorb a velocity, whose variance is in row R1; then its rows of P once more from P+ H^T = C S^-1 R, as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
-        s11, s12, s22 = w[R.UU, l] + w[variance, l], w[R.UV, l], w[R.VV, l] + w[variance, l]
+        s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]
         det = s11 * s22 - s12 * s12
         w[R.G11, l], w[R.G12, l], w[R.G22, l] = s22 / det, -s12 / det, s11 / det
         for i in range(n):
             w[C1 + i, l], w[C2 + i, l] = w[at(i, R.U), l], w[at(i, R.V), l]
     _absorb_two(w)
     for l in range(LANES):
-        r, g11, g12, g22 = w[variance, l], w[R.G11, l], w[R.G12, l], w[R.G22, l]
+        r, g11, g12, g22 = w[R.R1, l], w[R.G11, l], w[R.G12, l], w[R.G22, l]
         for i in range(n):
             w[at(i, R.U), l] = r * (w[C1 + i, l] * g11 + w[C2 + i, l] * g12)
             w[at(i, R.V), l] = r * (w[C1 + i, l] * g12 + w[C2 + i, l] * g22)
@@ -443,7 +447,7 @@ def absorbers(model: CarModel, note_prior=None):
         "adaptive": int("adaptive-ukf" in model.kinds),
         "tilted": int(model.tilts is not None),
     }
-    parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _stretch, _weigh)
+    parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
     parts += (_fade, _adapt) if ready["adaptive"] else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     if ready["tilted"]:
@@ -456,10 +460,9 @@ def absorbers(model: CarModel, note_prior=None):
         for name, bias in (("lateral", model.gyro_bias), ("odometer", model.accel_bias)):
             known = {"n": ready["n"], "bias": -1 if bias is None else bias, "lateral": int(name == "lateral")}
             ready[f"measure_{name}"] = kernel(_measure_along, **known)
-    # With 78 variances each, written into every caller they would double the time that compiling takes.
-    made = subroutine if ready["tilted"] else kernel
+    ready["_stretch"] = unrolled(_stretch, **ready)
     for function in parts:
-        ready[function.__name__] = made(function, **ready)
+        ready[function.__name__] = kernel(function, **ready)
     public = (
         *(absorb_fix, forecast_fix, absorb_velocity, absorb_standstill),
         *(absorb_lateral, absorb_odometer),

@@ -27,6 +27,21 @@ from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
+def _turn(w, ax, ay):
+    """What the mean heading and its spread do to the acceleration times dt."""
+    for l in range(LANES):
+        sin_t, cos_t = sincos(w[R.T, l])
+        a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
+        second = w[R.SECOND, l]
+        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + 1e-300  # never 0/0; no change to any other d
+        sin_d, sin2_h = double_angle(0.5 * d)
+        e = -2.0 * second * w[R.INV_GAMMA2, l] * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
+        w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
+        w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
+
+
+@kernel
 def predict_planar5(w, u):
     """One step of the process model, in two loops: a processor can't look ahead over one so long."""
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
@@ -67,18 +82,3 @@ def predict_planar5(w, u):
         w[R.UU, l], w[R.UV, l], w[R.UT, l] = u1u1 + q_scale * w[R.Q_U, l], u1v1, u1t
         w[R.VV, l], w[R.VT, l] = v1v1 + q_scale * w[R.Q_V, l], v1t
         w[R.TT, l] = tt + q_scale * w[R.Q_T, l]
-
-
-@kernel
-def _turn(w, ax, ay):
-    """What the mean heading and its spread do to the acceleration times dt."""
-    for l in range(LANES):
-        sin_t, cos_t = sincos(w[R.T, l])
-        a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        second = w[R.SECOND, l]
-        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + 1e-300  # never 0/0; no change to any other d
-        sin_d, sin2_h = double_angle(0.5 * d)
-        e = -2.0 * second * w[R.INV_GAMMA2, l] * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
-        w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a

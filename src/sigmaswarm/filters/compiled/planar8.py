@@ -24,6 +24,41 @@ from sigmaswarm.filters.compiled.layout import R
 
 
 @kernel
+def _turn(w, dt, ax, ay):
+    """What heading, biases and their spread do to the acceleration times dt."""
+    for l in range(LANES):
+        sin_t, cos_t = sincos(w[R.T, l])
+        s, c = dt * sin_t, dt * cos_t  # all below is times dt
+        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
+        a, b = c * fx - s * fy, s * fx + c * fy
+        second, gamma, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.TT, l]
+        d = gamma * math.sqrt(tt) + 1e-300
+        sin_d, sin2_h = double_angle(0.5 * d)
+        sin2_h = second * sin2_h
+        k = 1.0 + second * (sin_d / d - 1.0)
+        e = -2.0 * w[R.INV_GAMMA2, l] * sin2_h
+        m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
+        te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
+        mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
+        w[R.COS, l], w[R.SIN, l], w[R.EAST, l], w[R.NORTH, l] = c, s, a, b
+        w[R.MU_EAST, l], w[R.MU_NORTH, l] = mu_e, mu_n
+        w[R.JEAST, l], w[R.JNORTH, l] = m * te - k * b, m * tn + k * a
+
+        aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
+        ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
+        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l], second * gamma * gamma
+        w[R.GEE, l] = (
+            c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
+        )
+        w[R.GEN, l] = (
+            s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
+        )
+        w[R.GNN, l] = (
+            s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
+        )
+
+
+@kernel
 def predict_planar8(w, u):
     """One step of the process model."""
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
@@ -83,38 +118,3 @@ def predict_planar8(w, u):
         w[R.AA, l] = aa + q_scale * w[R.Q_A, l]
         w[R.BB, l] = bb + q_scale * w[R.Q_B, l]
         w[R.WW, l] = ww + q_scale * w[R.Q_W, l]
-
-
-@kernel
-def _turn(w, dt, ax, ay):
-    """What heading, biases and their spread do to the acceleration times dt."""
-    for l in range(LANES):
-        sin_t, cos_t = sincos(w[R.T, l])
-        s, c = dt * sin_t, dt * cos_t  # all below is times dt
-        fx, fy = ax - w[R.A, l], ay - w[R.B, l]
-        a, b = c * fx - s * fy, s * fx + c * fy
-        second, gamma, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.TT, l]
-        d = gamma * math.sqrt(tt) + 1e-300
-        sin_d, sin2_h = double_angle(0.5 * d)
-        sin2_h = second * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
-        e = -2.0 * w[R.INV_GAMMA2, l] * sin2_h
-        m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
-        te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
-        mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
-        w[R.COS, l], w[R.SIN, l], w[R.EAST, l], w[R.NORTH, l] = c, s, a, b
-        w[R.MU_EAST, l], w[R.MU_NORTH, l] = mu_e, mu_n
-        w[R.JEAST, l], w[R.JNORTH, l] = m * te - k * b, m * tn + k * a
-
-        aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
-        ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
-        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l], second * gamma * gamma
-        w[R.GEE, l] = (
-            c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
-        )
-        w[R.GEN, l] = (
-            s * ea + c * eb - k2 * (tt * a * b + g2 * te * tn) + kc * (b * tn - a * te) + spread * mu_e * mu_n
-        )
-        w[R.GNN, l] = (
-            s * na + c * nb + k2 * (tt * a * a - g2 * tn * tn) - 2.0 * kc * a * tn + spread * mu_n * mu_n
-        )

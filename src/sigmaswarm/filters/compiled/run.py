@@ -9,13 +9,14 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached
 from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import models, schedule, student, tilted
-from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel, widen
+from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import STEPS, step_of
@@ -137,20 +138,21 @@ def _run(
     place[NEXT_SPEED] = n_speeds
 
 
-@kernel
+@njit(**OPTIONS)
 def _load(w, rows):
-    for l in range(LANES):
-        for r in range(N_ROWS):
-            w[r, l] = 0.0
-        for r in range(N_KEPT):
-            w[r, l] = rows[r, l]
+    for r in range(N_KEPT):
+        for lane in range(LANES):
+            w[r, lane] = rows[r, lane]
+    for r in range(N_KEPT, N_ROWS):
+        for lane in range(LANES):
+            w[r, lane] = 0.0
 
 
-@kernel
+@njit(**OPTIONS)
 def _store(w, rows):
-    for l in range(LANES):
-        for r in range(N_KEPT):
-            rows[r, l] = w[r, l]
+    for r in range(N_KEPT):
+        for lane in range(LANES):
+            rows[r, lane] = w[r, lane]
 
 
 def cached_by_sources(make, model, **options):
@@ -186,7 +188,6 @@ def _machine_code(sources, *, steps_to):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        widen()
         w = new_rows()
         _load(w, rows)
         steps_to(w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations)

@@ -11,7 +11,7 @@ import hashlib
 import inspect
 import textwrap
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from sigmaswarm.filters.compiled.layout import R
 
@@ -21,23 +21,21 @@ NUMBERS = ("at", "fp", "axis_of")
 """Names of functions whose value takes the place of a call."""
 
 
-FIRST = "_called_first"
+Names = dict[str, Any]
+"""What the names in a function stand for."""
 
 
-def unrolled(
-    function: Callable[..., Any], first: Callable[[], None] | None = None, /, **known: Any
-) -> Callable[..., Any]:
-    """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
+class Written(NamedTuple):
+    """A function whose keyword-only parameters are bound and whose loops over states and rows are written out."""
 
-    Parameters
-    ----------
-    function : callable
-        Plain Python.
-    first : callable, optional
-        Called before all else.
-    **known
-        Values of its keyword-only parameters, and of globals.
-    """
+    definition: ast.FunctionDef
+    names: Names
+
+
+def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
+    """A function as its text says it, with its keyword-only parameters bound to ``known``; see `unrolled`."""
+    if not known and hasattr(function, "written"):
+        return function.written
     # Without anything to bind, the module's own globals: they may name what comes later in the file.
     names = function.__globals__ | known if known else function.__globals__
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
@@ -48,19 +46,40 @@ def unrolled(
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
-    if first is not None:
-        names[FIRST] = first
-        definition.body.insert(0, ast.parse(f"{FIRST}()").body[0])
-    ast.fix_missing_locations(tree)
-    defined: dict[str, Any] = {}
+    return Written(definition, names)
+
+
+def unrolled(
+    function: Callable[..., Any], change: Callable[[ast.FunctionDef, Names], None] | None = None, /, **known: Any
+) -> Callable[..., Any]:
+    """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python.
+    change : callable, optional
+        ``(definition, names)``: changes in place what is written out.
+    **known
+        Values of its keyword-only parameters, and of globals.
+    """
+    written = written_out(function, **known)
+    definition, names = written
+    told_apart = _told_apart(definition, known)
+    if change is not None:
+        definition = copy.deepcopy(definition)
+        change(definition, names)
+    tree = ast.fix_missing_locations(ast.Module([definition], []))
+    defined: Names = {}
     exec(compile(tree, function.__code__.co_filename, "exec"), names, defined)
     made = defined[function.__name__]
+    made.written = Written(definition, names)
     if known:
-        made.__qualname__ = f"{function.__qualname__}_{_told_apart(definition, known)}"
+        made.__qualname__ = f"{function.__qualname__}_{told_apart}"
     return made
 
 
-def _told_apart(definition: ast.FunctionDef, known: dict[str, Any]) -> str:
+def _told_apart(definition: ast.FunctionDef, known: Names) -> str:
     """What tells a function from others that are made of the same one: a hash of what it says and of what it calls.
 
     Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
@@ -75,8 +94,8 @@ def _told_apart(definition: ast.FunctionDef, known: dict[str, Any]) -> str:
 
 
 class _Writer(ast.NodeTransformer):
-    def __init__(self, names: dict[str, Any], values: dict[str, int]) -> None:
-        self.names, self.values = names, values
+    def __init__(self, names: Names, values: dict[str, int]) -> None:
+        self.names, self.values, self.calls = names, values, 0
 
     def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         written: list[ast.stmt] = []
@@ -107,6 +126,38 @@ class _Writer(ast.NodeTransformer):
             )
             return node
         return self.block(chosen)
+
+    def visit_Expr(self, node: ast.Expr) -> Any:
+        self.generic_visit(node)
+        match node.value:
+            case ast.Call(func=ast.Name(id=name), args=arguments) if hasattr(self.names.get(name), "is_kernel"):
+                return self._spliced(self.names[name].written, arguments)
+        return node
+
+    def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
+        """A kernel's statements in place of its call; names of its own get a number."""
+        self.calls += 1
+        definition = copy.deepcopy(written.definition)
+        parameters = [each.arg for each in definition.args.args]
+        names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
+        stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
+        renamed = {name: f"{name}_{self.calls}" for name in stored.union(parameters)}
+        body: list[ast.stmt] = []
+        for parameter, argument in zip(parameters, arguments, strict=True):
+            if isinstance(argument, ast.Name) and parameter not in stored:
+                renamed[parameter] = argument.id
+            else:
+                body.append(ast.Assign([ast.Name(renamed[parameter], ast.Store())], argument))
+        for node in names:
+            if node.id not in renamed and node.id in written.names:
+                value = written.names[node.id]
+                renamed[node.id] = node.id
+                if self.names.setdefault(node.id, value) is not value:
+                    renamed[node.id] = f"{node.id}_{self.calls}"
+                    self.names[renamed[node.id]] = value
+            node.id = renamed.get(node.id, node.id)
+        documented = ast.get_docstring(definition) is not None
+        return [ast.fix_missing_locations(each) for each in (*body, *definition.body[documented:])]
 
     def visit_Call(self, node: ast.Call) -> Any:
         self.generic_visit(node)

@@ -1,0 +1,309 @@
+"""Loops over lanes, written as vector instructions straight into LLVM.
+
+A kernel is some thousand lines of arithmetic once its loops over states are written out. Numba would ask of each number
+in them what type it has, for half a minute and more; here all are doubles, so each loop over lanes is put into LLVM as
+it stands, as a function of its own that takes the array of rows and the few numbers that all lanes share. Such a
+function bears a hash of what it says, so that it is the same wherever it is called from, and so are its bits.
+
+The body of a loop over lanes is straight: assignments to names and to ``w[row, l]`` with a row known beforehand,
+arithmetic, comparisons, ``a if test else b``, `math.sqrt`, `math.log`, `numpy.floor`, `abs`, and calls of plain
+functions of that kind, which are written into it. A name that is only added to counts lanes: ``n += test``.
+"""
+
+# Numba has types of its own, which a type checker for Python does not know.
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+
+import ast
+import builtins
+import hashlib
+import math
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from sigmaswarm.filters.compiled.unroll import Names, written_out
+
+LANES = 16
+"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
+
+# NaN and inf must keep their meaning, so the flags are named in place of fast-math as a whole.
+FLAGS = ("contract", "reassoc", "nsz", "arcp")
+
+_DOUBLE, _COUNT = ir.DoubleType(), ir.IntType(64)
+_ARITHMETIC = {
+    ast.Add: (operator.add, "fadd"),
+    ast.Sub: (operator.sub, "fsub"),
+    ast.Mult: (operator.mul, "fmul"),
+    ast.Div: (operator.truediv, "fdiv"),
+}
+_LOGIC = {ast.BitAnd: "and_", ast.BitOr: "or_"}
+_COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "=="}
+_FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", np.floor: "floor", abs: "fabs"}
+
+
+def put_loops(definition: ast.FunctionDef, names: Names) -> None:
+    """Put calls in place of a function's loops over lanes; what they call is added to its ``names``."""
+    definition.body = _Loops(definition, names).block(definition.body)
+
+
+class _Loops(ast.NodeTransformer):
+    def __init__(self, definition: ast.FunctionDef, names: Names) -> None:
+        self.names, self.title = names, definition.name
+        stored = {n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        self.locals = stored | {each.arg for each in definition.args.args}
+
+    def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
+        return self.generic_visit(ast.Module(statements, [])).body
+
+    def visit_For(self, node: ast.For) -> Any:
+        if ast.unparse(node.iter) != "range(LANES)":
+            return self.generic_visit(node)
+        shared, counted = _seen_from_outside(node.body, self.locals)
+        called = f"_{self.title.strip('_')}_{_hash(node.body, self.names)}"
+        self.names[called] = _as_intrinsic(called, node.body, self.names, shared, counted)
+        call = f"{called}(w, ({''.join(name + ', ' for name in shared)}))"
+        new = [call] if not counted else [f"_counts = {call}"]
+        new += [f"{name} += _counts[{k}]" for k, name in enumerate(counted)]
+        return [ast.copy_location(statement, node) for statement in ast.parse("\n".join(new)).body]
+
+
+def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], list[str]]:
+    """The enclosing function's names that a loop's body reads, and those that it adds to."""
+    made, shared, counted = {"w", "l"}, dict[str, None](), list[str]()
+    for statement in body:
+        if isinstance(statement, ast.AugAssign) and isinstance(statement.target, ast.Name):
+            if statement.target.id not in made and statement.target.id not in counted:
+                counted.append(statement.target.id)
+        for node in ast.walk(statement):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in outside - made:
+                shared[node.id] = None
+        made |= {n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    return [name for name in shared if name not in counted], counted
+
+
+def _hash(body: list[ast.stmt], names: Names) -> str:
+    """Of what a loop says, of the numbers that its names stand for, and of the functions that are written into it."""
+    parts = [ast.dump(statement) for statement in body]
+    for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
+        value = names.get(name)
+        if isinstance(value, int | float):
+            parts.append(f"{name} {value!r}")
+        elif callable(value) and value not in _FUNCTIONS:
+            inner = written_out(value)
+            parts.append(f"{name} {_hash(inner.definition.body, inner.names)}")
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
+
+
+def _as_intrinsic(called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str]) -> Any:
+    """``called(w, (shared ...))``, for Numba: it calls the loop, and puts it into the module if it is not there."""
+
+    def loop(typing_context, w, numbers):
+        def generate(context, builder, signature, arguments):
+            array = context.make_array(w)(context, builder, arguments[0])
+            values = [
+                context.cast(builder, builder.extract_value(arguments[1], k), kind, types.float64)
+                for k, kind in enumerate(numbers)
+            ]
+            function = builder.module.globals.get(called)
+            if function is None:
+                wide = "+avx512f" in context.codegen().magic_tuple()[2]
+                function = _put_loop(builder.module, called, body, names, shared, counted, 8 if wide else 4)
+            result = builder.call(function, [array.data, *values])
+            return result if counted else context.get_dummy_value()
+
+        result = types.UniTuple(types.int64, len(counted)) if counted else types.void
+        return result(w, numbers), generate
+
+    return intrinsic(loop)
+
+
+def _put_loop(
+    module: ir.Module, called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str],
+    width: int,
+) -> ir.Function:  # fmt: skip
+    """A function that goes over the lanes, ``width`` of them at a time."""
+    vector = ir.VectorType(_DOUBLE, width)
+    result = ir.ArrayType(_COUNT, len(counted)) if counted else ir.VoidType()
+    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), *(_DOUBLE for _ in shared)])
+    function = ir.Function(module, kind, called)
+    function.linkage = "linkonce_odr"
+    function.args[0].add_attribute("noalias")
+    for attribute in ("noinline", "nounwind"):
+        function.attributes.add(attribute)
+    # LLVM takes half of what an Intel processor has, where wide vectors once slowed the clock down. The attribute is
+    # put past llvmlite's list, which lacks it.
+    set.add(function.attributes, '"prefer-vector-width"="512"')
+    entry, loop, end = (function.append_basic_block(name) for name in ("entry", "loop", "end"))
+    builder = ir.IRBuilder(entry)
+    emitter = _Emitter(builder, vector)
+    values = {name: emitter.spread(value) for name, value in zip(shared, function.args[1:], strict=True)}
+    builder.branch(loop)
+    builder.position_at_end(loop)
+    lane = builder.phi(_COUNT)
+    lane.add_incoming(_COUNT(0), entry)
+    none = ir.Constant(ir.VectorType(_COUNT, width), [0] * width)
+    counts = {name: builder.phi(none.type) for name in counted}
+    emitter.begin(builder.gep(function.args[0], [lane]))
+    frame = _Frame(names, values | counts)
+    emitter.block(body, frame)
+    after = builder.add(lane, _COUNT(width))
+    lane.add_incoming(after, loop)
+    for name, count in counts.items():
+        count.add_incoming(none, entry)
+        count.add_incoming(frame.values[name], loop)
+    builder.cbranch(builder.icmp_signed("<", after, _COUNT(LANES)), loop, end)
+    builder.position_at_end(end)
+    if not counted:
+        builder.ret_void()
+        return function
+    sums = ir.Constant(result, ir.Undefined)
+    for number, name in enumerate(counted):
+        total = _COUNT(0)
+        for k in range(width):
+            total = builder.add(total, builder.extract_element(frame.values[name], ir.IntType(32)(k)))
+        sums = builder.insert_value(sums, total, number)
+    builder.ret(sums)
+    return function
+
+
+class _Frame(NamedTuple):
+    """What names stand for in a function: numbers and functions from outside it, and values of its own."""
+
+    names: Names
+    values: dict[str, Any]
+
+
+class _Emitter:
+    """Straight-line code for one vector of lanes. A value is a vector, a number that is known, or a tuple of them."""
+
+    def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType) -> None:
+        self.builder, self.vector = builder, vector
+        self.rows: dict[int, Any] = {}
+
+    def begin(self, lanes: Any) -> None:
+        """``lanes`` points to these lanes of the first row."""
+        self.lanes = lanes
+
+    def spread(self, number: Any) -> Any:
+        """A double in all lanes."""
+        undefined = ir.Constant(self.vector, ir.Undefined)
+        first = self.builder.insert_element(undefined, number, ir.IntType(32)(0))
+        places = ir.Constant(ir.VectorType(ir.IntType(32), self.vector.count), [0] * self.vector.count)
+        return self.builder.shuffle_vector(first, undefined, places)
+
+    def block(self, statements: list[ast.stmt], frame: _Frame) -> Any:
+        for statement in statements:
+            if isinstance(statement, ast.Return):
+                return self.value(statement.value, frame)
+            self.statement(statement, frame)
+        return None
+
+    def statement(self, node: ast.stmt, frame: _Frame) -> None:
+        match node:
+            case ast.Assign(targets=[target], value=value):
+                self.assign(target, self.value(value, frame), frame)
+            case ast.AugAssign(target=target, op=op, value=value):
+                self.assign(target, self.binary(op, self.value(target, frame), self.value(value, frame)), frame)
+            case ast.Expr(value=ast.Constant()):
+                pass
+            case ast.Expr(value=ast.Call() as call):
+                self.value(call, frame)
+            case _:
+                raise TypeError(f"no part of a loop over lanes: {ast.unparse(node)}")
+
+    def assign(self, target: ast.expr, value: Any, frame: _Frame) -> None:
+        match target:
+            case ast.Name(id=name):
+                frame.values[name] = value
+            case ast.Tuple(elts=targets):
+                for each, part in zip(targets, value, strict=True):
+                    self.assign(each, part, frame)
+            case _:
+                row = self.row(target, frame)
+                self.rows[row] = self.as_vector(value)
+                self.builder.store(self.rows[row], self.place(row), align=8 * self.vector.count)
+
+    def row(self, node: ast.expr, frame: _Frame) -> int:
+        match node:
+            case ast.Subscript(value=ast.Name(id="w"), slice=ast.Tuple(elts=[row, ast.Name(id="l")])):
+                return int(self.value(row, frame))
+        raise TypeError(f"no row of the lane: {ast.unparse(node)}")
+
+    def place(self, row: int) -> Any:
+        place = self.builder.gep(self.lanes, [_COUNT(row * LANES)])
+        return self.builder.bitcast(place, self.vector.as_pointer())
+
+    def value(self, node: ast.expr, frame: _Frame) -> Any:
+        match node:
+            case ast.Constant(value=value):
+                return value
+            case ast.Name(id=name):
+                known = frame.names.get(name, getattr(builtins, name, None))
+                return frame.values.get(name, known)
+            case ast.Attribute(value=ast.Name(id=name), attr=attribute):
+                return getattr(frame.names[name], attribute)
+            case ast.Subscript():
+                row = self.row(node, frame)
+                if row not in self.rows:
+                    self.rows[row] = self.builder.load(self.place(row), align=8 * self.vector.count)
+                return self.rows[row]
+            case ast.Tuple(elts=parts):
+                return tuple(self.value(part, frame) for part in parts)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self.binary(op, self.value(left, frame), self.value(right, frame))
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                value = self.value(operand, frame)
+                return -value if isinstance(value, int | float) else self.builder.fneg(value, flags=FLAGS)
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return self.builder.not_(self.value(operand, frame))
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                a, b = (self.as_vector(self.value(each, frame)) for each in (left, right))
+                if isinstance(op, ast.NotEq):  # true of NaN
+                    return self.builder.fcmp_unordered("!=", a, b)
+                return self.builder.fcmp_ordered(_COMPARISONS[type(op)], a, b)
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                chosen, other = (self.as_vector(self.value(each, frame)) for each in (body, orelse))
+                return self.builder.select(self.value(test, frame), chosen, other)
+            case ast.Call(func=function, args=arguments, keywords=[]):
+                return self.call(self.value(function, frame), arguments, frame)
+        raise TypeError(f"no part of a loop over lanes: {ast.unparse(node)}")
+
+    def binary(self, op: ast.operator, a: Any, b: Any) -> Any:
+        if type(op) in _LOGIC:
+            return getattr(self.builder, _LOGIC[type(op)])(a, b)
+        in_python, in_llvm = _ARITHMETIC[type(op)]
+        if isinstance(a, int | float) and isinstance(b, int | float):
+            return in_python(a, b)
+        if _is_vector_of(a, _COUNT):  # lanes are counted
+            return self.builder.add(a, self.builder.zext(b, a.type))
+        return getattr(self.builder, in_llvm)(self.as_vector(a), self.as_vector(b), flags=FLAGS)
+
+    def as_vector(self, value: Any) -> Any:
+        known = isinstance(value, int | float)
+        return ir.Constant(self.vector, [float(value)] * self.vector.count) if known else value
+
+    def call(self, function: Callable[..., Any], arguments: list[ast.expr], frame: _Frame) -> Any:
+        if function in _FUNCTIONS:
+            (value,) = (self.as_vector(self.value(each, frame)) for each in arguments)
+            return self.builder.call(self.builtin(_FUNCTIONS[function]), [value], fastmath=FLAGS)
+        inner = written_out(function)
+        given = {
+            parameter.arg: self.value(argument, frame)
+            for parameter, argument in zip(inner.definition.args.args, arguments, strict=True)
+            if parameter.arg not in ("w", "l")
+        }
+        return self.block(inner.definition.body, _Frame(inner.names, given))
+
+    def builtin(self, name: str) -> ir.Function:
+        module, name = self.builder.module, f"llvm.{name}.v{self.vector.count}f64"
+        there = module.globals.get(name)
+        return there or ir.Function(module, ir.FunctionType(self.vector, [self.vector]), name)
+
+
+def _is_vector_of(value: Any, kind: ir.Type) -> bool:
+    return isinstance(value, ir.Value) and isinstance(value.type, ir.VectorType) and value.type.element == kind
