@@ -23,7 +23,7 @@ import numpy as np
 from sigmaswarm import datasheet, simulate
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import schedule
-from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
+from sigmaswarm.filters.compiled import layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.packing import Chunk
@@ -78,10 +78,12 @@ def count() -> None:
     planar5.math = measurements.math = SimpleNamespace(
         sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), pi=math.pi
     )
-    rows = np.array([[Counting(0.1) for _ in range(lanes.LANES)] for _ in range(layout.N_ROWS)], dtype=object)
+    rows = np.array(
+        [[Counting(0.1) for _ in range(layout.LANES)] for _ in range(layout.N_ROWS)], dtype=object
+    )
     for row in (R.XX, R.YY, R.UU, R.VV, R.TT, R.FORGETTING):
-        rows[row] = [Counting(1.0) for _ in range(lanes.LANES)]
-    rows[R.FADING] = [Counting(-1.0) for _ in range(lanes.LANES)]
+        rows[row] = [Counting(1.0) for _ in range(layout.LANES)]
+    rows[R.FADING] = [Counting(-1.0) for _ in range(layout.LANES)]
     absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
     for name, step in (
         ("predict", lambda: planar5.predict_planar5(rows, 0.01, 1.0, 0.1, 0.1, 1.0)),
@@ -89,7 +91,7 @@ def count() -> None:
     ):
         Counting.done.clear()
         step()
-        print(name, *(f"{key}={value / lanes.LANES:.0f}" for key, value in sorted(Counting.done.items())))
+        print(name, *(f"{key}={value / layout.LANES:.0f}" for key, value in sorted(Counting.done.items())))
 
 
 # --- Measured ----------------------------------------------------------------------------------------------
@@ -130,10 +132,10 @@ def fastest(function) -> float:
 
 def nanoseconds_per_vector(operation: str) -> float:
     """Time of one operation on LANES numbers, when many of them wait for none."""
-    v = f"<{lanes.LANES} x double>"
+    v = f"<{layout.LANES} x double>"
     line = {
-        "fma": f"call {v} @llvm.fma.v{lanes.LANES}f64({v} %x#, {v} %b, {v} %b)",
-        "sqrt": f"call {v} @llvm.sqrt.v{lanes.LANES}f64({v} %x#)",
+        "fma": f"call {v} @llvm.fma.v{layout.LANES}f64({v} %x#, {v} %b, {v} %b)",
+        "sqrt": f"call {v} @llvm.sqrt.v{layout.LANES}f64({v} %x#)",
         "div": f"fdiv {v} %b, %x#",
     }[operation]
     each = [
@@ -142,8 +144,8 @@ def nanoseconds_per_vector(operation: str) -> float:
     ]
     stores = "\n".join(f"store volatile {v} %y{i}, ptr %p" for i in range(CHAINS))
     module = llvm.parse_assembly(f"""
-        declare {v} @llvm.fma.v{lanes.LANES}f64({v}, {v}, {v})
-        declare {v} @llvm.sqrt.v{lanes.LANES}f64({v})
+        declare {v} @llvm.fma.v{layout.LANES}f64({v}, {v}, {v})
+        declare {v} @llvm.sqrt.v{layout.LANES}f64({v})
         define void @chains(i64 %n, ptr %p) {{
         entry:
             %b = load {v}, ptr %p, align 8
@@ -165,7 +167,7 @@ def nanoseconds_per_vector(operation: str) -> float:
     engine = llvm.create_mcjit_compiler(module, target)
     engine.finalize_object()
     call = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_void_p)(engine.get_function_address("chains"))
-    numbers = np.full(lanes.LANES + 8, 0.999)
+    numbers = np.full(layout.LANES + 8, 0.999)
     return fastest(lambda: call(ROUNDS, numbers.ctypes.data)) / ROUNDS / CHAINS * 1e9
 
 
@@ -182,20 +184,20 @@ def main() -> None:
     print(counted, end="")
     peak = {name: nanoseconds_per_vector(name) for name in ("fma", "div", "sqrt")}
     print("ns per operation on all lanes: " + ", ".join(f"{name} {ns:.3f}" for name, ns in peak.items()))
-    print(f"peak {2 * lanes.LANES / peak['fma']:.1f} GFLOP/s")
+    print(f"peak {2 * layout.LANES / peak['fma']:.1f} GFLOP/s")
     operations = dict(pair.split("=") for pair in counted.splitlines()[0].split()[1:])
     flops = sum(int(operations[name]) for name in FLOPS)
     for label, fixes in (("predict alone", False), ("with fixes and scores", True)):
         call, n_steps = kernel_call(fixes)
         call()
         ns = fastest(call) / n_steps * 1e9
-        rate = flops * lanes.LANES / ns
+        rate = flops * layout.LANES / ns
         print(
-            f"{label}: {ns:.1f} ns a step of all lanes, {ns / lanes.LANES:.2f} ns a lane"
+            f"{label}: {ns:.1f} ns a step of all lanes, {ns / layout.LANES:.2f} ns a lane"
             + (
                 ""
                 if fixes
-                else f"; {rate:.1f} GFLOP/s, {rate * peak['fma'] / lanes.LANES / 2:.0%} of the peak"
+                else f"; {rate:.1f} GFLOP/s, {rate * peak['fma'] / layout.LANES / 2:.0%} of the peak"
             )
         )
 

@@ -33,7 +33,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.compiled import lanes
+from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import FIX, IMU
 from stepwise import (
@@ -60,8 +60,8 @@ def main() -> None:
     parser.add_argument("--car-sets", type=int, default=16, help="sets of each kind and model (16)")
     parser.add_argument("--slow-sets", type=int, default=5, help="how many of them FilterPy runs with (5)")
     arguments = parser.parse_args()
-    if arguments.sets % lanes.LANES or arguments.car_sets % lanes.LANES:
-        parser.error(f"--sets and --car-sets must be multiples of {lanes.LANES}")
+    if arguments.sets % LANES or arguments.car_sets % LANES:
+        parser.error(f"--sets and --car-sets must be multiples of {LANES}")
     console = Console(width=190, soft_wrap=False)
     drive = urban(0.0, 60.0) if arguments.drive is None else _read(arguments.drive)
     plain = replace(drive, metadata={**drive.metadata, "gps_lever_arm_m": [0.0, 0.0, 0.0]})

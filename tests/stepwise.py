@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
+import numba
 import numpy as np
 
 from oracles.extended import THETA, covariance_error, diagonal, mean_error
@@ -22,9 +23,9 @@ from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import Timeline, build_timeline
 from sigmaswarm.filters import packing, schedule
-from sigmaswarm.filters.compiled import lanes, layout, run
+from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.compiled.live import live_calls
+from sigmaswarm.filters.compiled.single import single_step, take_step
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.simulation.gps import find_gps
@@ -81,12 +82,12 @@ class CompiledCars:
     """
 
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
-        assert len(sets) % lanes.LANES == 0
+        assert len(sets) % layout.LANES == 0
         self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
         self.remembers = (
             sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf") or sets[0].robust_dof is not None
         )
-        self.parts = [slice(a, a + lanes.LANES) for a in range(0, len(sets), lanes.LANES)]
+        self.parts = [slice(a, a + layout.LANES) for a in range(0, len(sets), layout.LANES)]
         self.rows = np.zeros((len(sets), layout.N_ROWS))
         self.wheels = wheels_at(timeline)
         for part in self.parts:
@@ -124,10 +125,9 @@ class CompiledCars:
         self.rows[part, : layout.N_KEPT] = rows.T
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
-        t, step = self.line, live_calls(self.model).step
-        z = np.zeros(6) if fix is None else fix
+        t, z = self.line, np.zeros(6) if fix is None else fix
         for row in self.rows[part]:
-            step(row, t.steps[i], happens, z, self.wheels[i], t.lever, since)
+            _take(single_step(self.model), row, t.steps[i], happens, z, self.wheels[i], t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:
@@ -144,6 +144,11 @@ class CompiledCars:
         rows = self.rows.T
         log_determinant = rows[R.LOG_DET] + np.log(rows[R.DET])
         return np.array([rows[R.NIS], log_determinant, rows[R.SQ_FIX], rows[R.RECENT]])
+
+
+@numba.njit
+def _take(step: int, v: np.ndarray, *of: Any) -> None:
+    take_step(step, v, *of)
 
 
 # --- The oracle beside the compiled filter -----------------------------------------------------------------

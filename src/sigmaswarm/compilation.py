@@ -20,6 +20,7 @@ from typing import Any
 
 from numba import config, njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
+from numba.core.ccallback import CFunc
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
@@ -34,6 +35,24 @@ def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if not config.DISABLE_JIT:
         dispatcher._cache = _cache_of(function)
     return dispatcher
+
+
+def callback(function: Callable[..., Any], signature: Any, **options: Any) -> Any:
+    """The address of a function that other compiled code calls, kept between processes as `cached`.
+
+    Without compiling (NUMBA_DISABLE_JIT), the function itself.
+    """
+    if config.DISABLE_JIT:
+        return function
+    made = CFunc(function, (signature.args, signature.return_type), {}, options)
+    made._cache = _cache_of(function)
+    made.compile()
+    _CALLED.append(made)
+    return made.address
+
+
+_CALLED: list[CFunc] = []
+"""Machine code whose address is known to others stays."""
 
 
 def _cache_of(function: Callable[..., Any]) -> Any:

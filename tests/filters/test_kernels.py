@@ -89,11 +89,11 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     # longer 3e-16, but still less than half a unit in the last place of the angle itself.
     # One step of 1 s from rest, with no uncertainty to speak of, turns the acceleration (1, 0) into (cos, sin).
     headings = np.resize(angles()[np.abs(angles()) < 1e5], 16 * 1200)
-    initial = np.zeros((layout.N_KEPT, lanes.LANES))
+    initial = np.zeros((layout.N_KEPT, layout.LANES))
     initial[[R.XX, R.YY, R.UU, R.VV, R.TT]] = 1e-40
     initial[layout.CONSTANT_ROWS] = 1.0
     velocity = []
-    for chunk in headings.reshape(-1, lanes.LANES):
+    for chunk in headings.reshape(-1, layout.LANES):
         rows = initial.copy()
         rows[R.T] = chunk
         run.run_lanes(

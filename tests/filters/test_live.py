@@ -195,7 +195,7 @@ def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
     mixed.update(np.float64(t0 + 0.5), np.array([1, 2]))
     mixed.predict(t0 + 1, (0, np.float32(1.0), np.float16(0.5)))
     assert mixed.state.mean.tobytes() == plain.state.mean.tobytes()
-    calls = live_calls("planar5")
+    calls = live_calls()
     assert len(calls.sample.signatures) == len(calls.fix.signatures) == 1
 
 

@@ -18,7 +18,7 @@ from oracles.box import LOWER, UPPER, as_parameters, box_sets, box_table, weighe
 from oracles.extended import THETA, covariance_error, mean_error
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.timeline import Timeline, build_timeline
-from sigmaswarm.filters.compiled import lanes
+from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import gps_position, planar5
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
@@ -224,9 +224,9 @@ def test_a_run_adds_up_its_steps(kind: str, model: str):
     # The oracle checks single steps; a run is these in a row, bit for bit, and its sums are theirs.
     timeline, initial = on_time_line(equipped(simulated()))
     n = 600
-    sets = [replace(p, gate=None) for p in box_sets(model, kind, lanes.LANES)]
+    sets = [replace(p, gate=None) for p in box_sets(model, kind, LANES)]
     compiled, flags = CompiledCars(timeline, initial, sets), flags_of(timeline, *switches(sets[0]))
-    means, total = [], np.zeros((3, lanes.LANES))
+    means, total = [], np.zeros((3, LANES))
     for i, fix in steps_with_fixes(timeline, n):
         compiled.step(i, int(flags[i]), fix, since=0.0)
         total += compiled.sums[:3]

@@ -15,8 +15,16 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
-from sigmaswarm.filters.compiled.lanes import LANES
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, N_KEPT, N_STATE, R, state_rows
+from sigmaswarm.filters.compiled.layout import (
+    CONSTANT_ROWS,
+    CONSTANTS,
+    LANES,
+    MEAN,
+    N_KEPT,
+    N_STATE,
+    R,
+    state_rows,
+)
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters

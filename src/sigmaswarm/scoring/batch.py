@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.compiled.lanes import LANES
+from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays

@@ -15,10 +15,10 @@ import numpy as np
 from numba import config
 
 from sigmaswarm.filters.compiled.unroll import unrolled
-from sigmaswarm.filters.compiled.vectors import FLAGS, LANES, put_loops
+from sigmaswarm.filters.compiled.vectors import put_loops
 
-# The check for division by zero of error_model="python" would be an early exit.
-OPTIONS = {"error_model": "numpy", "fastmath": {*FLAGS}, "nogil": True}
+OPTIONS = {"error_model": "numpy", "nogil": True}
+"""Of what calls kernels: it divides as they do. Only their loops over lanes may be rearranged."""
 
 
 def kernel(function, **known):

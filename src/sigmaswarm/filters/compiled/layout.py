@@ -1,4 +1,4 @@
-"""The rows of the one array that a run works on, numbered in the order of their names.
+"""The array that a run works on, (row, lane): its lanes, and its rows, numbered in the order of their names.
 
 Kernels say ``w[R.XX, l]``; `unroll.unrolled` puts the number in its place before Numba sees it.
 """
@@ -11,6 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.filters.models import MODELS
+
+LANES = 16
+"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
+
+WIDEST = 8
+"""Lanes in the widest vector of any processor. An array of rows may have fewer lanes than LANES, a multiple of it."""
+
 
 LETTERS = {
     "x": "X", "y": "Y", "vx": "U", "vy": "V", "theta": "T",

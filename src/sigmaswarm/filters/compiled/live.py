@@ -1,7 +1,7 @@
 """A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
 
-The filter is the first lane of the rows in `layout`. Each step spreads it over all lanes, which costs less than another
-set of kernels would. The memory is six arrays, so that each call takes the same few arguments:
+The filter is the first lane of the rows in `layout`; a step stands in `single`, and is called by its address, so that
+what is here is compiled once for all models. The memory is six arrays, so that each call takes the same few arguments:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
@@ -10,8 +10,7 @@ set of kernels would. The memory is six arrays, so that each call takes the same
     speeds  (r, 2) readings of the odometer by time, s and m/s; of no rows where the filter takes none
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
 
-A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one. What takes
-the filter through steps is compiled for each model: see `live_calls`.
+A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -30,12 +29,9 @@ from sigmaswarm.drives.gaps import gap_of, usual_after
 from sigmaswarm.drives.odometer import INTERVAL, SLOW, STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import LANES
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, R, state_rows
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.layout import N_KEPT, R
 from sigmaswarm.filters.compiled.run import cached_by_sources
-from sigmaswarm.filters.compiled.step import STEPS
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 # The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
@@ -78,8 +74,6 @@ S_AXES = slice(S_STEP.start + AX, S_STEP.stop)
 S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
-_NO_FIX = np.zeros(FIX_ROW.stop - FIX_ROW.start)
-_NO_SPEED = np.zeros(3)
 
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
@@ -89,34 +83,30 @@ TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 _plain = partial(njit, error_model="numpy", nogil=True)
 
 
-def _one_step(sources, *, step, kept):
-    def live_step(v, u, happens, z, wheels, lever, since):
-        """One step of one filter, as in `step`; v (N_FILTER or more,) is its state before and after."""
-        if sources == "":  # never; so the name is closed over
-            return
-        w = new_rows()
-        for r in kept:
-            for l in range(LANES):
-                w[r, l] = v[r]
-        step(
-            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
-            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
-            (lever[0], lever[1], lever[2]), since,
-        )  # fmt: skip
-        for r in kept:
-            v[r] = w[r, 0]
-
-    return live_step
-
-
-def _step_to(v, to, u, happens, z, wheels, *, live_step):
+@_plain
+def _step_to(step, v, to, u, happens, z, wheels):
     """From where the belief is to a moment; u (N_STEP,) with the axes and the gap, its length is put in."""
     dt = to - v[TIME]
     scale = dt / v[NOMINAL]
     v[SINCE] += scale
     u[DT], u[Q_SCALE] = dt, scale
-    live_step(v, u, happens, z, wheels, v[LEVER], v[SINCE])
+    take_step(step, v, u, happens, z, wheels, v[LEVER], v[SINCE])
     v[TIME] = to
+
+
+@_plain
+def _copy(of, to, n):
+    """The first n numbers; Numba takes long to compile the same for whole arrays."""
+    for i in range(n):
+        to[i] = of[i]
+
+
+@_plain
+def _same(a, b, n):
+    for i in range(n):  # noqa: SIM110 (Numba)
+        if a[i] != b[i]:
+            return False
+    return True
 
 
 @_plain
@@ -125,9 +115,10 @@ def _slot(t, start, interval):
     return math.floor((t - start) / interval + 1e-6)
 
 
-def _take(v, counts, fixes, speeds, t, u, calm, means, *, step_to):
+@_plain
+def _take(step, v, counts, fixes, speeds, t, u, calm, means):
     """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do."""
-    before = v[TIME]
+    before, wheels = v[TIME], np.zeros(3)
     end = _seen(counts, fixes, t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
@@ -137,7 +128,7 @@ def _take(v, counts, fixes, speeds, t, u, calm, means, *, step_to):
         if z[KIND] >= FROZEN:
             continue
         happens = FIX | VELOCITY if z[HAS_VELOCITY] > 0.0 else FIX
-        step_to(v, z[FIX_TIME], u, happens, z[FIX_ROW], _NO_SPEED)
+        _step_to(step, v, z[FIX_TIME], u, happens, z[FIX_ROW], wheels)
         v[SINCE] = 0.0
     happens = 0
     if v[LATERAL_INTERVAL] > 0.0 and abs(u[AY]) <= CORNERING:
@@ -145,7 +136,6 @@ def _take(v, counts, fixes, speeds, t, u, calm, means, *, step_to):
         if slot != v[LATERAL_SLOT]:
             happens |= LATERAL
             v[LATERAL_SLOT] = slot
-    wheels = np.zeros(3)
     if speeds.shape[0] > 0:
         slot = _slot(t, v[START], INTERVAL)
         if slot != v[ODOMETER_SLOT] and _gather(v, counts, speeds, before, t, wheels):
@@ -157,7 +147,7 @@ def _take(v, counts, fixes, speeds, t, u, calm, means, *, step_to):
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
-        step_to(v, t, u, happens, _NO_FIX, wheels)
+        _step_to(step, v, t, u, happens, np.zeros(FIX_ROW.stop - FIX_ROW.start), wheels)
 
 
 @_plain
@@ -243,7 +233,7 @@ def _keep(v, counts, fixes, history, z):
     same = at
     while same > 0 and fixes[same - 1, FIX_TIME] == z[0]:
         same -= 1
-        if (fixes[same, :KIND] == z[:KIND]).all():
+        if _same(fixes[same], z, KIND):
             return IGNORED
     for f in range(counts[N_FIXES], at, -1):
         fixes[f] = fixes[f - 1]
@@ -282,7 +272,8 @@ def _keep_speed(v, counts, speeds, history, t, speed):
     return TAKEN
 
 
-def _go_on(v, counts, memory, fixes, speeds, history, sample, *, take):
+@_plain
+def _go_on(step, v, counts, memory, fixes, speeds, history, sample):
     """Take an IMU sample whose time is believed: a gap before it is driven by the mean of the two around it."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
@@ -293,9 +284,9 @@ def _go_on(v, counts, memory, fixes, speeds, history, sample, *, take):
     calm, means = False, np.zeros(4)
     if v[STANDSTILL_INTERVAL] > 0.0:
         calm = is_calm(memory, t, sample[1], sample[2], sample[3])
-        means[:] = memory[MEANS, :4]
+        _copy(memory[MEANS], means, 4)
     if t <= v[START]:
-        last[:] = sample
+        _copy(sample, last, N_SAMPLE)
         if calm:  # a stop may have begun before
             _stands(v, fixes, _seen(counts, fixes, t), t, means)
         return
@@ -304,15 +295,15 @@ def _go_on(v, counts, memory, fixes, speeds, history, sample, *, take):
     else:
         counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
     record = _record(counts, history, counts[N_HISTORY] - 1)
-    record[:N_BELIEF] = v[:N_BELIEF]
+    _copy(v, record, N_BELIEF)
     record[S_TIME], record[S_STEP][GAP] = t, gap
-    record[S_AXES] = sample[1:]
+    _copy(sample[1:], record[S_AXES], len(AXES))
     if gap > 0.0:
         for axis in range(len(AXES)):
             record[S_AXES][axis] = 0.5 * (last[1 + axis] + sample[1 + axis])
     record[S_CALM], record[S_MEANS] = 1.0 if calm else 0.0, means
-    last[:] = sample
-    take(v, counts, fixes, speeds, t, record[S_STEP], calm, means)
+    _copy(sample, last, N_SAMPLE)
+    _take(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means)
 
 
 @_plain
@@ -326,16 +317,34 @@ def _first_after(counts, history, t):
     return back
 
 
-def _again_from(v, counts, fixes, speeds, history, back, *, take):
+@_plain
+def take_again(step, v, counts, fixes, speeds, history, first):
+    """Take the kept samples again, from number ``first`` on; ``v`` is the belief before it."""
+    for number in range(first, counts[N_HISTORY]):
+        record = _record(counts, history, number)
+        _copy(v, record, N_BELIEF)
+        _take(
+            step,
+            v,
+            counts,
+            fixes,
+            speeds,
+            record[S_TIME],
+            record[S_STEP],
+            record[S_CALM] > 0.0,
+            record[S_MEANS],
+        )
+
+
+@_plain
+def _again_from(step, v, counts, fixes, speeds, history, back):
     """Back to before a kept sample, and forward again."""
-    v[:N_BELIEF] = _record(counts, history, back)[:N_BELIEF]
-    for again in range(back, counts[N_HISTORY]):
-        record = _record(counts, history, again)
-        record[:N_BELIEF] = v[:N_BELIEF]
-        take(v, counts, fixes, speeds, record[S_TIME], record[S_STEP], record[S_CALM] > 0.0, record[S_MEANS])
+    _copy(_record(counts, history, back), v, N_BELIEF)
+    take_again(step, v, counts, fixes, speeds, history, back)
 
 
-def _place(v, counts, fixes, speeds, history, z, *, again_from):
+@_plain
+def _place(step, v, counts, fixes, speeds, history, z):
     """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -348,19 +357,20 @@ def _place(v, counts, fixes, speeds, history, z, *, again_from):
         return LEFT_OUT
     kept = _keep(v, counts, fixes, history, z)
     if kept == TAKEN:
-        again_from(v, counts, fixes, speeds, history, back)
+        _again_from(step, v, counts, fixes, speeds, history, back)
     return kept
 
 
-def _place_and_count(v, counts, fixes, speeds, history, z, *, place):
-    kept = place(v, counts, fixes, speeds, history, z)
+@_plain
+def _place_and_count(step, v, counts, fixes, speeds, history, z):
+    kept = _place(step, v, counts, fixes, speeds, history, z)
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
     return kept
 
 
-def _take_sample(sources, *, go_on, place_and_count):
-    def sample(v, counts, memory, fixes, speeds, history, t, ax, ay, gz, az, gx, gy):
+def _take_sample(sources):
+    def sample(step, v, counts, memory, fixes, speeds, history, t, ax, ay, gz, az, gx, gy):
         """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return
@@ -373,23 +383,23 @@ def _take_sample(sources, *, go_on, place_and_count):
             if not holds or t != held[0]:  # not the same again
                 counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
                 counts[HOLDS_SAMPLE] = 1
-                held[:] = new
+                _copy(new, held, N_SAMPLE)
             return
         counts[HOLDS_SAMPLE] = 0
         if agrees:
-            go_on(v, counts, memory, fixes, speeds, history, held)
+            _go_on(step, v, counts, memory, fixes, speeds, history, held)
         elif holds:
             counts[TIME_JUMPS] += 1
-        go_on(v, counts, memory, fixes, speeds, history, new)
+        _go_on(step, v, counts, memory, fixes, speeds, history, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
-            place_and_count(v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
+            _place_and_count(step, v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
 
     return sample
 
 
-def _take_fix(sources, *, place_and_count):
-    def fix(v, counts, memory, fixes, speeds, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
+def _take_fix(sources):
+    def fix(step, v, counts, memory, fixes, speeds, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
@@ -398,25 +408,25 @@ def _take_fix(sources, *, place_and_count):
         ahead = v[FIX_AHEAD]
         agrees = counts[HOLDS_FIX] != NOTHING and abs(t - ahead[FIX_TIME]) <= AGREES
         if counts[HOLDS_FIX] == HELD:
-            if (ahead == z).all():  # the same message again
+            if _same(ahead, z, N_FIX):  # the same message again
                 return IGNORED
             if agrees:
-                place_and_count(v, counts, fixes, speeds, history, ahead.copy())
+                _place_and_count(step, v, counts, fixes, speeds, history, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
         if _lies_ahead(v, t):
             counts[HOLDS_FIX] = BELIEVED if agrees else HELD
-            ahead[:] = z
+            _copy(z, ahead, N_FIX)
             if not agrees:
                 return IGNORED
-        return place_and_count(v, counts, fixes, speeds, history, z)
+        return _place_and_count(step, v, counts, fixes, speeds, history, z)
 
     return fix
 
 
-def _take_speed(sources, *, again_from):
-    def speed(v, counts, memory, fixes, speeds, history, t, value):
+def _take_speed(sources):
+    def speed(step, v, counts, memory, fixes, speeds, history, t, value):
         """A reading of the odometer: it waits for its sample, or takes the filter back; none is held back."""
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
@@ -432,7 +442,7 @@ def _take_speed(sources, *, again_from):
         if kept == LEFT_OUT:
             counts[TOO_LATE] += 1
         elif kept == TAKEN and begun and t <= v[TIME]:
-            again_from(v, counts, fixes, speeds, history, back)
+            _again_from(step, v, counts, fixes, speeds, history, back)
         return kept
 
     return speed
@@ -443,42 +453,27 @@ _MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 4)
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """What is done with the memory of a live filter of one model.
+    """What is done with the memory of a live filter; ``step`` is what `single_step` gives for its model.
 
     Attributes
     ----------
-    step : ``(v, u, happens, z, wheels, lever, since)``, one step as in `step`; v (N_FILTER or more,) is the filter
-    sample : ``(*memory, t, ax, ay, gz, az, gx, gy)``, an IMU sample
-    fix : ``(*memory, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
-    speed : ``(*memory, t, speed)``, a reading of the odometer; what became of it
+    sample : ``(step, *memory, t, ax, ay, gz, az, gx, gy)``, an IMU sample
+    fix : ``(step, *memory, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    speed : ``(step, *memory, t, speed)``, a reading of the odometer; what became of it
     """
 
-    step: Any
     sample: Any
     fix: Any
     speed: Any
 
 
 @cache
-def live_calls(model):
+def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
-    kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
-    plain = partial(cached_by_sources, model=model, fastmath=False)
-    live_step = cached_by_sources(unrolled(_one_step, step=STEPS[model], kept=kept), model)
-    take = _bound(_take, step_to=_bound(_step_to, live_step=live_step))
-    again_from = _bound(_again_from, take=take)
-    place_and_count = _bound(_place_and_count, place=_bound(_place, again_from=again_from))
-    go_on = _bound(_go_on, take=take)
-    sample = plain(unrolled(_take_sample, go_on=go_on, place_and_count=place_and_count))
-    fix = plain(unrolled(_take_fix, place_and_count=place_and_count))
-    speed = plain(unrolled(_take_speed, again_from=again_from))
-    for function, numbers in ((sample, 7), (fix, 8), (speed, 2)):
-        signature = (*_MEMORY, *(float64,) * numbers)
+    calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed)]
+    for function, numbers in zip(calls, (7, 8, 2), strict=True):
+        signature = (int64, *_MEMORY, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)
             function.disable_compile()
-    return LiveCalls(live_step, sample, fix, speed)
-
-
-def _bound(function, **known):
-    return _plain(unrolled(function, **known))
+    return LiveCalls(*calls)

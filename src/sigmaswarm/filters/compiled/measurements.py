@@ -15,8 +15,8 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
-from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
-from sigmaswarm.filters.compiled.layout import C1, C2, Q0, R, at
+from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
     fold,
     measure_fix_tilted,
@@ -315,7 +315,7 @@ def absorb_standstill(w, u, *, n, gyro_biases, tilted):
 
 
 def _take_velocity(w, zu, zv, *, n):
-    """Absorb a velocity, whose variance is in row R1; then its rows of P once more from P+ H^T = C S^-1 R, as in `_keep_digits`."""
+    """Absorb a velocity, its variance in row R1; then its rows of P once more, as in `_keep_digits`."""
     for l in range(LANES):
         w[R.N1, l], w[R.N2, l] = zu - w[R.U, l], zv - w[R.V, l]
         s11, s12, s22 = w[R.UU, l] + w[R.R1, l], w[R.UV, l], w[R.VV, l] + w[R.R1, l]

@@ -22,8 +22,8 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 import math
 
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
-from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.layout import LANES, R
 
 
 @kernel

@@ -19,8 +19,8 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 import math
 
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import LANES, double_angle, kernel, sincos
-from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.layout import LANES, R
 
 
 @kernel

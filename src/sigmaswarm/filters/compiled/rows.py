@@ -12,38 +12,41 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from sigmaswarm.filters.compiled.lanes import LANES
-from sigmaswarm.filters.compiled.layout import N_ROWS
+from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 
 CACHE_LINE = 64
 """Bytes; also the width of the widest vectors."""
 
 
-@intrinsic
-def _on_the_stack(typing_context):
-    kind = types.Array(types.float64, 2, "C")
+def _on_the_stack(lanes):
+    kind = types.Array(types.float64, 2, "A")
 
-    def generate(context, builder, signature, arguments):
-        size = ir.IntType(64)
-        data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
-        data.align = CACHE_LINE
-        array = context.make_array(kind)(context, builder)
-        context.populate_array(
-            array,
-            data=builder.bitcast(data, ir.DoubleType().as_pointer()),
-            shape=[size(N_ROWS), size(LANES)],
-            strides=[size(8 * LANES), size(8)],
-            itemsize=size(8),
-            meminfo=None,
-        )
-        return array._getvalue()
+    def rows(typing_context):
+        def generate(context, builder, signature, arguments):
+            size = ir.IntType(64)
+            data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
+            data.align = CACHE_LINE
+            array = context.make_array(kind)(context, builder)
+            context.populate_array(
+                array,
+                data=builder.bitcast(data, ir.DoubleType().as_pointer()),
+                shape=[size(N_ROWS), size(lanes)],
+                strides=[size(8 * LANES), size(8)],
+                itemsize=size(8),
+                meminfo=None,
+            )
+            return array._getvalue()
 
-    return kind(), generate
+        return kind(), generate
+
+    return intrinsic(rows)
 
 
 def _in_python():
     return np.empty((N_ROWS, LANES))
 
 
-new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
+new_rows = _in_python if config.DISABLE_JIT else _on_the_stack(LANES)
 """An array of shape (N_ROWS, LANES), not yet written; it lives as long as the kernel that asked for it."""
+new_single = _in_python if config.DISABLE_JIT else _on_the_stack(WIDEST)
+"""The same with the fewest lanes that kernels run on, for one filter that stands in all of them."""

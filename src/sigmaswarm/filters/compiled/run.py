@@ -16,8 +16,8 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import models, schedule, student, tilted
-from sigmaswarm.filters.compiled.lanes import LANES, OPTIONS, kernel
-from sigmaswarm.filters.compiled.layout import N_KEPT, N_ROWS, R, state_rows
+from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
+from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import STEPS, step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
@@ -155,11 +155,11 @@ def _store(w, rows):
             rows[r, lane] = w[r, lane]
 
 
-def cached_by_sources(make, model, **options):
-    """Compile the kernel that ``make(sources)`` gives, cached under a key that holds a hash of all kernels' sources.
+def named_by_sources(make, name):
+    """The function that ``make(sources)`` gives, whose key in a cache holds a hash of all kernels' sources.
 
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed, or that the
-    same lines call another function for another ``model``; but what a function closes over is part of its key.
+    same lines call another function under another ``name``; but what a function closes over is part of its key.
     """
     elsewhere = (
         frozen,
@@ -177,9 +177,14 @@ def cached_by_sources(make, model, **options):
         *(Path(str(module.__file__)) for module in elsewhere),
     ]
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    function = make(f"{model} {digest}")
-    function.__qualname__ += "_" + re.sub(r"\W+", "_", model)  # see `unroll`
-    return cached(function, **(OPTIONS | options))
+    function = make(f"{name} {digest}")
+    function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll`
+    return function
+
+
+def cached_by_sources(make, name, **options):
+    """Compiled for use by Python: see `named_by_sources`."""
+    return cached(named_by_sources(make, name), **(OPTIONS | options))
 
 
 def _machine_code(sources, *, steps_to):

@@ -4,8 +4,8 @@
 
 from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled import tape
-from sigmaswarm.filters.compiled.lanes import LANES, kernel
-from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.compiled.lanes import kernel
+from sigmaswarm.filters.compiled.layout import LANES, R
 from sigmaswarm.filters.compiled.measurements import absorbers
 from sigmaswarm.filters.compiled.planar5 import predict_planar5
 from sigmaswarm.filters.compiled.planar8 import predict_planar8

@@ -12,7 +12,7 @@ k J g0 + m t in place of J g0. The few numbers that make A are noted here, in ro
 import numpy as np
 
 from sigmaswarm.filters.compiled.lanes import kernel
-from sigmaswarm.filters.compiled.layout import MOVE, PRIOR, R, state_rows
+from sigmaswarm.filters.compiled.layout import LANES, MOVE, PRIOR, R, state_rows
 
 MOVES = {
     "planar5": (R.JEAST, R.JNORTH),
@@ -32,14 +32,16 @@ def taped_rows(model):
 
 
 def _note_move(w, dt, *, places, moves):
-    w[MOVE, 0] = dt
-    for i in places:  # a step of no length predicts nothing: A is one
-        w[MOVE + 1 + i, 0] = w[moves[i], 0] if dt > 0.0 else 0.0
+    for l in range(LANES):
+        w[MOVE, l] = dt
+        for i in places:  # a step of no length predicts nothing: A is one
+            w[MOVE + 1 + i, l] = w[moves[i], l] if dt > 0.0 else 0.0
 
 
 def _note_prior(w, *, state):
-    for row in state:
-        w[PRIOR + row, 0] = w[row, 0]
+    for l in range(LANES):
+        for row in state:
+            w[PRIOR + row, l] = w[row, l]
 
 
 def note_move(model):

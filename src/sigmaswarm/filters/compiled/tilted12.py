@@ -33,8 +33,8 @@ from sigmaswarm.drives.timeline import (
     GZ,
     Q_SCALE,
 )
-from sigmaswarm.filters.compiled.lanes import LANES, angle_of, kernel, sincos
-from sigmaswarm.filters.compiled.layout import C1, C2, FP, Q0, R, at
+from sigmaswarm.filters.compiled.lanes import angle_of, kernel, sincos
+from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
 MOVED = (R.X, R.Y, R.U, R.V, R.T, R.I, R.J)

@@ -50,7 +50,10 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
 
 
 def unrolled(
-    function: Callable[..., Any], change: Callable[[ast.FunctionDef, Names], None] | None = None, /, **known: Any
+    function: Callable[..., Any],
+    change: Callable[[ast.FunctionDef, Names], None] | None = None,
+    /,
+    **known: Any,
 ) -> Callable[..., Any]:
     """The same function with its keyword-only parameters bound to ``known``, loops over states and rows written out.
 
@@ -130,7 +133,9 @@ class _Writer(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> Any:
         self.generic_visit(node)
         match node.value:
-            case ast.Call(func=ast.Name(id=name), args=arguments) if hasattr(self.names.get(name), "is_kernel"):
+            case ast.Call(func=ast.Name(id=name), args=arguments) if hasattr(
+                self.names.get(name), "is_kernel"
+            ):
                 return self._spliced(self.names[name].written, arguments)
         return node
 

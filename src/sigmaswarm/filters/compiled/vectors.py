@@ -26,10 +26,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from sigmaswarm.filters.compiled.layout import LANES, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
-
-LANES = 16
-"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
 
 # NaN and inf must keep their meaning, so the flags are named in place of fast-math as a whole.
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
@@ -54,7 +52,9 @@ def put_loops(definition: ast.FunctionDef, names: Names) -> None:
 class _Loops(ast.NodeTransformer):
     def __init__(self, definition: ast.FunctionDef, names: Names) -> None:
         self.names, self.title = names, definition.name
-        stored = {n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        stored = {
+            n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        }
         self.locals = stored | {each.arg for each in definition.args.args}
 
     def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
@@ -76,13 +76,15 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
     """The enclosing function's names that a loop's body reads, and those that it adds to."""
     made, shared, counted = {"w", "l"}, dict[str, None](), list[str]()
     for statement in body:
-        if isinstance(statement, ast.AugAssign) and isinstance(statement.target, ast.Name):
-            if statement.target.id not in made and statement.target.id not in counted:
-                counted.append(statement.target.id)
+        match statement:
+            case ast.AugAssign(target=ast.Name(id=name)) if name not in made and name not in counted:
+                counted.append(name)
         for node in ast.walk(statement):
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in outside - made:
                 shared[node.id] = None
-        made |= {n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+        made |= {
+            n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        }
     return [name for name in shared if name not in counted], counted
 
 
@@ -99,7 +101,9 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
-def _as_intrinsic(called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str]) -> Any:
+def _as_intrinsic(
+    called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str]
+) -> Any:
     """``called(w, (shared ...))``, for Numba: it calls the loop, and puts it into the module if it is not there."""
 
     def loop(typing_context, w, numbers):
@@ -112,8 +116,11 @@ def _as_intrinsic(called: str, body: list[ast.stmt], names: Names, shared: list[
             function = builder.module.globals.get(called)
             if function is None:
                 wide = "+avx512f" in context.codegen().magic_tuple()[2]
-                function = _put_loop(builder.module, called, body, names, shared, counted, 8 if wide else 4)
-            result = builder.call(function, [array.data, *values])
+                function = _put_loop(
+                    builder.module, called, body, names, shared, counted, WIDEST if wide else WIDEST // 2
+                )
+            lanes = builder.extract_value(array.shape, 1)
+            result = builder.call(function, [array.data, lanes, *values])
             return result if counted else context.get_dummy_value()
 
         result = types.UniTuple(types.int64, len(counted)) if counted else types.void
@@ -129,7 +136,7 @@ def _put_loop(
     """A function that goes over the lanes, ``width`` of them at a time."""
     vector = ir.VectorType(_DOUBLE, width)
     result = ir.ArrayType(_COUNT, len(counted)) if counted else ir.VoidType()
-    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), *(_DOUBLE for _ in shared)])
+    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _COUNT, *(_DOUBLE for _ in shared)])
     function = ir.Function(module, kind, called)
     function.linkage = "linkonce_odr"
     function.args[0].add_attribute("noalias")
@@ -141,7 +148,7 @@ def _put_loop(
     entry, loop, end = (function.append_basic_block(name) for name in ("entry", "loop", "end"))
     builder = ir.IRBuilder(entry)
     emitter = _Emitter(builder, vector)
-    values = {name: emitter.spread(value) for name, value in zip(shared, function.args[1:], strict=True)}
+    values = {name: emitter.spread(value) for name, value in zip(shared, function.args[2:], strict=True)}
     builder.branch(loop)
     builder.position_at_end(loop)
     lane = builder.phi(_COUNT)
@@ -156,7 +163,7 @@ def _put_loop(
     for name, count in counts.items():
         count.add_incoming(none, entry)
         count.add_incoming(frame.values[name], loop)
-    builder.cbranch(builder.icmp_signed("<", after, _COUNT(LANES)), loop, end)
+    builder.cbranch(builder.icmp_signed("<", after, function.args[1]), loop, end)
     builder.position_at_end(end)
     if not counted:
         builder.ret_void()
@@ -208,7 +215,9 @@ class _Emitter:
             case ast.Assign(targets=[target], value=value):
                 self.assign(target, self.value(value, frame), frame)
             case ast.AugAssign(target=target, op=op, value=value):
-                self.assign(target, self.binary(op, self.value(target, frame), self.value(value, frame)), frame)
+                self.assign(
+                    target, self.binary(op, self.value(target, frame), self.value(value, frame)), frame
+                )
             case ast.Expr(value=ast.Constant()):
                 pass
             case ast.Expr(value=ast.Call() as call):
@@ -306,4 +315,6 @@ class _Emitter:
 
 
 def _is_vector_of(value: Any, kind: ir.Type) -> bool:
-    return isinstance(value, ir.Value) and isinstance(value.type, ir.VectorType) and value.type.element == kind
+    return (
+        isinstance(value, ir.Value) and isinstance(value.type, ir.VectorType) and value.type.element == kind
+    )

@@ -1,0 +1,98 @@
+"""One step of one filter, as other compiled code calls it: by its address.
+
+Numba writes what a function calls into it, and compiles it with it once more; but what a live filter does with its
+memory is the same for each model, and need not hold the model's arithmetic. So a step is a function of its own in
+memory, and whoever takes a filter through steps is told where it stands.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+
+from functools import cache
+
+import numpy as np
+from llvmlite import ir
+from numba import config, float64, int64, types
+from numba.extending import intrinsic
+
+from sigmaswarm.compilation import callback
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, state_rows
+from sigmaswarm.filters.compiled.rows import new_single
+from sigmaswarm.filters.compiled.run import named_by_sources
+from sigmaswarm.filters.compiled.step import STEPS, step_of
+from sigmaswarm.filters.compiled.tape import taped_rows
+from sigmaswarm.filters.compiled.unroll import unrolled
+
+_NUMBERS = types.CPointer(float64)
+_SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
+
+
+def _one_step(sources, *, step, kept, tape, taped):
+    def one_step(v, u, happens, z, wheels, lever, since):
+        """A step as in `step`, whose tuples are arrays; ``v`` is the filter before and after."""
+        if sources == "":  # never; so the name is closed over
+            return
+        w = new_single()
+        for r in kept:
+            for lane in range(w.shape[1]):
+                w[r, lane] = v[r]
+        step(
+            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
+            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (lever[0], lever[1], lever[2]), since,
+        )  # fmt: skip
+        for r in kept:
+            v[r] = w[r, 0]
+        if tape >= 0:
+            at = tape + 1 + int(v[tape]) * len(taped)
+            for r in range(len(taped)):
+                v[at + r] = w[taped[r], 0]
+            v[tape] += 1.0
+
+    return one_step
+
+
+@cache
+def single_step(model, *, tape=-1):
+    """What `take_step` takes: where the machine code of a model's step stands; a function where nothing is compiled.
+
+    ``tape``: the place in the filter's numbers at which the steps on tape are counted; each leaves its `taped_rows`
+    behind it. Negative: there is no tape.
+    """
+    noted = tape >= 0
+    kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
+    step = step_of(model, noted=True) if noted else STEPS[model]
+    make = unrolled(_one_step, step=step, kept=kept, tape=tape, taped=taped_rows(model))
+    function = named_by_sources(make, f"{model}, taped" if noted else model)
+    return callback(function, _SIGNATURE, error_model="numpy")
+
+
+@intrinsic
+def _call(typing_context, step, v, u, happens, z, wheels, lever, since):
+    def generate(context, builder, signature, arguments):
+        values = [
+            context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
+            for kind, value in zip(signature.args, arguments, strict=True)
+        ]
+        function = ir.FunctionType(ir.VoidType(), [value.type for value in values[1:]])
+        builder.call(builder.inttoptr(values[0], function.as_pointer()), values[1:])
+        return context.get_dummy_value()
+
+    return types.void(int64, v, u, int64, z, wheels, lever, float64), generate
+
+
+def _called(step, v, u, happens, z, wheels, lever, since):
+    step(v, u, happens, z, wheels, lever, since)
+
+
+take_step = _called if config.DISABLE_JIT else _call
+"""``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
+
+step : what `single_step` gives
+v : (N_KEPT or more,) the filter before and after
+u : (9,) a row of `Timeline.steps`
+happens : its bits of `schedule`
+z : (6,) a row of `Timeline.fixes`
+wheels : (3,) a row of `odometer.Wheels.rows`
+lever : (3,) that of the time line
+since : Q's scale since the last fix
+"""
