@@ -208,5 +208,5 @@ def test_other_kinds_in_the_company_change_no_bit():
 
 @compiled
 def test_the_rows_start_at_a_cache_line():
-    address = numba.njit(lambda: new_rows().ctypes.data)
+    address = numba.njit(lambda: new_rows(16).ctypes.data)
     assert address() % CACHE_LINE == 0

@@ -22,6 +22,7 @@ from sigmaswarm.filters.compiled.layout import (
     MEAN,
     N_KEPT,
     N_STATE,
+    WIDEST,
     R,
     state_rows,
 )
@@ -94,12 +95,13 @@ def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
 
 
 def _padded(parameter_sets: Sequence[FilterParameters]) -> list[FilterParameters]:
-    """As many sets as there are lanes: the last one again."""
-    return [*parameter_sets, *[parameter_sets[-1]] * (LANES - len(parameter_sets))]
+    """As many sets as there are lanes, WIDEST where that is enough: the last one again."""
+    lanes = WIDEST if len(parameter_sets) <= WIDEST else LANES
+    return [*parameter_sets, *[parameter_sets[-1]] * (lanes - len(parameter_sets))]
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, LANES), of at most LANES sets.
+    """The kernel's constants, shape (N_CONSTANTS, lanes), of at most LANES sets.
 
     ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
     """
@@ -147,9 +149,9 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
 
 
 def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[float], chunk: Chunk) -> Array:
-    """All that LANES filters are at m starts, shape (m, N_KEPT, LANES); intervals (s) are the drives'."""
-    rows = np.zeros((len(initial), N_KEPT, LANES))
+    """All that a chunk's filters are at m starts, shape (m, N_KEPT, lanes); intervals (s) are the drives'."""
     model, bias_std = chunk.model, np.array([p.bias_std for p in _padded(chunk.sets)])
+    rows = np.zeros((len(initial), N_KEPT, len(bias_std)))
     for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
         each[:N_STATE] = pack_states(*starts_of(start, MODELS[model], bias_std), model)
         each[CONSTANT_ROWS] = chunk.constants(interval)
@@ -160,9 +162,9 @@ def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[floa
 
 
 def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
-    """State rows (..., N_STATE, LANES) of means (..., LANES, n) and covariances (..., LANES, n, n)."""
+    """State rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
     rows, columns = _upper(mean.shape[-1])
-    state = np.zeros((*mean.shape[:-2], N_STATE, LANES))
+    state = np.zeros((*mean.shape[:-2], N_STATE, mean.shape[-2]))
     parts = [mean]
     if MODELS[model].tilts:
         parts = [mean.copy(), tilted.quaternion_of(mean)]
@@ -207,7 +209,7 @@ def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _sound(rows: Array, model: ModelName) -> NDArray[np.bool_]:
-    """Which lanes never failed and end with a positive definite covariance, shape (m, LANES)."""
+    """Which lanes never failed and end with a positive definite covariance, shape (m, lanes)."""
     final = rows[:, state_rows(model)]
     finite = np.isfinite(final).all(axis=1) & np.isfinite(rows[:, _SHOWN]).all(axis=1)
     return finite & (rows[:, R.OK] == 1.0) & definite(unpack_states(final, model)[1])

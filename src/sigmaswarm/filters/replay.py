@@ -133,7 +133,7 @@ def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParame
 
 
 def start_replays(replays: Sequence[Replay], chunk: Chunk) -> Array:
-    """All that LANES filters are at the start of each of m replays, shape (m, N_KEPT, LANES)."""
+    """All that a chunk's filters are at the start of each of m replays, shape (m, N_KEPT, lanes)."""
     intervals = [replay.timeline.nominal_interval for replay in replays]
     return start_rows([replay.initial for replay in replays], intervals, chunk)
 
@@ -147,7 +147,7 @@ def run_steps(
     record: Array = run.NO_RECORD,
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
-    """Run LANES filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    """Run a chunk's filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(replay, chunk)
     arrays = replay.arrays(*switches(chunk.sets[0]))
     run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)

@@ -12,41 +12,40 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
+from sigmaswarm.filters.compiled.layout import LANES, N_ROWS
 
 CACHE_LINE = 64
 """Bytes; also the width of the widest vectors."""
 
 
-def _on_the_stack(lanes):
+@intrinsic
+def _on_the_stack(typing_context, lanes):
     kind = types.Array(types.float64, 2, "A")
 
-    def rows(typing_context):
-        def generate(context, builder, signature, arguments):
-            size = ir.IntType(64)
-            data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
-            data.align = CACHE_LINE
-            array = context.make_array(kind)(context, builder)
-            context.populate_array(
-                array,
-                data=builder.bitcast(data, ir.DoubleType().as_pointer()),
-                shape=[size(N_ROWS), size(lanes)],
-                strides=[size(8 * LANES), size(8)],
-                itemsize=size(8),
-                meminfo=None,
-            )
-            return array._getvalue()
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
+        data.align = CACHE_LINE
+        array = context.make_array(kind)(context, builder)
+        context.populate_array(
+            array,
+            data=builder.bitcast(data, ir.DoubleType().as_pointer()),
+            shape=[size(N_ROWS), arguments[0]],
+            strides=[size(8 * LANES), size(8)],
+            itemsize=size(8),
+            meminfo=None,
+        )
+        return array._getvalue()
 
-        return kind(), generate
-
-    return intrinsic(rows)
+    return kind(types.int64), generate
 
 
-def _in_python():
+def _in_python(lanes):
     return np.empty((N_ROWS, LANES))
 
 
-new_rows = _in_python if config.DISABLE_JIT else _on_the_stack(LANES)
-"""An array of shape (N_ROWS, LANES), not yet written; it lives as long as the kernel that asked for it."""
-new_single = _in_python if config.DISABLE_JIT else _on_the_stack(WIDEST)
-"""The same with the fewest lanes that kernels run on, for one filter that stands in all of them."""
+new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
+"""``(lanes)``: an array of shape (N_ROWS, lanes), not yet written; it lives as long as the kernel that asked for it.
+
+Lanes are LANES or WIDEST; always LANES where nothing is compiled.
+"""

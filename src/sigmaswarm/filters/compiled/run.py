@@ -1,4 +1,4 @@
-"""The compiled run: LANES filters over one time line, with scores along the way."""
+"""The compiled run: up to LANES filters over one time line, with scores along the way."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -141,17 +141,17 @@ def _run(
 @njit(**OPTIONS)
 def _load(w, rows):
     for r in range(N_KEPT):
-        for lane in range(LANES):
-            w[r, lane] = rows[r, lane]
+        for lane in range(w.shape[1]):
+            w[r, lane] = rows[r, lane % rows.shape[1]]
     for r in range(N_KEPT, N_ROWS):
-        for lane in range(LANES):
+        for lane in range(w.shape[1]):
             w[r, lane] = 0.0
 
 
 @njit(**OPTIONS)
 def _store(w, rows):
     for r in range(N_KEPT):
-        for lane in range(LANES):
+        for lane in range(rows.shape[1]):
             rows[r, lane] = w[r, lane]
 
 
@@ -193,7 +193,7 @@ def _machine_code(sources, *, steps_to):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        w = new_rows()
+        w = new_rows(rows.shape[1])
         _load(w, rows)
         steps_to(w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations)
         _store(w, rows)
@@ -236,7 +236,7 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run LANES filters over some steps of one time line, from where the last call has left them.
+    """Run up to LANES filters over some steps of one time line, from where the last call has left them.
 
     Runs in pieces give the bits of the whole run, if each piece but the last stops after a step that has IMU.
 
@@ -251,7 +251,7 @@ def run_lanes(
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : (m, 5) see WEIGHT ... SCORES_HEADING
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
-    rows : (N_KEPT, LANES), changed: state, constants and sums of each lane, and what it remembers
+    rows : (N_KEPT, LANES or WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete
     record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes at

@@ -15,8 +15,8 @@ from numba import config, float64, int64, types
 from numba.extending import intrinsic
 
 from sigmaswarm.compilation import callback
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, state_rows
-from sigmaswarm.filters.compiled.rows import new_single
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, state_rows
+from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import STEPS, step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
@@ -31,7 +31,7 @@ def _one_step(sources, *, step, kept, tape, taped):
         """A step as in `step`, whose tuples are arrays; ``v`` is the filter before and after."""
         if sources == "":  # never; so the name is closed over
             return
-        w = new_single()
+        w = new_rows(WIDEST)
         for r in kept:
             for lane in range(w.shape[1]):
                 w[r, lane] = v[r]

@@ -45,7 +45,10 @@ _FUNCTIONS = {math.sqrt: "sqrt", math.log: "log", np.floor: "floor", abs: "fabs"
 
 
 def put_loops(definition: ast.FunctionDef, names: Names) -> None:
-    """Put calls in place of a function's loops over lanes; what they call is added to its ``names``."""
+    """Put calls in place of a function's loops over lanes; what they call is added to its ``names``.
+
+    What such a loop can't hold is a TypeError when it is compiled.
+    """
     definition.body = _Loops(definition, names).block(definition.body)
 
 
@@ -240,8 +243,10 @@ class _Emitter:
     def row(self, node: ast.expr, frame: _Frame) -> int:
         match node:
             case ast.Subscript(value=ast.Name(id="w"), slice=ast.Tuple(elts=[row, ast.Name(id="l")])):
-                return int(self.value(row, frame))
-        raise TypeError(f"no row of the lane: {ast.unparse(node)}")
+                number = self.value(row, frame)
+                if isinstance(number, int):
+                    return number
+        raise TypeError(f"no row of the lane that is known beforehand: {ast.unparse(node)}")
 
     def place(self, row: int) -> Any:
         place = self.builder.gep(self.lanes, [_COUNT(row * LANES)])

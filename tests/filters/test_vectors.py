@@ -1,0 +1,101 @@
+"""Loops over lanes that are put into LLVM do what the loops did; what they can't hold is refused."""
+
+# ruff: noqa: E741 (a lane is l in kernels)
+
+import math
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.filters.compiled import lanes
+from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
+from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.unroll import unrolled
+
+compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+THREE = 3.0
+
+
+def _halved(w, l, by, *, row):
+    """What a loop calls is written into it."""
+    half = w[row, l] / (by + 1.0)
+    w[row + 1, l] += half
+    return half, -half
+
+
+def _everything(w, shift, *, n, halved):
+    large, small = 1, 0
+    for l in range(LANES):
+        a, b = w[0, l] - shift, THREE * abs(w[1, l])
+        both = (a > b) & (b >= 0.75) | (a != a)
+        c = math.sqrt(b) if not both else np.floor(a)
+        w[2, l], w[3, l] = c, w[2, l] - math.log(b + 1.0)
+        for i in range(n):
+            w[4 + i, l] -= i * c / (1.0 + b)
+        first, second = halved(w, l, b)
+        w[8, l] = first - 0.25 * second
+        large += both
+        small += b < 1.0
+        small += b <= 0.75
+    for l in range(LANES):
+        shift = w[8, l] * 2.0  # a name of its own
+        w[9, l] = shift
+    w[10, 0] = large + 100.0 * small
+
+
+def _run(rows, shift, *, kernel, n_lanes):
+    w = new_rows(n_lanes)
+    for r in range(12):
+        for lane in range(n_lanes):
+            w[r, lane] = rows[r, lane]
+    kernel(w, shift)
+    for r in range(12):
+        for lane in range(n_lanes):
+            rows[r, lane] = w[r, lane]
+
+
+KNOWN = {"n": 2, "halved": unrolled(_halved, row=6)}
+
+
+@cache
+def compiled_for(n_lanes):
+    run = unrolled(_run, kernel=lanes.kernel(_everything, **KNOWN), n_lanes=n_lanes)
+    return numba.njit(run, error_model="numpy")
+
+
+@compiled
+@given(st.integers(0, 2**32 - 1))
+def test_a_loop_over_lanes_is_what_python_makes_of_it(seed):
+    rows = np.round(np.random.default_rng(seed).normal(0.0, 2.0, (12, LANES)) * 4.0) / 4.0  # some are equal
+    rows[0, 3] = np.nan
+    straight, many, few = np.zeros((N_ROWS, LANES)), rows.copy(), rows.copy()
+    straight[:12] = rows
+    with np.errstate(all="ignore"):
+        unrolled(_everything, **KNOWN)(straight, 0.5)
+    compiled_for(LANES)(many, 0.5)
+    np.testing.assert_allclose(many, straight[:12], rtol=1e-14, atol=1e-14)
+    compiled_for(WIDEST)(few, 0.5)
+    assert many[:10, :WIDEST].tobytes() == few[:10, :WIDEST].tobytes(), "a lane's bits depend on the others"
+
+
+def _with_a_branch(w, shift):
+    for l in range(LANES):
+        if w[0, l] > 0.0:
+            w[0, l] = 1.0
+
+
+def _of_an_unknown_row(w, row):
+    for l in range(LANES):
+        w[row, l] = 1.0
+
+
+@compiled
+@pytest.mark.parametrize("function", [_with_a_branch, _of_an_unknown_row])
+def test_what_a_loop_over_lanes_cannot_hold_is_refused(function):
+    run = unrolled(_run, kernel=lanes.kernel(function), n_lanes=LANES)
+    with pytest.raises(TypeError, match=r"no (part of a loop over|row of the) lane"):
+        numba.njit(run)(np.zeros((12, LANES)), 1.0)
