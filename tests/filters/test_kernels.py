@@ -122,7 +122,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 
 def machine_code(model: ModelName) -> str:
     """A kernel's instructions. Numba itself reads none of code that came from the cache: it would compile once more."""
-    kernel = run.KERNELS[model]
+    kernel = run.run_kernel(model)
     signature = kernel.signatures[0]
     code = getattr(kernel.overloads[signature].library, "_compiled_object", None)
     if not code or not shutil.which("objdump"):

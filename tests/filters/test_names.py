@@ -26,7 +26,7 @@ def test_what_is_made_of_one_function_bears_names_of_its_own():
 
 
 def test_kernels_of_models_bear_names_of_their_own():
-    made = [[of[model] for model in MODELS] for of in (step.STEPS, run.KERNELS)]
+    made = [[of(model) for model in MODELS] for of in (step.step_of, run.run_kernel)]
     for each in made:
         names = [getattr(one, "py_func", one).__qualname__ for one in each]
         assert len({*names}) == len(names), names

@@ -19,7 +19,7 @@ from sigmaswarm.filters import models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
-from sigmaswarm.filters.compiled.step import STEPS, step_of
+from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.models import MODELS
@@ -211,13 +211,15 @@ def _kernel_of(model, step, rows, name):
     return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), name)
 
 
-KERNELS = {model: _kernel_of(model, STEPS[model], state_rows(model), model) for model in STEPS}
-"""By model."""
+@cache
+def run_kernel(model):
+    """What `run_lanes` calls; written out and compiled for a model when it is first asked for."""
+    return _kernel_of(model, step_of(model), state_rows(model), model)
 
 
 @cache
 def taped_kernel(model):
-    """As `KERNELS`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
+    """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
     return _kernel_of(model, step_of(model, noted=True), taped_rows(model), f"{model}, taped")
 
 
@@ -260,4 +262,4 @@ def run_lanes(
         is absorbed; of no rows: none
     """
     arrays = steps, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
-    KERNELS[model](*arrays, record, innovations)
+    run_kernel(model)(*arrays, record, innovations)

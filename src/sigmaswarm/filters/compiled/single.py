@@ -18,7 +18,7 @@ from sigmaswarm.compilation import callback
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
-from sigmaswarm.filters.compiled.step import STEPS, step_of
+from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -60,8 +60,9 @@ def single_step(model, *, tape=-1):
     """
     noted = tape >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
-    step = step_of(model, noted=True) if noted else STEPS[model]
-    make = unrolled(_one_step, step=step, kept=kept, tape=tape, taped=taped_rows(model))
+    make = unrolled(
+        _one_step, step=step_of(model, noted=noted), kept=kept, tape=tape, taped=taped_rows(model)
+    )
     function = named_by_sources(make, f"{model}, taped" if noted else model)
     return callback(function, _SIGNATURE, error_model="numpy")
 

@@ -2,6 +2,8 @@
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
+from functools import cache
+
 from sigmaswarm.drives.timeline import DT, GAP
 from sigmaswarm.filters.compiled import tape
 from sigmaswarm.filters.compiled.lanes import kernel
@@ -82,6 +84,7 @@ _PREDICTIONS = {
 }
 
 
+@cache
 def step_of(name, *, noted=False):
     """A step of LANES filters of a model, to be called by other compiled functions.
 
@@ -99,7 +102,3 @@ def step_of(name, *, noted=False):
         grow=kernel(_grow, tilted=int(model.tilts is not None)),
         **absorbers(model, note_prior=note_prior),
     )
-
-
-STEPS = {name: step_of(name) for name in _PREDICTIONS}
-"""By model."""

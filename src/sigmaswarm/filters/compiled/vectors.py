@@ -261,6 +261,10 @@ class _Emitter:
                 return frame.values.get(name, known)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute):
                 return getattr(frame.names[name], attribute)
+            case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=place)) if (
+                name in frame.names
+            ):
+                return frame.names[name][place]
             case ast.Subscript():
                 row = self.row(node, frame)
                 if row not in self.rows:
