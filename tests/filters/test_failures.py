@@ -6,11 +6,14 @@ from functools import cache
 import numba
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from oracles.box import box_table
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.filters import packing
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_textbook
@@ -159,3 +162,18 @@ def test_a_sound_filter_says_nothing():
     estimate = run_filter(drive(), SOUND)
     assert estimate.failure is None
     assert np.isfinite(estimate.mean).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([-1e-3, -1e-8, 1e-8, 1e-3]))
+def test_definite_is_what_the_eigenvalues_of_the_correlation_say(seed, smallest):
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    p = (turn * np.array([smallest, *rng.uniform(0.5, 2.0, 4)])) @ turn.T
+    p = (p + p.T) / 2
+    some = np.array([p, np.eye(5), np.diag([1.0, 1.0, 1.0, 1.0, np.nan])])
+    assume(np.all(np.diag(p) > 0))
+    scale = np.sqrt(np.diag(p))
+    least = np.linalg.eigvalsh(p / np.outer(scale, scale))[0] + 1e-9
+    assume(abs(least) > 1e-12)
+    many = packing.definite(np.array([some, some[::-1]]))
+    assert many.tolist() == [[least > 0, True, False], [False, True, least > 0]]

@@ -4,6 +4,7 @@ What is done once a drive and a chunk costs time beside a kernel that takes 0.2 
 other threads wait: so it is done for all drives together.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
@@ -11,6 +12,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.compilation import cached
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -226,13 +228,29 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
     The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
     """
     n = covariance.shape[-1]
-    with np.errstate(all="ignore"):  # what is not positive, or not finite, ends as such a pivot
-        scale = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        scaled = covariance / (scale[..., :, np.newaxis] * scale[..., np.newaxis, :]) + 1e-9 * np.eye(n)
-        a = np.moveaxis(scaled, (-2, -1), (0, 1)).copy()
-        sound = np.isfinite(covariance).all(axis=(-2, -1))
+    found = np.empty(covariance.shape[:-2], dtype=np.bool_)
+    _find_definite(np.ascontiguousarray(covariance).reshape(-1, n, n), found.reshape(-1))
+    return found
+
+
+@cached(nogil=True, error_model="numpy")
+def _find_definite(covariances: Array, found: NDArray[np.bool_]) -> None:
+    n = covariances.shape[1]
+    scale, a = np.empty(n), np.empty((n, n))
+    for m in range(len(covariances)):
+        p, sound = covariances[m], True
+        for i in range(n):
+            scale[i] = math.sqrt(p[i, i])
+            for j in range(n):
+                sound &= math.isfinite(p[i, j])
+        for i in range(n):
+            for j in range(i, n):
+                a[i, j] = p[i, j] / (scale[i] * scale[j])
+            a[i, i] += 1e-9
         for k in range(n):
-            sound &= a[k, k] > 0
+            sound &= a[k, k] > 0.0
             for i in range(k + 1, n):
-                a[i, i:] -= a[k, i] / a[k, k] * a[k, i:]
-    return np.asarray(sound)
+                factor = a[k, i] / a[k, k]
+                for j in range(i, n):
+                    a[i, j] -= factor * a[k, j]
+        found[m] = sound

@@ -127,17 +127,17 @@ class Replayer:
             for part in _parts(replays)
             for chunk in chunks
         ]
-        _, parts, packed = zip(*jobs, strict=True)
-        done: dict[str, list[Sums]] = {name: [] for name in self._passes}
-        for (name, _, _), sums in zip(
-            jobs, (executor.map if executor else map)(run_replays, parts, packed), strict=True
-        ):
-            done[name].append(sums)
-        n = len(chunks)
-        return {
-            name: joined([joined(each[i : i + n], axis=1) for i in range(0, len(each), n)], axis=0)
-            for name, each in done.items()
-        }
+        # The longest first, so that no worker is left with one at the end.
+        cost = [
+            sum(len(replay.timeline.dt) for replay in part) * len(chunk.chunks) for _, part, chunk in jobs
+        ]
+        order = sorted(range(len(jobs)), key=cost.__getitem__, reverse=True)
+        _, parts, packed = zip(*(jobs[k] for k in order), strict=True)
+        sums = dict(zip(order, (executor.map if executor else map)(run_replays, parts, packed), strict=True))
+        n, done = len(chunks), {name: list[Sums]() for name in self._passes}
+        for first in range(0, len(jobs), n):
+            done[jobs[first][0]].append(joined([sums[k] for k in range(first, first + n)], axis=1))
+        return {name: joined(parts, axis=0) for name, parts in done.items()}
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
