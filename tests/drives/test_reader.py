@@ -253,6 +253,17 @@ def test_blank_lines_count_as_lines_but_not_as_rows(folder: Path):
         read_drive(folder)
 
 
+@pytest.mark.parametrize("cell", ['"', '",1.0,2.0'])
+def test_a_lone_quote_where_a_number_should_be_is_one_clear_line(
+    folder: Path, cell: str, capfd: pytest.CaptureFixture[str]
+):
+    with (folder / "gps.csv").open("a") as file:
+        file.write(cell)
+    with pytest.raises(DriveError, match=r"gps\.csv"):
+        read_drive(folder)
+    assert capfd.readouterr().err == ""
+
+
 def test_spaces_quotes_line_ends_and_a_byte_order_mark_do_no_harm(folder: Path):
     before = read_drive(folder)
     body = (folder / "imu.csv").read_text().replace(",", ", ").replace("ax", '"ax"').replace(' "ax"', '"ax"')

@@ -1,6 +1,8 @@
 """One CSV file of a drive: its cells as text, then as numbers, and where exactly something is wrong."""
 
 import csv
+import mmap
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +28,9 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "std_y": (1e-6, np.inf, _NO_STD),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
+
+BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
+"""What polars raises on damaged tables: on some bytes its own assertions fail."""
 
 
 def one_file(path: Path) -> dict[str, Any]:
@@ -62,7 +67,7 @@ class Sheet:
             cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
             raise _empty(path) from None
-        except pl.exceptions.PolarsError:
+        except BROKEN:
             raise _shape_fault(path) from None
         filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
         if filled.is_empty():
@@ -161,16 +166,26 @@ class Sheet:
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:
     """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    if _has_lone_quote(path):
+        return None
     try:
         names = pl.read_csv(**one_file(path), n_rows=0).columns
         cells = pl.read_csv(
             **one_file(path), schema_overrides=dict.fromkeys(names, pl.Float64), low_memory=True
         )
-    except (pl.exceptions.PolarsError, OSError, UnicodeDecodeError):
+    except (*BROKEN, OSError, UnicodeDecodeError):
         return None
     plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
     whole = len(cells) > 0 and all(column.null_count() == 0 and column.is_finite().all() for column in cells)
     return cells if plain and whole else None
+
+
+def _has_lone_quote(path: Path) -> bool:
+    """Whether a cell is nothing but a quotation mark: polars, told to read a number there, prints a trace of its own."""
+    if path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        return text.find(b'"') >= 0 and re.search(rb'(?:^|[,\r\n])"(?:[,\r\n]|$)', text) is not None
 
 
 def _empty(path: Path) -> DriveError:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from sigmaswarm.drives.sheet import one_file
+from sigmaswarm.drives.sheet import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
@@ -17,8 +17,6 @@ from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Source, Tab
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
-BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
-"""What polars raises on damaged tables: on some bytes of Parquet its own assertions fail."""
 CHUNK = 100_000
 """Rows of a batch."""
 
