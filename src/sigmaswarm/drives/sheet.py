@@ -181,7 +181,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Whether a cell is nothing but a quotation mark: polars, told to read a number there, prints a trace of its own."""
+    """Whether a cell is nothing but a quotation mark, which makes polars print a trace where it looks for a number."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
