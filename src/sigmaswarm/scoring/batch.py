@@ -1,6 +1,7 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.compiled.layout import LANES, WIDEST
 from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
@@ -120,24 +121,26 @@ class Replayer:
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
-        chunks = [pack(parameter_sets[i : i + LANES]) for i in range(0, len(parameter_sets), LANES)]
-        jobs = [
-            (name, part, chunk)
-            for name, replays in self._passes.items()
-            for part in _parts(replays)
-            for chunk in chunks
-        ]
+        parts = [(name, part) for name, replays in self._passes.items() for part in _parts(replays)]
+        workers = (os.cpu_count() or 1) if executor else 1
+        # Few lanes take a little more time a set, and less than workers that have nothing to do.
+        enough = len(parts) * len(parameter_sets) >= 2 * workers * LANES
+        size = LANES if enough or workers == 1 else WIDEST
+        chunks = [pack(parameter_sets[i : i + size]) for i in range(0, len(parameter_sets), size)]
+        jobs = [(*part, chunk) for part in parts for chunk in chunks]
         # The longest first, so that no worker is left with one at the end.
         cost = [
             sum(len(replay.timeline.dt) for replay in part) * len(chunk.chunks) for _, part, chunk in jobs
         ]
         order = sorted(range(len(jobs)), key=cost.__getitem__, reverse=True)
-        _, parts, packed = zip(*(jobs[k] for k in order), strict=True)
-        sums = dict(zip(order, (executor.map if executor else map)(run_replays, parts, packed), strict=True))
+        _, replays, packed = zip(*(jobs[k] for k in order), strict=True)
+        sums = dict(
+            zip(order, (executor.map if executor else map)(run_replays, replays, packed), strict=True)
+        )
         n, done = len(chunks), {name: list[Sums]() for name in self._passes}
         for first in range(0, len(jobs), n):
             done[jobs[first][0]].append(joined([sums[k] for k in range(first, first + n)], axis=1))
-        return {name: joined(parts, axis=0) for name, parts in done.items()}
+        return {name: joined(each, axis=0) for name, each in done.items()}
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
