@@ -154,7 +154,7 @@ class _NoCache(NullCache):
 @cache
 def _say_once(trouble: str) -> None:
     warnings.warn(
-        f"compiled filters are not kept, since {trouble}: each start compiles them anew, which takes ten seconds or so; "
+        f"compiled filters are not kept, since {trouble}: each start compiles them anew, for ten seconds or so; "
         "set NUMBA_CACHE_DIR to a folder of your own",
         SigmaswarmWarning,
         stacklevel=2,

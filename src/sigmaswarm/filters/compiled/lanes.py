@@ -7,7 +7,7 @@ nothing branches on it, so the other lanes neither wait nor change.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
-# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
 import math
 

@@ -33,8 +33,9 @@ class Written(NamedTuple):
 
 def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     """A function as its text says it, with its keyword-only parameters bound to ``known``; see `unrolled`."""
-    if not known and hasattr(function, "written"):
-        return function.written
+    written = getattr(function, "written", None)
+    if not known and written is not None:
+        return written
     # Without anything to bind, the module's own globals: they may name what comes later in the file.
     names = function.__globals__ | known if known else function.__globals__
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
@@ -141,12 +142,11 @@ class _Writer(ast.NodeTransformer):
 
     def visit_Expr(self, node: ast.Expr) -> Any:
         self.generic_visit(node)
-        match node.value:
-            case ast.Call(func=ast.Name(id=name), args=arguments) if hasattr(
-                self.names.get(name), "is_kernel"
-            ):
-                return self._spliced(self.names[name].written, arguments)
-        return node
+        call = node.value
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
+            return node
+        kernel = self.names.get(call.func.id)
+        return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
         """A kernel's statements in place of its call; names of its own get a number."""
