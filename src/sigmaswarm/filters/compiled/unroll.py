@@ -145,7 +145,7 @@ class _Writer(ast.NodeTransformer):
         call = node.value
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             return node
-        kernel = self.names.get(call.func.id)
+        kernel: Any = self.names.get(call.func.id)
         return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
