@@ -1,0 +1,245 @@
+"""What `tune` takes where nothing is asked for, against what could be asked for: the evidence for the defaults.
+
+    python benchmarks/defaults.py ../shared/drives --out defaults.jsonl
+    python benchmarks/defaults.py ../shared/drives --out defaults.jsonl --with-truth "truth-pose" --filters default
+    python benchmarks/defaults.py ../shared/drives --out defaults.jsonl --table
+
+Each of KITTI's drives is held out once and the filter tuned on the others; colorado-1 and kingston-1 are tuned on the
+first 70% of their time, comma2k19 on its first half; simulated drives of 100 s for each grade of sensors, tuned on
+four, tested on three others. "A > B" is tuned on A, and tested on B, whose receiver and IMU it never saw. Every tuning
+is done with truth and without, and is one line of the file as soon as it is done: what the file has is not done again.
+Prints Markdown: each tuning's scores, medians over the seeds; then the geometric mean, over the cases that all filters
+have, of each score over the lowest of the case. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5
+(30 s).
+"""
+
+import argparse
+import json
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from real_drives import KITTI
+from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.scoring.batch import Replayer
+from switches import measured, quantities, raw
+
+CAR = ("lateral", "standstill")
+FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "planar5": ("planar5", ()),
+    "planar8": ("planar8", CAR),
+    "planar8 robust": ("planar8", (*CAR, "robust")),
+    "planar8 gate": ("planar8", (*CAR, "gate")),
+    "planar8 accuracy": ("planar8", (*CAR, "accuracy")),
+    "planar8 robust accuracy": ("planar8", (*CAR, "robust", "accuracy")),
+    "planar8 odometer": ("planar8", (*CAR, "odometer")),
+    "planar8 robust odometer": ("planar8", (*CAR, "robust", "odometer")),
+    "tilted12": ("tilted12", CAR),
+    "tilted12 robust": ("tilted12", (*CAR, "robust")),
+    "tilted12 odometer": ("tilted12", (*CAR, "odometer")),
+    "tilted12 robust odometer": ("tilted12", (*CAR, "robust", "odometer")),
+}
+"""Model and what it uses; lateral and standstill go without saying but for planar5."""
+GRADES = {
+    "mpu-6050, ublox-m8": {"imu": "mpu-6050", "gps": "ublox-m8"},
+    "icm-20602, white-1m": {"imu": "icm-20602", "gps": "white-1m"},
+    "icm-20602, white-1m, hilly": {"imu": "icm-20602", "gps": "white-1m", "terrain": "hilly"},
+    "icm-20602, white-1m, odometer": {"imu": "icm-20602", "gps": "white-1m", "odometer": "can"},
+    "adis16488, f9p-rtk": {"imu": "adis16488", "gps": "f9p-rtk"},
+}
+COLUMNS = ("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES")
+RATIOS = {"RMSE": 0, "heading": 3, "5 s drift": 4, "30 s drift": 5}
+"""Those of the columns of which less is better."""
+Parts = tuple[Sequence[Drive], Sequence[Drive]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--out", type=Path, required=True, help="one line of JSON a tuning")
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--with-truth", nargs="*", default=["truth-pose + 0.2 nees"], help="objectives")
+    parser.add_argument("--without-truth", nargs="*", default=["innovation-t"], help="objectives")
+    parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=(*FILTERS, "default"))
+    parser.add_argument("--only", nargs="+", help="parts of cases' names")
+    parser.add_argument("--table", action="store_true", help="only print what the file has")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    done = known(options.out)
+    if not options.table:
+        with ThreadPoolExecutor() as pool:
+            for name, parts in cases(options.drives).items():
+                if options.only and not any(part in name for part in options.only):
+                    continue
+                for seed in range(options.seeds):
+                    for label in options.filters:
+                        for objective in (*options.with_truth, *options.without_truth):
+                            run(options.out, done, name, parts, label, objective, seed, pool)
+    tables(known(options.out))
+
+
+def cases(folder: Path) -> dict[str, Callable[[], Parts]]:
+    """Name, and what gives training and test drives, which are read or made only when they are needed."""
+
+    @cache
+    def real(name: str) -> Drive:
+        return read_drive(folder / name)
+
+    def held_out(name: str) -> Parts:
+        return [real(other) for other in KITTI if other != name], [real(name)]
+
+    def in_time(name: str, share: float = 0.7) -> Parts:
+        first, rest = split_time(real(name), share)
+        return [first], [rest]
+
+    def across(training: str, test: str) -> Parts:
+        return [real(training)], [real(test)]
+
+    def simulated(grade: str) -> Parts:
+        made = [simulate("urban", seed=i, duration=100.0, vibration=1.0, **GRADES[grade]) for i in range(7)]
+        return made[:4], made[4:]
+
+    found: dict[str, Callable[[], Parts]] = {
+        name: lambda name=name: in_time(name) for name in ("colorado-1", "kingston-1")
+    }
+    found["comma2k19"] = lambda: in_time("comma2k19", 0.5)
+    found |= {f"simulated {grade}": lambda grade=grade: simulated(grade) for grade in GRADES}
+    found |= {name: lambda name=name: held_out(name) for name in KITTI}
+    strangers = ("kitti-09-30-0033", "colorado-1", "kingston-1")
+    for one in strangers:
+        for other in strangers:
+            if one != other:
+                found[f"{one} > {other}"] = lambda one=one, other=other: across(one, other)
+    found["simulated white-1m > ublox-m8"] = lambda: (
+        simulated("icm-20602, white-1m")[0],
+        simulated("mpu-6050, ublox-m8")[1],
+    )
+    return found
+
+
+def run(
+    out: Path,
+    done: dict[tuple[str, str, str, int], list[float]],
+    name: str,
+    parts: Callable[[], Parts],
+    label: str,
+    objective: str,
+    seed: int,
+    pool: Executor,
+) -> None:
+    """One tuning and its scores, unless the file has them."""
+    if (name, label, objective, seed) in done:
+        return
+    training, test = cached(name, parts)
+    if label == "default":
+        asked = {}
+    else:
+        model, use = FILTERS[label]
+        if lacking(model, use, [*training, *test]):
+            return
+        asked = {"model": model, "use": use}
+    if (name, "raw fixes", "-", 0) not in done:
+        noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
+    tuning = tune(training, objective=objective, seed=seed, executor=pool, **asked)
+    noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
+
+
+@cache
+def cached(name: str, parts: Callable[[], Parts]) -> Parts:
+    return parts()
+
+
+def lacking(model: str, use: Sequence[str], drives: Sequence[Drive]) -> bool:
+    """Whether a log lacks what a filter needs."""
+    return any(
+        (model == "tilted12" and drive.imu.gx is None)
+        or ("accuracy" in use and drive.gps.std_x is None)
+        or ("odometer" in use and drive.odometer is None)
+        for drive in drives
+    )
+
+
+def figures(test: Sequence[Drive], parameters: FilterParameters) -> list[float]:
+    """What `COLUMNS` says, over all test drives together; NIS and NEES are means over drives."""
+    scores = Replayer(test, outages=False).scores([parameters])
+    nis, nees = float(scores.mean_nis.mean()), float(scores.mean_nees.mean())
+    return [*measured([PreparedDrive(drive) for drive in test], parameters), nis, nees]
+
+
+def noted(
+    out: Path,
+    done: dict[tuple[str, str, str, int], list[float]],
+    key: tuple[str, str, str, int],
+    row: list[float],
+) -> None:
+    done[key] = row
+    with out.open("a", encoding="utf-8") as file:
+        file.write(json.dumps([*key, [float(f"{v:.5g}") for v in row]]) + "\n")
+
+
+def known(out: Path) -> dict[tuple[str, str, str, int], list[float]]:
+    """What the file has: scores by case, filter, objective and seed."""
+    if not out.exists():
+        return {}
+    lines = map(json.loads, out.read_text(encoding="utf-8").splitlines())
+    return {(name, label, objective, seed): row for name, label, objective, seed, row in lines}
+
+
+def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
+    """Every tuning, and the filters side by side."""
+    median: dict[tuple[str, str, str], np.ndarray] = {}
+    for name, label, objective, _ in done:
+        every = [row for key, row in done.items() if key[:3] == (name, label, objective)]
+        median[name, label, objective] = np.median(np.array(every), axis=0)
+    print("| tested on | filter | tuned by | " + " | ".join(COLUMNS) + " |\n" + "|---" * 11 + "|")
+    for (name, label, objective), row in sorted(median.items(), key=lambda item: item[0][0]):
+        cells = [f"{v:.2f}" for v in row] + ["-"] * (len(COLUMNS) - len(row))
+        print(f"| {name} | {label} | {objective} | " + " | ".join(cells) + " |")
+    for title, rows in summaries(median):
+        print(f"\n| {title} | " + " | ".join(RATIOS) + " | worst RMSE |\n" + "|---" * 6 + "|")
+        for label, cells in rows:
+            print(f"| {label} | " + " | ".join(f"{v:.2f}" for v in cells) + " |")
+
+
+def summaries(
+    median: dict[tuple[str, str, str], np.ndarray],
+) -> Iterator[tuple[str, list[tuple[str, list[float]]]]]:
+    """The filters over the lowest of each case, for those that the same logs allow."""
+    methods = dict.fromkeys((label, objective) for _, label, objective in median if objective != "-")
+    for sensors in ("", "six axes", "odometer"):
+        for truth in (True, False):
+            rivals = [m for m in methods if _named(m[0], sensors) and ("truth" in m[1]) == truth]
+            names = [
+                name
+                for name in dict.fromkeys(name for name, *_ in median)
+                if rivals and all((name, *m) in median for m in rivals)
+            ]
+            if len(rivals) < 2 or not names:
+                continue
+            values = np.array([[median[name, *m] for name in names] for m in rivals])
+            share = values / np.nanmin(values, axis=0)
+            rows = []
+            for (label, objective), one in zip(rivals, share, strict=True):
+                with np.errstate(invalid="ignore"):
+                    means = [float(np.exp(np.nanmean(np.log(one[:, i])))) for i in RATIOS.values()]
+                rows.append((f"{label}, {objective}", [*means, float(one[:, 0].max())]))
+            yield f"{sensors or 'any log'}, {'with' if truth else 'without'} truth: {len(names)} cases", rows
+
+
+def _named(label: str, sensors: str) -> bool:
+    """Whether a filter is one of those that are compared on logs with these sensors."""
+    if "accuracy" in label:
+        return False
+    wheels, six = "odometer" in label, label.startswith("tilted12")
+    return {"": not wheels and not six, "six axes": not wheels, "odometer": not six}[sensors]
+
+
+if __name__ == "__main__":
+    main()
