@@ -54,7 +54,12 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
     assert ended.code == 0
     table = tomllib.loads(Path("t/tuning.toml").read_text())
-    assert f"cost {table['result']['cost']:.4f} (truth-rmse) on 2 drive(s)" in ended.out
+    assert f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees) on 2 drive(s)" in ended.out
+    assert "model:    tilted12 with lateral, standstill, robust: six IMU axes\n" in ended.out
+    assert (table["config"]["model"], table["config"]["use"]) == (
+        "tilted12",
+        ["lateral", "standstill", "robust"],
+    )
     assert table["config"]["particles"] == 4
     assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
     history = pl.read_csv("t/convergence.csv")
@@ -303,8 +308,9 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert ended.code == 0
     for words in (
         "never saw",
+        "model: tilted12 with lateral, standstill, robust: six IMU axes",
         "note: ",
-        "tuned UKF",
+        "tuned EKF, tilted12",
         "manual: defaults",
         "raw GPS",
         "lower than manual: defaults",
@@ -318,8 +324,11 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert FilterParameters.load("show/tuning").nominal_interval == pytest.approx(0.01)
     said = json.loads(Path("show/evaluation/scores.json").read_text())
     assert list(said["drives"]) == ["urban-clear-05", "urban-clear-06", "urban-clear-07"]
-    tuned = said["mean"].pop("tuned")["position_rmse_m"]
-    assert all(tuned < m["position_rmse_m"] for m in said["mean"].values())
+    tuned = said["mean"].pop("tuned")
+    for method, figures in said["mean"].items():  # in every column, every method
+        assert all(tuned[column] < figure for column, figure in figures.items() if figure is not None), method
+    for drive in said["drives"]:
+        assert 1.6 < said["consistency"][drive]["mean_nis"] < 2.5
     assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
     trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
     assert trained.isdisjoint(said["drives"])
