@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, s
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.outliers import with_outliers
+from sigmaswarm.tuning.defaults import with_filter
 from switches import measured, quantities, raw
 
 CAR = ("lateral", "standstill")
@@ -46,6 +48,12 @@ FILTERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "tilted12 robust odometer": ("tilted12", (*CAR, "robust", "odometer")),
 }
 """Model and what it uses; lateral and standstill go without saying but for planar5."""
+GROUPS = {
+    "any log": ("planar5", "planar8", "planar8 robust"),
+    "six axes": ("planar8", "planar8 robust", "tilted12", "tilted12 robust"),
+    "odometer": ("planar8 robust", "planar8 odometer", "planar8 robust odometer"),
+}
+"""Filters that the same logs allow, side by side."""
 GRADES = {
     "mpu-6050, ublox-m8": {"imu": "mpu-6050", "gps": "ublox-m8"},
     "icm-20602, white-1m": {"imu": "icm-20602", "gps": "white-1m"},
@@ -146,21 +154,24 @@ def run(
     seed: int,
     pool: Executor,
 ) -> None:
-    """One tuning and its scores, unless the file has them."""
+    """One tuning and its scores, unless the file has them; the default's, too, under the name of its filter."""
     if (name, label, objective, seed) in done:
-        return
+        return None
     training, test = cached(name, parts)
     if label == "default":
-        asked = {}
+        chosen, _ = with_filter({}, [*training, *test])
+        model, use = chosen["model"], chosen["use"]
+        same = [each for each, filter in FILTERS.items() if filter == (model, tuple(use))]
+        if same and (name, same[0], objective, seed) in done:
+            return noted(out, done, (name, label, objective, seed), done[name, same[0], objective, seed])
     else:
         model, use = FILTERS[label]
         if lacking(model, use, [*training, *test]):
-            return
-        asked = {"model": model, "use": use}
+            return None
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
-    tuning = tune(training, objective=objective, seed=seed, executor=pool, **asked)
-    noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
+    tuning = tune(training, objective=objective, seed=seed, executor=pool, model=model, use=use)
+    return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 
 
 @cache
@@ -214,43 +225,83 @@ def tables(done: dict[tuple[str, str, str, int], list[float]]) -> None:
     for (name, label, objective), row in sorted(median.items(), key=lambda item: item[0][0]):
         cells = [f"{v:.2f}" for v in row] + ["-"] * (len(COLUMNS) - len(row))
         print(f"| {name} | {label} | {objective} | " + " | ".join(cells) + " |")
+    print("\n" + "\n".join(beside_the_best(median)))
     for title, rows in summaries(median):
         print(f"\n| {title} | " + " | ".join(RATIOS) + " | worst RMSE |\n" + "|---" * 6 + "|")
         for label, cells in rows:
             print(f"| {label} | " + " | ".join(f"{v:.2f}" for v in cells) + " |")
 
 
+def lowest(rows: np.ndarray) -> np.ndarray:
+    """Of each column; NaN where nothing has one."""
+    return np.where(
+        np.isfinite(rows).any(axis=0), np.nanmin(np.where(np.isfinite(rows), rows, np.inf), axis=0), np.nan
+    )
+
+
+def beside_the_best(median: dict[tuple[str, str, str], np.ndarray]) -> Iterator[str]:
+    """The default over the lowest of all filters of each case, and over the raw fixes: mean and worst."""
+    yield (
+        "| the default over the best of each case | cases | "
+        + " | ".join(RATIOS)
+        + " | over the raw fixes' RMSE |"
+    )
+    yield "|---" * (len(RATIOS) + 3) + "|"
+    for objective in dict.fromkeys(o for _, label, o in median if label == "default"):
+        names = [n for n, label, o in median if label == "default" and o == objective]
+        rivals = [
+            np.array([row for (n, _, o), row in median.items() if n == name and o == objective])
+            for name in names
+        ]
+        own = np.array([median[name, "default", objective] for name in names])
+        best = np.array([lowest(r) for r in rivals])
+        share = own / best
+        cells = [
+            f"{np.exp(np.nanmean(np.log(one))):.2f}, at worst {np.nanmax(one):.2f}"
+            for one in share[:, [*RATIOS.values()]].T
+        ]
+        raw_share = own[:, 0] / np.array([median[name, "raw fixes", "-"][0] for name in names])
+        cells.append(f"{np.exp(np.mean(np.log(raw_share))):.2f}, at worst {raw_share.max():.2f}")
+        yield f"| {objective} | {len(names)} | " + " | ".join(cells) + " |"
+
+
 def summaries(
     median: dict[tuple[str, str, str], np.ndarray],
 ) -> Iterator[tuple[str, list[tuple[str, list[float]]]]]:
-    """The filters over the lowest of each case, for those that the same logs allow."""
-    methods = dict.fromkeys((label, objective) for _, label, objective in median if objective != "-")
-    for sensors in ("", "six axes", "odometer"):
-        for truth in (True, False):
-            rivals = [m for m in methods if _named(m[0], sensors) and ("truth" in m[1]) == truth]
+    """Filters, and objectives of the default filter, over the lowest of each case, where all of them were tried."""
+    tried = dict.fromkeys(objective for _, label, objective in median if label == "default")
+    for truth in (True, False):
+        objectives = [objective for objective in tried if ("truth" in objective) == truth]
+        rivals = {
+            title: [(label, objectives[0]) for label in labels]
+            for title, labels in GROUPS.items()
+            if objectives
+        }
+        rivals["the default"] = [("default", objective) for objective in objectives]
+        for (title, methods), strange in product(rivals.items(), (False, True)):
             names = [
                 name
                 for name in dict.fromkeys(name for name, *_ in median)
-                if rivals and all((name, *m) in median for m in rivals)
+                if stranger(name) == strange and all((name, *m) in median for m in methods)
             ]
-            if len(rivals) < 2 or not names:
+            if len(methods) < 2 or not names:
                 continue
-            values = np.array([[median[name, *m] for name in names] for m in rivals])
-            share = values / np.nanmin(values, axis=0)
+            values = np.array([[median[name, *m] for name in names] for m in methods])
+            share = values / np.array([lowest(values[:, i]) for i in range(len(names))])
             rows = []
-            for (label, objective), one in zip(rivals, share, strict=True):
-                with np.errstate(invalid="ignore"):
-                    means = [float(np.exp(np.nanmean(np.log(one[:, i])))) for i in RATIOS.values()]
+            for (label, objective), one in zip(methods, share, strict=True):
+                known_drifts = [one[np.isfinite(one[:, i]), i] for i in RATIOS.values()]
+                means = [
+                    float(np.exp(np.mean(np.log(each)))) if len(each) else np.nan for each in known_drifts
+                ]
                 rows.append((f"{label}, {objective}", [*means, float(one[:, 0].max())]))
-            yield f"{sensors or 'any log'}, {'with' if truth else 'without'} truth: {len(names)} cases", rows
+            what = "strangers" if strange else "held out"
+            yield f"{title}, {'with' if truth else 'without'} truth, {what}: {len(names)} cases", rows
 
 
-def _named(label: str, sensors: str) -> bool:
-    """Whether a filter is one of those that are compared on logs with these sensors."""
-    if "accuracy" in label:
-        return False
-    wheels, six = "odometer" in label, label.startswith("tilted12")
-    return {"": not wheels and not six, "six axes": not wheels, "odometer": not six}[sensors]
+def stranger(name: str) -> bool:
+    """Whether the tuning saw nothing of the case's receiver, or its fixes have outliers."""
+    return " > " in name or "outliers" in name
 
 
 if __name__ == "__main__":

@@ -405,3 +405,17 @@ def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
     assert ended.code == 2
     assert "no speed and course" in ended.err
     assert not (here / "t").exists()
+
+
+def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
+    drive = make_drive(duration=20.0)
+    write_drive(replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)), here / "plain")
+    said = sigmaswarm("tune", "plain", "--out", "t", *QUICK).out
+    because = "an IMU without az, gx and gy"
+    assert said.splitlines()[0] == f"model:    planar8 with lateral, standstill, robust: {because}"
+    said = sigmaswarm("tune", "plain", "--out", "u", "--use", "lateral", *QUICK).out
+    assert said.splitlines()[0] == f"model:    planar8: {because}"
+    ended = sigmaswarm("tune", "plain", "--out", "v", "--model", "planar8", "--use-nothing", *QUICK)
+    assert "model:" not in ended.out  # the user has said it all
+    assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []
+    assert "model:" not in sigmaswarm("tune", "plain", "--out", "w", *QUICK, "--json").out

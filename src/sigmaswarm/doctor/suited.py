@@ -57,7 +57,9 @@ def suited(drives: Sequence[Drive]) -> Suited:
     wheels = bool(drives) and all(d.odometer is not None for d in drives)
     spread = stated_spread(drives)
     use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if spread else ()))
-    reasons = ["six IMU axes" if six else "an IMU of fewer than six axes"]
+    all_there = all(axis is not None for d in drives for axis in (d.imu.az, d.imu.gx, d.imu.gy))
+    missing = "az, gx or gy of the IMU look wrong" if all_there else "an IMU without az, gx and gy"
+    reasons = ["six IMU axes" if six else missing]
     if wheels:
         reasons.append("an odometer")
     if spread:
