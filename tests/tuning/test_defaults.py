@@ -178,7 +178,11 @@ def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
 
 def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
     replayer = Replayer([PLAIN], outages=False)
-    five = FilterParameters(0.5, 2.0, 0.0, (1e-6, 1e-6, 1e-4, 1e-4, 1e-8), (9.0, 9.0))
+    five = FilterParameters(1.0, 2.0, 0.0, (1e-5, 1e-5, 1e-3, 1e-3, 1e-8), (1.2, 1.2))
+    before = replayer.scores([five])
+    after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
+    assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
+    assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
     (said,) = said_of_scale("truth-rmse", five, replayer)
     assert "leaves the scale" in said
     assert "all noises times" not in said
