@@ -75,8 +75,6 @@ def tune(
     read = read_drives(drives, trusted=trust_log, gaps=True)
     held_back = read_drives(validation or [], trusted=trust_log, gaps=True)
     chosen = "" if paper else with_filter({**options}, [*read, *held_back])[1]
-    if chosen and not json:
-        stdout().print(f"model:    {chosen}")
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read,
@@ -95,6 +93,8 @@ def tune(
         print_json(tuning.to_dict())
         return
     console = stdout()
+    if chosen:  # only now, for a mistake is to be told in one line
+        console.print(f"model:    {chosen}")
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
     if tuning.raised_by != 1.0:
         console.print(f"margin: all process noises raised by {tuning.raised_by:.3g}")
