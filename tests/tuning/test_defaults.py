@@ -71,6 +71,8 @@ def test_of_several_drives_what_all_have_counts():
     assert chosen(rich, rich) == ("tilted12", ("lateral", "standstill", "odometer", "accuracy", "robust"))
     assert chosen(rich, PLAIN) == chosen(PLAIN, rich) == ("planar8", CAR)
     assert chosen(rich, six(PLAIN)) == ("tilted12", CAR)
+    one, other = stating(PLAIN, 1.0, 1.0), stating(PLAIN, 3.0, 3.0)
+    assert chosen(one, other) == ("planar8", CAR)  # neither log tells one of its fixes from another
 
 
 def test_it_looks_neither_at_truth_nor_at_errors():

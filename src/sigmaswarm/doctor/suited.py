@@ -55,15 +55,17 @@ def suited(drives: Sequence[Drive]) -> Suited:
     """
     six = bool(drives) and all(map(has_attitude, drives))
     wheels = bool(drives) and all(d.odometer is not None for d in drives)
-    spread = stated_spread(drives)
-    use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if spread else ()))
+    spreads = [spread for d in drives if (spread := stated_spread(d))]
+    stated = bool(drives) and len(spreads) == len(drives)
+    use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if stated else ()))
     all_there = all(axis is not None for d in drives for axis in (d.imu.az, d.imu.gx, d.imu.gy))
     missing = "az, gx or gy of the IMU look wrong" if all_there else "an IMU without az, gx and gy"
     reasons = ["six IMU axes" if six else missing]
     if wheels:
         reasons.append("an odometer")
-    if spread:
-        reasons.append(f"stated deviations from {spread[0]:.2g} to {spread[1]:.2g} m")
+    if stated:
+        low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
+        reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
     return Suited("tilted12" if six else "planar8", (*use, "robust"), ", ".join(reasons))
 
 
@@ -76,10 +78,10 @@ def has_attitude(drive: Drive) -> bool:
     return upright and bool(np.ptp(gx) > 0) and bool(np.ptp(gy) > 0)
 
 
-def stated_spread(drives: Sequence[Drive]) -> tuple[float, float] | None:
+def stated_spread(drive: Drive) -> tuple[float, float] | None:
     """Quantiles of the stated deviations, 5% and 95%, m, where they tell good fixes from bad ones."""
-    stated = [std for drive in drives for std in (drive.gps.std_x, drive.gps.std_y)]
-    if not stated or any(std is None for std in stated):
+    std_x, std_y = drive.gps.std_x, drive.gps.std_y
+    if std_x is None or std_y is None:
         return None
-    low, high = np.quantile(np.concatenate([std for std in stated if std is not None]), [0.05, 0.95])
+    low, high = np.quantile(np.concatenate([std_x, std_y]), [0.05, 0.95])
     return (float(low), float(high)) if high > VARIES * low else None

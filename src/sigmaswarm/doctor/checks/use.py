@@ -19,7 +19,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     reasons = dict.fromkeys(chosen.use, "")  # of every car, unless the log gives a reason
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv has the wheels' speed"
-    if stated := stated_spread([drive]):
+    if stated := stated_spread(drive):
         reasons["accuracy"] = f"the stated deviations run from {stated[0]:.2g} to {stated[1]:.2g} m"
     if count := int(np.count_nonzero(evidence.outlying)):
         reasons["robust"] = f"{count} fix{'es lie' if count > 1 else ' lies'} far off the path"
