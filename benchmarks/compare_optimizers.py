@@ -82,6 +82,7 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
             seeds=seeds,
             objective=objective,
             model=model,
+            use=(),
             out=folder,
             resume=True,
         )

@@ -51,7 +51,14 @@ def rows(training, test, options):
     with ThreadPoolExecutor() as pool:
         for objective in options.objectives:
             tunings = [
-                tune(training, objective=objective, optimizer=options.optimizer, seed=s, executor=pool)
+                tune(
+                    training,
+                    model="planar5",
+                    objective=objective,
+                    optimizer=options.optimizer,
+                    seed=s,
+                    executor=pool,
+                )
                 for s in range(options.seeds)
             ]
             evaluations = [evaluate(test, tuning.parameters) for tuning in tunings]

@@ -18,6 +18,7 @@ from sigmaswarm.scoring.batch import Replayer
 PART = 5.0
 """s of the drive that the slow ones run over."""
 GENERATIONS, PARTICLES = 50, 30
+PAPERS_FILTER = {"model": "planar5", "objective": "truth-rmse"}
 
 pytestmark = pytest.mark.usefixtures("turn")
 
@@ -153,7 +154,7 @@ def test_tuning_sigmaswarm(measure, drive, replayer):
     """The whole job: alignment, time line, 30 x 50 filters over ten minutes, and the swarm itself."""
     samples = int((drive.imu.time > replayer.initial[0].time).sum())
     measure(
-        lambda: tune(drive, optimizer="pso", particles=PARTICLES, generations=GENERATIONS),
+        lambda: tune(drive, **PAPERS_FILTER, optimizer="pso", particles=PARTICLES, generations=GENERATIONS),
         work=GENERATIONS * PARTICLES * samples,
         rounds=2,
     )

@@ -54,7 +54,12 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
     assert ended.code == 0
     table = tomllib.loads(Path("t/tuning.toml").read_text())
-    assert f"cost {table['result']['cost']:.4f} (truth-rmse) on 2 drive(s)" in ended.out
+    assert f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees) on 2 drive(s)" in ended.out
+    assert "model:    tilted12 with lateral, standstill, robust: six IMU axes\n" in ended.out
+    assert (table["config"]["model"], table["config"]["use"]) == (
+        "tilted12",
+        ["lateral", "standstill", "robust"],
+    )
     assert table["config"]["particles"] == 4
     assert [d["name"] for d in table["data"]] == ["urban-clear-00", "urban-clear-01"]
     history = pl.read_csv("t/convergence.csv")
@@ -303,8 +308,9 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert ended.code == 0
     for words in (
         "never saw",
+        "model: tilted12 with lateral, standstill, robust: six IMU axes",
         "note: ",
-        "tuned UKF",
+        "tuned EKF, tilted12",
         "manual: defaults",
         "raw GPS",
         "lower than manual: defaults",
@@ -318,8 +324,11 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert FilterParameters.load("show/tuning").nominal_interval == pytest.approx(0.01)
     said = json.loads(Path("show/evaluation/scores.json").read_text())
     assert list(said["drives"]) == ["urban-clear-05", "urban-clear-06", "urban-clear-07"]
-    tuned = said["mean"].pop("tuned")["position_rmse_m"]
-    assert all(tuned < m["position_rmse_m"] for m in said["mean"].values())
+    tuned = said["mean"].pop("tuned")
+    for method, figures in said["mean"].items():  # in every column, every method
+        assert all(tuned[column] < figure for column, figure in figures.items() if figure is not None), method
+    for drive in said["drives"]:
+        assert 1.6 < said["consistency"][drive]["mean_nis"] < 2.5
     assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
     trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
     assert trained.isdisjoint(said["drives"])
@@ -396,3 +405,17 @@ def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
     assert ended.code == 2
     assert "no speed and course" in ended.err
     assert not (here / "t").exists()
+
+
+def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
+    drive = make_drive(duration=20.0)
+    write_drive(replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)), here / "plain")
+    said = sigmaswarm("tune", "plain", "--out", "t", *QUICK).out
+    because = "an IMU without az, gx and gy"
+    assert said.splitlines()[0] == f"model:    planar8 with lateral, standstill, robust: {because}"
+    said = sigmaswarm("tune", "plain", "--out", "u", "--use", "lateral", *QUICK).out
+    assert said.splitlines()[0] == f"model:    planar8: {because}"
+    ended = sigmaswarm("tune", "plain", "--out", "v", "--model", "planar8", "--use-nothing", *QUICK)
+    assert "model:" not in ended.out  # the user has said it all
+    assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []
+    assert "model:" not in sigmaswarm("tune", "plain", "--out", "w", *QUICK, "--json").out

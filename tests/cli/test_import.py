@@ -65,7 +65,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     then = ended.out.splitlines()[-1]
     # Its speeds are drawn by chance, which no repair mends.
     assert "next: sigmaswarm doctor drives/monday    (then what it can't mend, mend in the log)" in ended.out
-    assert then.startswith("then: sigmaswarm tune drives/monday --out tuned --model planar8 --use lateral")
+    assert then == "then: sigmaswarm tune drives/monday --out tuned"
     app.parse_args(
         shlex.split(then)[2:], exit_on_error=False, print_error=False
     )  # a command that the program takes

@@ -286,35 +286,32 @@ def test_errors_that_last_are_told_from_what_is_stated_against_the_scatter():
 def test_the_options_follow_from_the_log():
     drive = simulated("mpu-6050")
     n, rng = len(drive.gps), np.random.default_rng(0)
-    tilts = ", and with --model tilted12 where roads are not flat: az, gx and gy are there"
-    assert found_of(drive, "use") == "tune with --use lateral standstill robust" + tilts
+    six = "tune takes --model tilted12 --use lateral standstill robust: "
+    tilts = "az, gx and gy are there, which tell hills from motion"
+    assert found_of(drive, "use") == six + tilts
     planar = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
-    assert found_of(planar, "use") == "tune with --use lateral standstill robust"
+    assert found_of(planar, "use") == "tune takes --model planar8 --use lateral standstill robust"
     varied = states(drive, rng.uniform(0.5, 2.0, n))
     assert found_of(varied, "use").startswith(
-        "tune with --use lateral standstill accuracy robust: the stated deviations"
+        "tune takes --model tilted12 --use lateral standstill accuracy robust: the stated deviations"
     )
     velocity = simulated("icm-20602")  # its receiver gives speed and course
-    assert (
-        found_of(velocity, "use")
-        == f"tune with --use lateral standstill robust velocity: the receiver gives speed and course{tilts}"
-    )
+    may = "; you may add velocity to --use: the receiver gives speed and course"
+    assert found_of(velocity, "use") == six + tilts + may
     assert velocity.gps.speed is not None
     knots = replace(velocity, gps=replace(velocity.gps, speed=velocity.gps.speed / 0.514444))
-    assert found_of(knots, "use") == "tune with --use lateral standstill robust" + tilts
+    assert found_of(knots, "use") == six + tilts
     x = drive.gps.x.copy()
     x[200] += 40.0
     outlier = replace(drive, gps=replace(drive.gps, x=x))
-    assert (
-        found_of(outlier, "use")
-        == f"tune with --use lateral standstill robust: 1 fix lies far off the path{tilts}"
-    )
+    assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
 
 
 @needs_shared
 def test_a_city_s_receiver():
     kingston = recorded("kingston-1")
-    assert found_of(kingston, "use").startswith("tune with --use lateral standstill accuracy robust:")
+    asked = "--model planar8 --use lateral standstill accuracy robust:"
+    assert found_of(kingston, "use").startswith(f"tune takes {asked}")
     assert "the receiver states 2.6 m" in found_of(kingston, "gps-correlated")
     assert found_of(kingston, "gps-repeats").startswith("18 fixes")
 

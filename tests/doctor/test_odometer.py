@@ -9,9 +9,9 @@ import pytest
 
 from sigmaswarm import Drive, Odometer, diagnose, read_drive, repair, simulate
 from sigmaswarm.doctor.checks import odometer as subject
-from sigmaswarm.doctor.checks.use import suited
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis
+from sigmaswarm.doctor.suited import suited
 from support import DRIVES, needs_shared
 
 Fault = Callable[[Odometer], Odometer]
@@ -95,8 +95,8 @@ def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():
     assert "odometer-scale" in diagnosis.codes
     (use,) = (finding for finding in diagnosis.findings if finding.code == "use")
     assert "--use lateral standstill odometer" in use.what
-    assert "odometer" in suited(evidence().drive)
-    assert "odometer" not in suited(replace(evidence().drive, odometer=None))
+    assert "odometer" in suited([evidence().drive]).use
+    assert "odometer" not in suited([replace(evidence().drive, odometer=None)]).use
 
 
 @needs_shared

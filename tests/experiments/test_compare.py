@@ -27,7 +27,15 @@ from support import make_drive
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(2)]
 HELD_OUT = [make_drive(duration=15.0, seed=7, name="other")]
 RIVALS = ("pso", "random", "pso:particles=4,generations=3,trials=2", "de:racing=true")
-OPTIONS = {"optimizers": RIVALS, "seeds": 3, "validation": HELD_OUT, "particles": 8, "generations": 3}
+ASKED = {"model": "planar5", "objective": "truth-rmse"}
+OPTIONS = {
+    **ASKED,
+    "optimizers": RIVALS,
+    "seeds": 3,
+    "validation": HELD_OUT,
+    "particles": 8,
+    "generations": 3,
+}
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -45,7 +53,7 @@ def whole(tmp_path_factory) -> tuple[Comparison, Path]:
 
 def test_each_run_is_a_tuning(whole):
     comparison, _ = whole
-    tuning = tune(DRIVES, optimizer="pso", particles=8, generations=3, seed=2, scale="linear")
+    tuning = tune(DRIVES, optimizer="pso", particles=8, generations=3, seed=2, scale="linear", **ASKED)
     run = comparison.runs["pso, linear"][2]
     assert run.cost == tuning.cost
     assert run.held_out_cost == run_batch(HELD_OUT, [tuning.parameters]).costs[0]
@@ -53,11 +61,11 @@ def test_each_run_is_a_tuning(whole):
     assert run.history_evaluations == (8, 16, 24)
     steps = comparison.steps_per_set
     assert run.history_steps == (8 * steps, 16 * steps, 24 * steps)
-    trials = tune(DRIVES, optimizer="pso", particles=4, generations=3, trials=2, seed=1)
+    trials = tune(DRIVES, optimizer="pso", particles=4, generations=3, trials=2, seed=1, **ASKED)
     run = comparison.runs[f"{RIVALS[2]}, log10"][1]
     assert run.cost == run.history_best[-1] == trials.cost
     assert run.history_evaluations == (4, 8, 12, 16, 20, 24)
-    raced = tune(DRIVES, optimizer="de", particles=8, generations=3, seed=0, racing=True)
+    raced = tune(DRIVES, optimizer="de", particles=8, generations=3, seed=0, racing=True, **ASKED)
     assert comparison.runs["de:racing=true, log10"][0].history_steps[-1] == raced.steps < raced.full_steps
 
 
@@ -213,3 +221,10 @@ def test_another_comparison_is_not_gone_on_with(whole, tmp_path: Path):
     (tmp_path / "out/runs/random-log10-001/run.json").write_text("{")
     with pytest.raises(InputError, match=r"run\.json: not a readable result; delete it"):
         compare(DRIVES, resume=True, **asked)
+
+
+def test_by_default_it_compares_on_the_filter_that_suits_the_drives():
+    found = compare(DRIVES, optimizers=("random",), seeds=1, particles=4, generations=1)
+    config = found.contenders[0].config
+    assert (config.model, config.use) == ("planar8", ("lateral", "standstill", "robust"))
+    assert config.objective == "truth-pose + 0.2 nees"

@@ -31,7 +31,7 @@ BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
 
 @pytest.fixture(scope="module")
 def tuning() -> Tuning:
-    return tune(DRIVE, particles=4, generations=5, trials=3)
+    return tune(DRIVE, model="planar5", objective="truth-rmse", particles=4, generations=5, trials=3)
 
 
 def picture(drive: Drive, tuned: FilterParameters = GOOD) -> Picture:

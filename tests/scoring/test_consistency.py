@@ -99,3 +99,20 @@ def test_a_truth_that_contradicts_the_fixes_is_told():
     assert "too careful" in said["pessimistic"]
     assert "too sure of its position all the same" in said["optimistic_position"]
     assert list(verdicts([(3.0, (1.8, 2.2), 15.4)])) == ["optimistic"]
+
+
+def test_fixes_whose_errors_last_are_told():
+    """They agree with each other, so NIS is low, and the filter is right about the truth all the same."""
+    band = (1.8, 2.2)
+    said = verdicts([(0.2, band, 2.1)])
+    assert list(said) == ["lasting"]
+    assert "low NIS with the right NEES: the fixes' errors last" in said["lasting"]
+    for nis, nees in (
+        (0.2, 0.3),
+        (0.9, 1.6),
+        (0.2, None),
+    ):  # careful of both, or nothing is known of the truth
+        assert list(verdicts([(nis, band, nees)])) == ["pessimistic"]
+    assert list(verdicts([(0.2, band, 2.1), (2.0, band, 2.0), (1.0, band, 1.1)])) == [
+        "pessimistic", "lasting", "consistent",
+    ]  # fmt: skip

@@ -1,6 +1,7 @@
 """Racing: steps counted exactly, full costs for those that finish, everybody else behind them."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,12 @@ from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.problem import CarProblem, car_problem
 from sigmaswarm.tuning.racing import race, rungs
 from sigmaswarm.tuning.search import Progress
-from sigmaswarm.tuning.tune import tune
+from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive
 
 DRIVES = [make_drive(duration=15.0 + 2 * s, seed=s, name=f"d{s}") for s in range(5)]
 SMALL = {"particles": 9, "generations": 4, "seed": 3}
+tune = partial(tune_by_default, model="planar5", objective="truth-rmse")
 
 
 class Table:

@@ -25,7 +25,15 @@ from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 DRIVES = [make_drive(duration=20.0, seed=s, name=f"d{s}") for s in range(2)]
-OPTIONS = {"optimizer": "pso", "particles": 5, "generations": 6, "trials": 2, "seed": 3}
+OPTIONS = {
+    "model": "planar5",
+    "objective": "truth-rmse",
+    "optimizer": "pso",
+    "particles": 5,
+    "generations": 6,
+    "trials": 2,
+    "seed": 3,
+}
 KILLS = 5
 GENERATIONS = 400
 
@@ -135,7 +143,8 @@ def test_killed_five_times_it_ends_in_the_same_bytes(tmp_path: Path):
     """SIGKILL at random moments between the first checkpoint and the end, as the issue asks."""
     for drive in DRIVES:
         write_drive(drive, tmp_path / "drives" / drive.name)
-    options = ["--generations", str(GENERATIONS), "--particles", "20", "--seed", "8"]
+    options = ["--model", "planar5", "--objective", "truth-rmse"]
+    options += ["--generations", str(GENERATIONS), "--particles", "20", "--seed", "8"]
     program = "from sigmaswarm.cli import main; main()"
     command = [sys.executable, "-c", program, "tune", str(tmp_path / "drives"), *options]
     whole, killed = tmp_path / "whole", tmp_path / "killed"

@@ -62,8 +62,10 @@ def compare(
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
     from sigmaswarm.report.compare import comparison_table, save_comparison
+    from sigmaswarm.tuning.defaults import with_filter
 
     read, held_out = read_drives(drives), read_drives(validation or [])
+    said = with_filter({**options}, [*read, *held_out])[1]
     chosen = {"optimizers": optimizers, "scales": scales}
     with progress_bar("comparing", "tunings, remaining") as show:
         comparison = sigmaswarm.compare(
@@ -82,6 +84,8 @@ def compare(
         print_json({"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]})
         return
     console = stdout()
+    if said:
+        console.print(f"model: {said}")
     console.print(comparison_table(comparison).to_markdown())
     for path in written:
         console.print(f"wrote {path}")

@@ -35,6 +35,7 @@ def demo(
     from sigmaswarm.report.evaluation import save_evaluation
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
+    from sigmaswarm.tuning.defaults import with_filter
 
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; choose another --out")
@@ -54,10 +55,9 @@ def demo(
     if not json:
         console.print(f"1. simulated {len(drives)} drives of 90 s through a town: {out / 'drives'}")
         console.print(f"2. tuning on {len(training)} of them (30 particles, 50 generations) ...")
+        console.print(f"   model: {with_filter({}, training)[1]}")
     with tuning_progress("   tuning") as progress:
-        tuning = sigmaswarm.tune(
-            training, objective="truth-pose", seed=seed, out=out / "tuning", progress=progress
-        )
+        tuning = sigmaswarm.tune(training, seed=seed, out=out / "tuning", progress=progress)
     if not json:
         for remark in tuning.remarks:
             console.print(f"   note: {remark}")

@@ -207,7 +207,6 @@ def _import(
     """Import and write; say what was assumed."""
     from sigmaswarm.cli.common import percent_bar, print_json, stdout
     from sigmaswarm.cli.findings import mending, print_diagnosis
-    from sigmaswarm.doctor.checks.use import suited
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
@@ -234,8 +233,7 @@ def _import(
             stdout().print(f"next: {command}    (then {go_on})")
         else:
             stdout().print(f"next: sigmaswarm plot {shlex.quote(str(out))}")
-        better = f"--model planar8 --use {' '.join(suited(imported.drive))}"  # tells the heading without truth, too
-        stdout().print(f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned {better}")
+        stdout().print(f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:

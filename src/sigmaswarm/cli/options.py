@@ -22,7 +22,10 @@ def takes(asked: type, defaults: Mapping[str, Any]) -> Callable[[Callable[..., N
     hints: dict[str, Any] = get_type_hints(asked, include_extras=True)
     added = [
         inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_annotation(hint, defaults[name])
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=_annotation(name, hint, defaults[name]),
         )
         for name, hint in hints.items()
     ]
@@ -43,7 +46,7 @@ def takes(asked: type, defaults: Mapping[str, Any]) -> Callable[[Callable[..., N
     return decorated
 
 
-def _annotation(hint: Any, default: Any) -> Any:
+def _annotation(name: str, hint: Any, default: Any) -> Any:
     """What Cyclopts reads: the type, and how an option is given and explained."""
     kind, said = get_args(hint)[0], next(extra for extra in get_args(hint)[1:] if isinstance(extra, Doc))
     look: dict[str, Any] = {"help": said.documentation, "show_default": False}
@@ -51,7 +54,7 @@ def _annotation(hint: Any, default: Any) -> Any:
         look["negative"] = ()
     elif get_origin(kind) is Sequence:
         kind = list[get_args(kind)[0]]
-        look |= {"consume_multiple": 1, "negative": ()}
+        look |= {"consume_multiple": 1, "negative": f"--{name}-nothing"}
     elif default is not None:
         look["show_default"] = lambda _: str(default)  # pyright: ignore[reportUnknownLambdaType]
     return Annotated[kind if NoneType in get_args(kind) else kind | None, Parameter(**look)]

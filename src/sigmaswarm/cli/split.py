@@ -35,7 +35,6 @@ def split(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.doctor.checks.use import suited
 
     whole = read_known(drive)
     parts = sigmaswarm.split_time(whole, train_fraction)
@@ -46,6 +45,5 @@ def split(
     else:
         for part in parts:
             stdout().print(f"wrote {out / part.name} ({part.duration:.0f} s)")
-        better = f"--model planar8 --use {' '.join(suited(whole))}"
-        stdout().print(f"next: sigmaswarm tune {out / parts[0].name} --out tuned {better}")
+        stdout().print(f"next: sigmaswarm tune {out / parts[0].name} --out tuned")
         stdout().print(f"then: sigmaswarm evaluate tuned {out / parts[1].name}")

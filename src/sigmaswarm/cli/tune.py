@@ -31,15 +31,15 @@ def tune(
     """Tune a filter on drives, and keep it in OUT/tuning.toml.
 
     Put the drives first, then the options. Truth is not needed: without truth.csv the filter is tuned to forecast
-    the fixes, which tells planar5's position but hardly its heading: planar8 with lateral tells both. Keep some
-    drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
+    the fixes. Without --model and --use the filter is what suits all the drives, by what their logs have; the command
+    says what that is. Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
 
     Examples:
 
         sigmaswarm tune drives/monday drives/tuesday --out tuned
-        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill robust
-        sigmaswarm tune drives/training --out tuned --objective truth-pose --trials 5
-        sigmaswarm tune drives/training --out tuned --validation drives/monday --objective innovation-nll
+        sigmaswarm tune drives/training --out tuned --model planar8 --use lateral standstill gate
+        sigmaswarm tune drives/training --out tuned --validation drives/monday --trials 5
+        sigmaswarm tune drives/training --out tuned --model planar5 --objective innovation-nll
         sigmaswarm tune drives/training --out tuned --racing
         sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume
@@ -70,9 +70,11 @@ def tune(
     from sigmaswarm.drives.prepared import PreparedDrive
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
+    from sigmaswarm.tuning.defaults import with_filter
 
     read = read_drives(drives, trusted=trust_log, gaps=True)
     held_back = read_drives(validation or [], trusted=trust_log, gaps=True)
+    chosen = "" if paper else with_filter({**options}, [*read, *held_back])[1]
     with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
         tuning = sigmaswarm.tune(
             read,
@@ -91,6 +93,8 @@ def tune(
         print_json(tuning.to_dict())
         return
     console = stdout()
+    if chosen:  # only now, for a mistake is to be told in one line
+        console.print(f"model:    {chosen}")
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
     if tuning.raised_by != 1.0:
         console.print(f"margin: all process noises raised by {tuning.raised_by:.3g}")

@@ -4,7 +4,7 @@ import re
 import tomllib
 import warnings
 from collections.abc import Collection
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -133,6 +133,29 @@ class FilterParameters:
         """How many states the model has."""
         return len(MODELS[self.model].states)
 
+    def scaled(self, factor: float) -> "FilterParameters":
+        """All variances times a factor: what the filter says of its errors changes, its estimates hardly do.
+
+        The biases' standard deviations at the start take the factor's root. The rest of the start's covariance, and
+        what a gap in the IMU adds, are the drive's and stay; a gate and ``robust_dof`` look at the covariances, and so
+        change estimates.
+
+        Raises
+        ------
+        InputError
+            If the factor is not positive.
+        """
+        if not 0 < factor < np.inf:
+            raise InputError(f"factor = {factor:g}: must be positive and finite")
+        given = {name: getattr(self, name) for name in _SCALED}
+        return replace(
+            self,
+            process_noise=tuple(factor * q for q in self.process_noise),
+            measurement_noise=tuple(factor * r for r in self.measurement_noise),
+            bias_std=tuple(factor**0.5 * std for std in self.bias_std),
+            **{name: factor * value for name, value in given.items() if value is not None},
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Plain types for TOML and JSON; options that are at their defaults are left out."""
         table = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -207,6 +230,8 @@ class FilterParameters:
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
 """Options that do not go with all others, and the fields that switch them on."""
+_SCALED = ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "accuracy_scale")
+"""Variances, or factors of them, beside Q and R."""
 RULES_SINCE = (0, 3)
 """The version since which frozen fixes, gaps and standstills are treated as they are."""
 

@@ -20,6 +20,8 @@ GATE_95 = float(chi2.ppf(0.95, 2))
 """NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
 FAR_NEES = 4.0
 """Mean NEES from which on errors are plainly too large: by a factor of 1.4, as it has no band."""
+RIGHT_NEES = 1.5
+"""Mean NEES from which on, up to `FAR_NEES`, a filter is taken to be right about its position."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
@@ -98,14 +100,21 @@ def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) ->
     )
 
 
-Kind = Literal["optimistic", "pessimistic", "consistent", "optimistic_position", "unknown"]
-"""Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less."""
+Kind = Literal["optimistic", "pessimistic", "lasting", "consistent", "optimistic_position", "unknown"]
+"""Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less.
+
+Lasting: by less, and the errors against truth are as large as they say; what the fixes share hides from forecasts.
+"""
 FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
 """What has to be said beside the verdicts where no truth is known."""
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is too sure of its forecasts: they miss the fixes by more than its covariances say",
     "pessimistic": "is too careful of its forecasts: they miss the fixes by less than its covariances say",
+    "lasting": (
+        "has a low NIS with the right NEES: the fixes' errors last, so that neighbours share them; its covariances are "
+        "right about the position, and should not be made smaller"
+    ),
     "consistent": "is consistent: its forecasts miss the fixes by as much as its covariances say",
     "optimistic_position": (
         "is too sure of its position all the same (NEES): only the truth tells errors that fixes share"
@@ -118,11 +127,16 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
     """What the consistency on several drives says of a filter, a sentence for each kind that holds for a drive."""
     known = [entry for entry in found if entry]
     optimistic = sum(nis > high for nis, (_, high), _ in known)
-    pessimistic = sum(nis < low for nis, (low, _), _ in known)
+    low_nis = sum(nis < low for nis, (low, _), _ in known)
+    lasting = sum(
+        nis < low and nees is not None and RIGHT_NEES <= nees <= FAR_NEES and nees > 2 * nis
+        for nis, (low, _), nees in known
+    )
     counts: dict[Kind, int] = {
         "optimistic": optimistic,
-        "pessimistic": pessimistic,
-        "consistent": len(known) - optimistic - pessimistic,
+        "pessimistic": low_nis - lasting,
+        "lasting": lasting,
+        "consistent": len(known) - optimistic - low_nis,
         "optimistic_position": sum(
             nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in known
         ),

@@ -56,11 +56,11 @@ class SearchConfig(BaseModel):
 
 
 class TuneConfig(SearchConfig):
-    """What the tuning of a filter for cars is asked for."""
+    """What the tuning of a filter for cars is asked for, once model and use are settled; else they are the paper's."""
 
-    model: ModelName = DEFAULTS["model"]
-    kind: FilterKind = DEFAULTS["kind"]
-    use: tuple[Option, ...] = DEFAULTS["use"]
+    model: ModelName = "planar5"
+    kind: FilterKind = "ukf"
+    use: tuple[Option, ...] = ()
     outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
     as_recorded: bool = DEFAULTS["as_recorded"]
     prior: float | None = Field(default=DEFAULTS["prior"], ge=0, le=100)
@@ -72,7 +72,11 @@ class TuneConfig(SearchConfig):
     @classmethod
     def _usual_kind(cls, asked: Any) -> Any:
         """Where none is asked for, the kind that is usual for the model."""
-        model = MODELS.get(asked.get("model", DEFAULTS["model"])) if isinstance(asked, dict) else None  # pyright: ignore
+        model = (
+            MODELS.get(asked.get("model", cls.model_fields["model"].default))
+            if isinstance(asked, dict)
+            else None
+        )  # pyright: ignore
         return {"kind": model.kinds[0], **asked} if model else asked
 
     @model_validator(mode="after")

@@ -35,7 +35,7 @@ class SharedOptions(TypedDict, total=False):
             "hidden fixes. "
             "outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency, to be added to others. "
             "gps-rmse: the paper's, which rewards copying the GPS. Sums like `truth-pose + 0.2 nees` are objectives, "
-            "too. auto: truth-rmse where all drives have truth, else innovation-nll, or innovation-t with robust."
+            "too. auto: truth-pose + 0.2 nees where all drives have truth, else innovation-t."
         ),
     ]
     worst: Annotated[
@@ -90,7 +90,8 @@ class FilterOptions(TypedDict, total=False):
         ModelName,
         Doc(
             "The filter's process model: planar5 is the paper's, planar8 also estimates the IMU's biases, tilted12 "
-            "also roll and pitch, for roads that are not flat; it needs an IMU with az, gx and gy."
+            "also roll and pitch, for roads that are not flat; it needs an IMU with az, gx and gy. By default tilted12 "
+            "where all logs have these, else planar8."
         ),
     ]
     kind: Annotated[
@@ -104,7 +105,8 @@ class FilterOptions(TypedDict, total=False):
             "receiver's speed and course. lateral: a car does not slide sideways. standstill: it stands still when "
             "it stands. odometer: the speed that the wheels tell, with its scale. gate: turn outlying fixes away. "
             "latency: fixes may be older than they say. accuracy: what the receiver states of each fix. robust: "
-            "outlying fixes count less, by Student's t; in place of gate."
+            "outlying fixes count less, by Student's t; in place of gate. By default lateral, standstill and robust, "
+            "and odometer and accuracy where all logs have them; nothing with --model planar5."
         ),
     ]
     outage_seed: Annotated[int, Doc("Places the outages of objectives that have some.")]
@@ -158,12 +160,12 @@ DEFAULTS: dict[str, Any] = {
     "scale": "log10",
     "optimizer": "de",  # loses the heading less often than the paper's pso at the same budget (docs/optimizers.md)
     "seed": 0,
-    "model": "planar5",
-    "kind": "ukf",
-    "use": (),
+    "model": None,  # what suits the logs: `defaults.with_filter`
+    "kind": None,  # the first that the model is compiled as
+    "use": None,  # like the model
     "outage_seed": 0,
     "as_recorded": False,
     "prior": None,
     "margin": None,
 }
-"""The paper's where it gives them."""
+"""The paper's where it gives them; None where the data or another option decides."""

@@ -29,6 +29,7 @@ from sigmaswarm.tuning.receiver import (
     said_of_noise,
     said_of_prior,
 )
+from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -149,11 +150,13 @@ class CarProblem:
         return [fix_noise(drive) for drive in self.replayer.drives]
 
     def doubts(self, point: Array) -> list[str]:
-        """Where what the fixes say of themselves plays no part; and, where no truth was looked at, whether R can be."""
-        found = said_of_accuracy(self.parameters(point), self._fix_noise)
+        """What plays no part, what is left free, and, where no truth was looked at, whether R can be."""
+        parameters = self.parameters(point)
+        found = said_of_accuracy(parameters, self._fix_noise)
+        found += said_of_scale(self.objective.name, parameters, self.replayer)
         known = all(drive.truth is not None for drive in self.replayer.drives)
         if not (known and self.objective.needs_truth):
-            found += self._held(point) or said_of_noise(self.parameters(point), self._fix_noise)
+            found += self._held(point) or said_of_noise(parameters, self._fix_noise)
         return found
 
     def _held(self, point: Array) -> list[str]:

@@ -16,6 +16,7 @@ from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.scale import SCALE_FREE
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
@@ -128,7 +129,7 @@ class Tuning(Generic[P]):
             remarks.append(
                 f"the objective can't tell: {names}; each alone may have any value in the box within 1% of the cost"
             )
-        if NOISE_SCALE in self.unidentified:
+        if NOISE_SCALE in self.unidentified and self.config.objective not in SCALE_FREE:
             remarks.append(
                 "the objective can't tell how large all noises are together, so don't trust the covariances; "
                 "add innovation-nll or nis to it"
@@ -136,7 +137,7 @@ class Tuning(Generic[P]):
         if self._heading_is_loose():
             remarks.append(
                 "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
-                "for a car add --model planar8 --use lateral standstill robust, or tune with truth-pose"
+                "for a car leave --model and --use out, which then suit the logs, or tune with truth-pose"
             )
         better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
         if better is not None and better.lowest_rise < -RISE and self.raised_by == 1.0:

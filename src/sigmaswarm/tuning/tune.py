@@ -18,6 +18,7 @@ from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
+from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.margin import MARGIN, with_margin
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
@@ -90,7 +91,9 @@ def tune(
     progress : callable, optional
         Called with a `Progress` after every generation.
     **config
-        `TuneOptions`: objective, scale, particles, generations, trials, seed, model, ...
+        `TuneOptions`: objective, scale, particles, generations, trials, seed, model, ... Where neither ``model`` nor
+        ``use`` is given, the filter is what suits all drives, by what they have: tilted12 or planar8, with lateral,
+        standstill and what else the logs allow; ``config.model`` and ``config.use`` of the result say what it was.
         ``model`` may be a `Model` of your own; its objectives are truth-rmse and innovation-nll.
 
     Raises
@@ -156,7 +159,9 @@ def _problem(
             validated_config(ModelTuneConfig, config | {"model": model.identity()}), [*data, *others]
         )
         return ModelProblem(data, model, settings), settings
-    settings = _settled(validated_config(TuneConfig, config), [*data, *others])
+    everywhere = [*data, *others]
+    asked, _ = with_filter(config, everywhere)
+    settings = _settled(validated_config(TuneConfig, asked), everywhere)
     problem = car_problem(data, settings)
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
@@ -171,8 +176,7 @@ def _problem(
 
 def _settled(config: C, data: Sequence[Drive | Log]) -> C:
     """The configuration with what its defaults stand for on this data."""
-    use = getattr(config, "use", ())
-    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, use)}))
+    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective)}))
 
 
 def with_guards(config: C) -> C:
@@ -185,21 +189,6 @@ def with_guards(config: C) -> C:
     doubt = MARGIN if alone and config.scale == "log10" else 0.0
     margin = doubt if config.margin is None else config.margin
     return config.model_copy(update={"prior": prior, "margin": margin})
-
-
-def objective_for(data: Sequence[Drive | Log], asked: str, use: Sequence[str] = ()) -> str:
-    """The objective that is asked for; for ``auto`` the one that suits the data, and a filter that uses ``use``."""
-    if asked != "auto":
-        return asked
-    likelihood = "innovation-t" if "robust" in use else "innovation-nll"
-    blind = [one.name for one in data if not one.truth]
-    if blind and len(blind) < len(data):
-        warnings.warn(
-            f"{blind[0]} has no truth, so all are tuned with {likelihood}; leave it out, or say --objective",
-            SigmaswarmWarning,
-            stacklevel=5,
-        )
-    return likelihood if blind else "truth-rmse"
 
 
 def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:

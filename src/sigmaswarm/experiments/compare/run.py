@@ -25,11 +25,12 @@ from sigmaswarm.experiments.compare.contenders import Contender, budget, contend
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.files import held_folder, write_whole
+from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.store import ResultFolder
-from sigmaswarm.tuning.tune import check_apart, objective_for, tune_problem, tuning_folder
+from sigmaswarm.tuning.tune import check_apart, tune_problem, tuning_folder
 from sigmaswarm.versions import versions
 
 
@@ -86,9 +87,11 @@ def compare(
     for name in ("prior", "margin"):
         if name in config:
             raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
-    objective = objective_for([*drives, *held_out], config.get("objective", "auto"), config.get("use", ()))
+    everywhere = [*drives, *held_out]
+    objective = objective_for(everywhere, config.get("objective", "auto"))
+    asked_filter, _ = with_filter({**config}, everywhere)
     plain = {"prior": 0.0, "margin": 0.0}
-    rivals = contenders(optimizers, scales, {**config, **plain, "objective": objective})
+    rivals = contenders(optimizers, scales, {**asked_filter, **plain, "objective": objective})
     problem = car_problem(drives, rivals[0].config)
     beside = problem.on(held_out) if held_out else None
     if beside:

@@ -11,7 +11,7 @@ from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.options import DEFAULTS
 from sigmaswarm.tuning.tune import with_guards
 
-STATED = ("objective", "particles", "generations", "trials", "seed")
+STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 """Options that the command names even at their defaults."""
 OTHERS = tuple(name for name in DEFAULTS if name not in STATED)
 """Options that it names where they are not at their defaults."""
@@ -27,7 +27,7 @@ def tune_command(
         return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
     options = {name: config[name] for name in STATED if name in config}
     told = dict.fromkeys(GUARDS, 0.0) | dict(config)  # versions that had no guards tuned without them
-    usual = DEFAULTS | _settled(config)
+    usual = DEFAULTS | _settled(config) | _usual_kind(config)
     options |= {name: told[name] for name in OTHERS if name in told and not _same(told[name], usual[name])}
     words = ["sigmaswarm", "tune", *drives, "--out", "again"]
     for name, value in options.items():
@@ -56,6 +56,14 @@ def evaluate_command(
     return shlex.join(words), note
 
 
+def _usual_kind(config: Mapping[str, Any]) -> dict[str, str]:
+    """The kind of filter that `tune` takes for the model if nobody asks for one."""
+    try:
+        return {"kind": TuneConfig.model_validate({"model": config["model"]}).kind}
+    except (ValidationError, KeyError):  # of another version
+        return {}
+
+
 def _settled(config: Mapping[str, Any]) -> dict[str, float | None]:
     """What `tune` makes of guards that nobody asks for."""
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
@@ -73,4 +81,6 @@ def _same(value: Any, default: Any) -> bool:
 def _option(name: str, value: Any) -> list[str]:
     if value is True:
         return [f"--{name}"]
-    return [f"--{name}", *map(str, value)] if isinstance(value, list) else [f"--{name}", str(value)]
+    if isinstance(value, list | tuple):
+        return [f"--{name}", *map(str, value)] if value else [f"--{name}-nothing"]
+    return [f"--{name}", str(value)]

@@ -125,7 +125,7 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
     )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
     said += [*worse_than_raw(scores), *restarted(scores)]
-    return said + [told[kind] for kind in ("optimistic", "pessimistic", "unknown") if kind in told]
+    return said + [told[kind] for kind in ("optimistic", "pessimistic", "lasting", "unknown") if kind in told]
 
 
 def _result(scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: float) -> str:

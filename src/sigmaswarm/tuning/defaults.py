@@ -1,0 +1,82 @@
+"""What a tuning takes where nothing is asked for: the filter that suits the drives, and the objective."""
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from sigmaswarm.doctor.suited import suited
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import SigmaswarmWarning
+from sigmaswarm.filters.custom.log import Log
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import clash
+
+PLAIN = "planar5"
+"""The paper's model, which uses nothing beside the fixes unless it is asked to."""
+OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
+"""With truth and without: docs/objectives.md, "With truth" and "Fixes that lie far off"."""
+OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
+"""The same for models of the user's own, which have these two only."""
+
+
+def with_filter(asked: dict[str, Any], drives: Sequence[Drive]) -> tuple[dict[str, Any], str]:
+    """The options of a tuning with a model and what it uses, and what was chosen and why, in a line.
+
+    What the user gave stays. Where neither ``model`` nor ``use`` is given, both are those of `suited`. With ``use``
+    alone the model is, and with ``model`` alone what it uses; but planar5, the paper's, then uses nothing. What does
+    not go with the ``kind`` that is asked for, or with the objective, is left out.
+
+    Parameters
+    ----------
+    asked : dict
+        `TuneOptions` that the user gave.
+    drives : sequence of Drive
+        All that the filter has to run on.
+
+    Returns
+    -------
+    options : dict
+    said : str
+        Empty where the user gave both.
+    """
+    if "model" in asked and "use" in asked:
+        return asked, ""
+    found = suited(drives)
+    model = asked.get("model") or _with_kind(found.model, asked.get("kind"))
+    if "use" in asked:
+        return {**asked, "model": model}, f"{model}: {found.because}"
+    use = [] if model == PLAIN else [option for option in found.use if _goes(option, asked, model)]
+    said = f"{model} with {', '.join(use) or 'position fixes alone'}"
+    because = "the paper's; name what it may use with --use" if model == PLAIN else found.because
+    return {**asked, "model": model, "use": tuple(use)}, f"{said}: {because}"
+
+
+def _with_kind(model: str, kind: str | None) -> str:
+    """The model, or the largest before it that is compiled as the kind that is asked for."""
+    if kind is None or model not in MODELS or kind in MODELS[model].kinds:
+        return model
+    return "planar8"
+
+
+def _goes(option: str, asked: dict[str, Any], model: str) -> bool:
+    """Whether an option goes with the kind and the objective that were asked for."""
+    if option == "robust" and "innovation-nll" in str(asked.get("objective")):
+        return False  # to which outliers count in full, whatever the filter makes of them
+    kind = asked.get("kind")
+    return kind is None or clash(kind, [option]) is None
+
+
+def objective_for(data: Sequence[Drive | Log], asked: str) -> str:
+    """The objective that is asked for; for ``auto`` the one that suits the data."""
+    if asked != "auto":
+        return asked
+    logs = any(isinstance(one, Log) for one in data)
+    with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
+    blind = [one.name for one in data if not one.truth]
+    if blind and len(blind) < len(data):
+        warnings.warn(
+            f"{blind[0]} has no truth, so all are tuned with {without}; leave it out, or say --objective",
+            SigmaswarmWarning,
+            stacklevel=5,
+        )
+    return without if blind else with_truth

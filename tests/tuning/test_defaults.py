@@ -1,0 +1,192 @@
+"""What `tune` takes where nothing is asked for: by what the logs have, and by nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sigmaswarm.doctor.suited import suited
+from sigmaswarm.drives.drive import Drive, Odometer
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.names import FilterKind
+from sigmaswarm.filters.parameters import FilterParameters, clash
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.paper import papers_config
+from sigmaswarm.tuning.scale import said_of_scale
+from sigmaswarm.tuning.space import OPTIONS
+from sigmaswarm.tuning.tune import tune
+from support import DRIVES, make_drive, needs_shared
+
+WHOLE = make_drive(duration=25.0)
+PLAIN = replace(WHOLE, imu=replace(WHOLE.imu, az=None, gx=None, gy=None))
+N, FIXES = len(PLAIN.imu), len(PLAIN.gps)
+SMALL = {"particles": 4, "generations": 2}
+CAR = ("lateral", "standstill", "robust")
+
+
+def six(drive: Drive, up: float = 9.8, turning: float = 0.01) -> Drive:
+    """With the other three axes: ``up`` on az, and gx and gy that swing by ``turning``."""
+    swing = turning * np.sin(np.arange(len(drive.imu)))
+    return replace(drive, imu=replace(drive.imu, az=np.full(len(drive.imu), up), gx=swing, gy=-swing))
+
+
+def stating(drive: Drive, low: float, high: float) -> Drive:
+    std = np.linspace(low, high, len(drive.gps))
+    return replace(drive, gps=replace(drive.gps, std_x=std, std_y=std))
+
+
+def wheeled(drive: Drive) -> Drive:
+    return replace(drive, odometer=Odometer(drive.imu.time, np.full(len(drive.imu), 5.0)))
+
+
+def chosen(*drives: Drive) -> tuple[str, tuple[str, ...]]:
+    found = suited(drives)
+    return found.model, found.use
+
+
+def test_the_rule_is_what_the_log_has():
+    assert chosen(PLAIN) == ("planar8", CAR)
+    assert chosen(six(PLAIN)) == ("tilted12", CAR)
+    assert chosen(wheeled(PLAIN)) == ("planar8", ("lateral", "standstill", "odometer", "robust"))
+    assert chosen(stating(PLAIN, 1.0, 9.0)) == ("planar8", ("lateral", "standstill", "accuracy", "robust"))
+    assert chosen(stating(PLAIN, 2.0, 2.0)) == ("planar8", CAR)  # which tells no fix from another
+    speed = np.full(FIXES, 5.0)
+    assert chosen(replace(PLAIN, gps=replace(PLAIN.gps, speed=speed, course=0 * speed))) == ("planar8", CAR)
+
+
+@pytest.mark.parametrize(
+    ("up", "turning"), [(0.0, 0.01), (1.0, 0.01), (-9.8, 0.01), (9.8, 0.0)], ids=["none", "g", "down", "dead"]
+)
+def test_six_columns_are_not_always_six_axes(up: float, turning: float):
+    assert chosen(six(PLAIN, up, turning))[0] == "planar8"
+    assert suited([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
+
+
+def test_of_several_drives_what_all_have_counts():
+    rich = stating(wheeled(six(PLAIN)), 1.0, 9.0)
+    assert chosen(rich, rich) == ("tilted12", ("lateral", "standstill", "odometer", "accuracy", "robust"))
+    assert chosen(rich, PLAIN) == chosen(PLAIN, rich) == ("planar8", CAR)
+    assert chosen(rich, six(PLAIN)) == ("tilted12", CAR)
+    one, other = stating(PLAIN, 1.0, 1.0), stating(PLAIN, 3.0, 3.0)
+    assert chosen(one, other) == ("planar8", CAR)  # neither log tells one of its fixes from another
+
+
+def test_it_looks_neither_at_truth_nor_at_errors():
+    noisy = replace(PLAIN, truth=None, gps=replace(PLAIN.gps, x=PLAIN.gps.x + 30.0 * np.arange(FIXES)))
+    assert suited([noisy]) == suited([PLAIN])
+
+
+def test_what_the_user_gives_stays():
+    both = {"model": "planar5", "use": ("gate",)}
+    assert with_filter(both, [six(PLAIN)]) == (both, "")
+    given, said = with_filter({"use": ("gate",)}, [six(PLAIN)])
+    assert (given, said) == ({"use": ("gate",), "model": "tilted12"}, "tilted12: six IMU axes")
+    given, said = with_filter({"model": "planar8"}, [six(PLAIN)])
+    assert given == {"model": "planar8", "use": CAR}
+    assert said == "planar8 with lateral, standstill, robust: six IMU axes"
+    assert with_filter({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
+    given, said = with_filter({"model": "planar5"}, [PLAIN])  # as the paper has it
+    assert (given["use"], said[:34]) == ((), "planar5 with position fixes alone:")
+    assert with_filter(papers_config({}), [six(PLAIN)]) == (papers_config({}), "")
+
+
+@given(
+    kind=st.none() | st.sampled_from(("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")),
+    objective=st.sampled_from(("auto", "innovation-nll + 0.1 nis", "truth-pose")),
+    axes=st.booleans(),
+    states=st.booleans(),
+)
+def test_what_is_chosen_goes_with_what_was_asked(
+    kind: FilterKind | None, objective: str, axes: bool, states: bool
+):
+    drive = stating(PLAIN, 1.0, 9.0) if states else PLAIN
+    asked = {"objective": objective} | ({} if kind is None else {"kind": kind})
+    found, _ = with_filter(asked, [six(drive) if axes else drive])
+    kinds = MODELS[found["model"]].kinds
+    assert kind is None or kind in kinds
+    assert clash(kind or kinds[0], found["use"]) is None
+    assert not ("robust" in found["use"] and "innovation-nll" in objective)
+    assert set(found["use"]) <= set(OPTIONS)
+    assert {"lateral", "standstill"} <= set(found["use"])
+
+
+def test_tune_takes_it_and_its_result_says_what_it_was():
+    tuning = tune(PLAIN, **SMALL)
+    config = tuning.config.model_dump()
+    assert (config["model"], config["use"], config["objective"]) == ("planar8", CAR, "truth-pose + 0.2 nees")
+    again = tune(PLAIN, model="planar8", use=CAR, objective="truth-pose + 0.2 nees", **SMALL)
+    assert again.to_dict() == tuning.to_dict()
+    blind = replace(PLAIN, truth=None)
+    assert objective_for([blind], "auto") == "innovation-t"
+    held_back = replace(stating(six(blind), 1.0, 9.0), name="rich")
+    with pytest.raises(InputError, match="gate"):  # what the user names is looked at, the rest is chosen
+        tune(six(blind), validation=held_back, use=["gate", "robust"], **SMALL)
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("kitti-09-30-0033", "--model tilted12 --use lateral standstill robust"),
+        ("comma2k19", "--model planar8 --use lateral standstill odometer robust"),
+        ("kingston-1", "--model planar8 --use lateral standstill accuracy robust"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::sigmaswarm.SigmaswarmWarning")
+def test_real_logs(name: str, options: str):
+    from sigmaswarm import read_drive
+
+    assert suited([read_drive(DRIVES / name)]).options == options
+
+
+# --- the covariance's scale -----------------------------------------------------------------------------------------
+
+CAREFUL = FilterParameters(
+    0.5, 2.0, 0.0, (1e-6,) * 2 + (1e-4,) * 2 + (1e-8,) + (1e-8,) * 2 + (1e-11,), (1.0, 1.0), "planar8",
+    kind="ekf", lateral_noise=0.1, standstill_noise=1e-3, accuracy_scale=0.5,
+)  # fmt: skip
+
+
+def test_scaled_multiplies_every_variance():
+    four = CAREFUL.scaled(4.0)
+    assert four.process_noise == tuple(4 * q for q in CAREFUL.process_noise)
+    assert (four.measurement_noise, four.lateral_noise) == ((4.0, 4.0), 0.4)
+    assert (four.standstill_noise, four.accuracy_scale) == (4e-3, 2.0)
+    assert four.bias_std == tuple(2 * std for std in CAREFUL.bias_std)
+    assert (four.velocity_noise, four.odometer_noise, four.alpha) == (None, None, CAREFUL.alpha)
+    assert four.scaled(0.25) == CAREFUL
+    for factor in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(InputError, match="must be positive"):
+            CAREFUL.scaled(factor)
+
+
+def test_the_factor_that_is_offered_makes_nis_right_and_leaves_the_position():
+    drive = stating(PLAIN, 1.0, 1.0)
+    replayer = Replayer([drive], outages=False)
+    before = replayer.scores([CAREFUL.scaled(2.0)])
+    (said,) = said_of_scale("truth-pose", CAREFUL.scaled(2.0), replayer)
+    assert said.startswith("truth-pose leaves the scale of the covariances free: mean NIS is")
+    factor = float(said.split("all noises times ")[1].split()[0])
+    after = replayer.scores([CAREFUL.scaled(2.0).scaled(factor)])
+    assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
+    assert abs(before.mean_nis[0, 0] - 2.0) > 0.4  # or the test says nothing
+    assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)
+    assert said.endswith("or tune with 'truth-pose + 0.2 nees'")
+
+
+def test_it_is_never_offered_for_planar5_nor_where_the_objective_looks_at_it():
+    replayer = Replayer([PLAIN], outages=False)
+    five = FilterParameters(1.0, 2.0, 0.0, (1e-5, 1e-5, 1e-3, 1e-3, 1e-8), (1.2, 1.2))
+    before = replayer.scores([five])
+    after = replayer.scores([five.scaled(before.mean_nis[0, 0] / 2)])
+    assert after.position_rmse[0, 0] == pytest.approx(before.position_rmse[0, 0], rel=0.02)  # it might be
+    assert after.mean_nis[0, 0] == pytest.approx(2.0, rel=0.2)
+    (said,) = said_of_scale("truth-rmse", five, replayer)
+    assert "leaves the scale" in said
+    assert "all noises times" not in said
+    for objective in ("truth-pose + 0.2 nees", "innovation-t", "gps-rmse"):
+        assert said_of_scale(objective, five, replayer) == []
