@@ -33,10 +33,12 @@ ENOUGH = 3
 
 def judged(gps: Gps) -> Array:
     """What each fix is, shape (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
-    fixes, kinds = np.column_stack([gps.time, gps.x, gps.y]), np.zeros(len(gps.time))
+    # As a live filter has them, so that what judges a fix is compiled once.
+    fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
+    kinds = fixes[:, 3]
     if len(kinds):
         _judge_all(fixes, kinds)
-    return kinds
+    return kinds.copy()
 
 
 def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:

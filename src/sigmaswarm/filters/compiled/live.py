@@ -219,7 +219,7 @@ def _keep(v, counts, fixes, history, z):
         while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - FIX_WINDOW:
             old += 1
         for f in range(old, counts[N_FIXES]):
-            fixes[f - old] = fixes[f]
+            _copy(fixes[f], fixes[f - old], N_FIX)
         counts[N_FIXES] -= old
         if old == 0:
             last = fixes[counts[N_FIXES] - 1, FIX_TIME]
@@ -236,8 +236,8 @@ def _keep(v, counts, fixes, history, z):
         if _same(fixes[same], z, KIND):
             return IGNORED
     for f in range(counts[N_FIXES], at, -1):
-        fixes[f] = fixes[f - 1]
-    fixes[at] = z
+        _copy(fixes[f - 1], fixes[f], N_FIX)
+    _copy(z, fixes[at], N_FIX)
     counts[N_FIXES] += 1
     if v[AS_RECORDED] == 0.0:
         for f in range(at, counts[N_FIXES]):  # those after it may repeat it
@@ -256,7 +256,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
         while old < counts[N_SPEEDS] and speeds[old, 0] <= oldest - STALE:
             old += 1
         for r in range(old, counts[N_SPEEDS]):
-            speeds[r - old] = speeds[r]
+            _copy(speeds[r], speeds[r - old], 2)
         counts[N_SPEEDS] -= old
         if old == 0:
             return LEFT_OUT
@@ -266,7 +266,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
     if at > 0 and speeds[at - 1, 0] == t:
         return IGNORED
     for r in range(counts[N_SPEEDS], at, -1):
-        speeds[r] = speeds[r - 1]
+        _copy(speeds[r - 1], speeds[r], 2)
     speeds[at, 0], speeds[at, 1] = t, speed
     counts[N_SPEEDS] += 1
     return TAKEN
@@ -301,7 +301,8 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, sample):
     if gap > 0.0:
         for axis in range(len(AXES)):
             record[S_AXES][axis] = 0.5 * (last[1 + axis] + sample[1 + axis])
-    record[S_CALM], record[S_MEANS] = 1.0 if calm else 0.0, means
+    record[S_CALM] = 1.0 if calm else 0.0
+    _copy(means, record[S_MEANS], len(means))
     _copy(sample, last, N_SAMPLE)
     _take(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means)
 
@@ -350,22 +351,12 @@ def _place(step, v, counts, fixes, speeds, history, z):
     if t <= v[START]:  # absorbed already, but it may show a standstill
         _keep(v, counts, fixes, history, z)
         return IGNORED
-    if t > v[TIME]:
-        return _keep(v, counts, fixes, history, z)
-    back = _first_after(counts, history, t)
-    if back < 0:
-        return LEFT_OUT
-    kept = _keep(v, counts, fixes, history, z)
-    if kept == TAKEN:
-        _again_from(step, v, counts, fixes, speeds, history, back)
-    return kept
-
-
-@_plain
-def _place_and_count(step, v, counts, fixes, speeds, history, z):
-    kept = _place(step, v, counts, fixes, speeds, history, z)
+    back = _first_after(counts, history, t) if t <= v[TIME] else 0
+    kept = LEFT_OUT if back < 0 else _keep(v, counts, fixes, history, z)
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
+    elif kept == TAKEN and t <= v[TIME]:
+        _again_from(step, v, counts, fixes, speeds, history, back)
     return kept
 
 
@@ -393,7 +384,7 @@ def _take_sample(sources):
         _go_on(step, v, counts, memory, fixes, speeds, history, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
-            _place_and_count(step, v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
+            _place(step, v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
 
     return sample
 
@@ -411,7 +402,7 @@ def _take_fix(sources):
             if _same(ahead, z, N_FIX):  # the same message again
                 return IGNORED
             if agrees:
-                _place_and_count(step, v, counts, fixes, speeds, history, ahead.copy())
+                _place(step, v, counts, fixes, speeds, history, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
@@ -420,7 +411,7 @@ def _take_fix(sources):
             _copy(z, ahead, N_FIX)
             if not agrees:
                 return IGNORED
-        return _place_and_count(step, v, counts, fixes, speeds, history, z)
+        return _place(step, v, counts, fixes, speeds, history, z)
 
     return fix
 
