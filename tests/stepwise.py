@@ -127,7 +127,9 @@ class CompiledCars:
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t, z = self.line, np.zeros(6) if fix is None else fix
         for row in self.rows[part]:
-            _take(single_step(self.model), row, t.steps[i], happens, z, self.wheels[i], t.lever, since)
+            _take(
+                single_step(self.model).address, row, t.steps[i], happens, z, self.wheels[i], t.lever, since
+            )
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:

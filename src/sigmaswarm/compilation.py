@@ -12,11 +12,12 @@ import hashlib
 import os
 import pickle
 import stat
+import threading
 import warnings
 from collections.abc import Callable
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from numba import config, njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache
@@ -25,6 +26,21 @@ from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
 from sigmaswarm.errors import SigmaswarmWarning
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def once(make: Callable[P, T]) -> Callable[P, T]:
+    """As `functools.cache`, but while one thread makes something, those that want the same wait for it."""
+    lock, made = threading.RLock(), cache(make)
+
+    @wraps(make)
+    def made_once(*arguments: P.args, **named: P.kwargs) -> T:
+        with lock:
+            return made(*arguments, **named)  # pyright: ignore[reportArgumentType] (all are hashable)
+
+    return made_once
 
 
 def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -37,10 +53,10 @@ def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return dispatcher
 
 
-def callback(function: Callable[..., Any], signature: Any, **options: Any) -> Any:
-    """The address of a function that other compiled code calls, kept between processes as `cached`.
+def address_of(function: Callable[..., Any], signature: Any, **options: Any) -> Any:
+    """Where the machine code of a function stands, for other compiled code; kept between processes as `cached`.
 
-    Without compiling (NUMBA_DISABLE_JIT), the function itself.
+    It holds in this process only. Without compiling (NUMBA_DISABLE_JIT), the function itself.
     """
     if config.DISABLE_JIT:
         return function

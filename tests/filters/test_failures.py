@@ -170,10 +170,11 @@ def test_definite_is_what_the_eigenvalues_of_the_correlation_say(seed, smallest)
     turn = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     p = (turn * np.array([smallest, *rng.uniform(0.5, 2.0, 4)])) @ turn.T
     p = (p + p.T) / 2
-    some = np.array([p, np.eye(5), np.diag([1.0, 1.0, 1.0, 1.0, np.nan])])
-    assume(np.all(np.diag(p) > 0))
-    scale = np.sqrt(np.diag(p))
-    least = np.linalg.eigvalsh(p / np.outer(scale, scale))[0] + 1e-9
+    some = np.array([p, np.eye(5), np.diag([1.0, 1.0, 1.0, 1.0, np.nan]), -np.eye(5)])
+    least = -1.0
+    if np.all(np.diag(p) > 0):
+        scale = np.sqrt(np.diag(p))
+        least = np.linalg.eigvalsh(p / np.outer(scale, scale))[0] + 1e-9
     assume(abs(least) > 1e-12)
     many = packing.definite(np.array([some, some[::-1]]))
-    assert many.tolist() == [[least > 0, True, False], [False, True, least > 0]]
+    assert many.tolist() == [[least > 0, True, False, False], [False, False, True, least > 0]]

@@ -2,8 +2,10 @@
 
 import math
 import tracemalloc
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from multiprocessing import get_context
 
 import numba
 import numpy as np
@@ -197,6 +199,42 @@ def test_numbers_of_other_types_do_not_make_it_wait_for_a_compiler():
     assert mixed.state.mean.tobytes() == plain.state.mean.tobytes()
     calls = live_calls()
     assert len(calls.sample.signatures) == len(calls.fix.signatures) == 1
+
+
+def test_a_pickled_filter_goes_on_in_another_process():
+    filter = LiveFilter(parameters("planar5"), start(), nominal_interval=0.01, lag=0.5)
+    filter.predict(start().time + 1.0, (0.0, 1.0, 0.5))
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        there = pool.submit(_one_more, filter).result()
+    assert there == _one_more(filter)
+
+
+def _one_more(filter: LiveFilter) -> bytes:
+    filter.predict(start().time + 1.01, (0.0, 1.0, 0.5))
+    return filter.state.mean.tobytes() + filter.smoothed.mean.tobytes()
+
+
+def test_asking_for_hindsight_changes_nothing_that_a_late_fix_goes_back_to():
+    drive, p = equipped(), parameters("planar8")
+    asked, silent = (LiveFilter(p, start(), nominal_interval=0.01, lag=1.0, history=2.0) for _ in range(2))
+    begin = start().time
+    imu, gps = drive.imu, drive.gps
+    times = [float(t) for t in imu.time if begin < t < begin + 3.0]
+    samples = {
+        float(t): tuple(row)
+        for t, row in zip(imu.time, np.column_stack([imu.ax, imu.ay, imu.gz]), strict=True)
+    }
+    early = [k for k, t in enumerate(gps.time) if t <= begin]
+    for filter in (asked, silent):
+        for t in times:
+            filter.predict(t, samples[t])
+        for k in early:  # what is from before the start comes late: it may only show a standstill
+            filter.update(float(gps.time[k]), (gps.x[k], gps.y[k]))
+    assert asked.smoothed is not None
+    late = next(k for k, t in enumerate(gps.time) if t > times[-1] - 1.0)
+    for filter in (asked, silent):
+        filter.update(float(gps.time[late]), (gps.x[late], gps.y[late]))
+    assert asked.state.mean.tobytes() == silent.state.mean.tobytes()
 
 
 def test_fixes_older_than_the_history_are_left_out_and_counted():

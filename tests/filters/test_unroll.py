@@ -1,7 +1,9 @@
 """Loops over states that are written out do what the loops did."""
 
 import numpy as np
+import pytest
 
+from sigmaswarm.filters.compiled import lanes
 from sigmaswarm.filters.compiled.layout import MEAN, P0, at
 from sigmaswarm.filters.compiled.unroll import unrolled
 
@@ -35,3 +37,39 @@ def test_rows_of_the_upper_triangle_are_told_apart():
     rows = {at(i, j) for j in range(n) for i in range(j + 1)}
     assert rows == set(range(P0, P0 + n * (n + 1) // 2))
     assert at(3, 5) == at(5, 3)
+
+
+LIMIT = 7.0
+
+
+def _inner(w, a):
+    gain = a * LIMIT
+    a = gain + 1.0
+    w[0, 0] += a
+
+
+def _ends_early(w, a):
+    if a == 0.0:
+        return
+    w[0, 0] = a
+
+
+def _outer(w, a, *, inner):
+    LIMIT, gain, gain_1 = 2.0, 3.0, 5.0
+    inner(w, a)
+    inner(w, a + 1.0)
+    w[0, 1] = LIMIT + gain + gain_1 + a
+
+
+def test_a_kernel_that_is_written_into_another_touches_none_of_its_names():
+    w, expected = np.zeros((1, 2)), np.zeros((1, 2))
+    straight = unrolled(_outer, inner=lanes.kernel(_inner))
+    assert "inner" not in straight.__code__.co_names
+    straight(w, 1.0)
+    _outer(expected, 1.0, inner=_inner)
+    np.testing.assert_array_equal(w, expected)
+
+
+def test_a_kernel_that_ends_early_is_refused():
+    with pytest.raises(TypeError, match="does not end early"):
+        unrolled(_outer, inner=lanes.kernel(_ends_early))

@@ -93,9 +93,46 @@ def _of_an_unknown_row(w, row):
         w[row, l] = 1.0
 
 
+def _handed_on(w, shift):
+    for l in range(LANES):
+        w[0, l] = shift
+        shift = w[1, l]
+
+
+def _counted_down(w, n):
+    for l in range(LANES):
+        n -= w[0, l] > 0.0
+
+
+def _of_a_row_before_the_first(w, shift):
+    for l in range(LANES):
+        w[-1, l] = shift
+
+
+def _to_a_power(w, shift):
+    for l in range(LANES):
+        w[0, l] = w[1, l] ** shift
+
+
 @compiled
-@pytest.mark.parametrize("function", [_with_a_branch, _of_an_unknown_row])
+@pytest.mark.parametrize(
+    "function",
+    [_with_a_branch, _of_an_unknown_row, _handed_on, _counted_down, _of_a_row_before_the_first, _to_a_power],
+)
 def test_what_a_loop_over_lanes_cannot_hold_is_refused(function):
-    run = unrolled(_run, kernel=lanes.kernel(function), n_lanes=LANES)
-    with pytest.raises(TypeError, match=r"no (part of a loop over|row of the) lane"):
-        numba.njit(run)(np.zeros((12, LANES)), 1.0)
+    with pytest.raises(TypeError, match=r"no (part of a loop over lanes|row of the lane)"):
+        numba.njit(unrolled(_run, kernel=lanes.kernel(function), n_lanes=LANES))(np.zeros((12, LANES)), 1.0)
+
+
+def _picked(w, *, rows):
+    for l in range(LANES):
+        w[0, l] = w[rows[0], l]
+
+
+@compiled
+def test_loops_that_differ_in_their_rows_bear_names_of_their_own():
+    names = [
+        {n for n in lanes.kernel(_picked, rows=rows).written.names if n.startswith("_picked_")}
+        for rows in ((1,), (2,))
+    ]
+    assert names[0] != names[1]

@@ -36,13 +36,13 @@ class FixedLag:
         self._model, self._lag = model, lag
         self._state, self._width = state_rows(model), len(taped_rows(model))
         self._belief = np.zeros(TAPE + most_steps * self._width)
-        self._again, self._step = again_call(), single_step(model, tape=N_TAPED)
+        self._step = single_step(model, N_TAPED)
         nothing = np.zeros((0, len(self._state)))
         self._no_starts = np.zeros(0, dtype=np.int64), nothing
         self._out = nothing
         # Compiled now: no sample waits for it.
         nobody = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD))
-        self._again(self._step, self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0)
+        again_call()(self._step.address, self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0)
         self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
 
     def smoothed(self, memory: LiveMemory) -> tuple[float, Array]:
@@ -61,7 +61,7 @@ class FixedLag:
         v[: len(belief)] = belief  # the settings
         v[: live.N_BELIEF] = before
         v[N_TAPED] = 0.0
-        self._again(self._step, v, counts, fixes, speeds, history, first)
+        again_call()(self._step.address, v, counts, fixes, speeds, history, first)
         tape = v[TAPE : TAPE + int(v[N_TAPED]) * self._width].reshape(-1, self._width)
         return float(moments[first]), self._back(tape, before[self._state], v[:N_KEPT][self._state])
 

@@ -179,7 +179,7 @@ class LiveFilter:
             )
         ax, ay, gz, az, gx, gy = self._in_order((*imu, 0.0))
         before = float(self._belief[live.LAST_SAMPLE])
-        self._calls.sample(self._step, *self._memory, t, ax, ay, gz, az, gx, gy)
+        self._calls.sample(self._step.address, *self._memory, t, ax, ay, gz, az, gx, gy)
         if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
             held = self._belief[live.SAMPLE_AHEAD]
             if t - before > live.LEAP and before < held[0] < t:  # it had waited for this one
@@ -214,10 +214,12 @@ class LiveFilter:
         """
         var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
         if velocity is None or not self._takes_velocity:
-            kept = self._calls.fix(self._step, *self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
+            kept = self._calls.fix(
+                self._step.address, *self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y
+            )
         else:
             seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            kept = self._calls.fix(self._step, *self._memory, t, *seen, var_x, var_y)
+            kept = self._calls.fix(self._step.address, *self._memory, t, *seen, var_x, var_y)
         begun = t > self._belief[live.START]
         if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
             self._came_late = begun and t <= self._belief[live.TIME]
@@ -236,7 +238,7 @@ class LiveFilter:
             False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
             already.
         """
-        return self._calls.speed(self._step, *self._memory, t, speed) == live.TAKEN
+        return self._calls.speed(self._step.address, *self._memory, t, speed) == live.TAKEN
 
     def _is_frozen(self, t: float, fix: Sequence[float]) -> bool:
         """Whether a fix that was just taken is one that filters don't take for a position."""

@@ -240,7 +240,7 @@ def _find_definite(covariances: Array, found: NDArray[np.bool_]) -> None:
     for m in range(len(covariances)):
         p, sound = covariances[m], True
         for i in range(n):
-            scale[i] = math.sqrt(p[i, i])
+            scale[i] = math.sqrt(p[i, i]) if p[i, i] > 0.0 else math.nan
             for j in range(n):
                 sound &= math.isfinite(p[i, j])
         for i in range(n):

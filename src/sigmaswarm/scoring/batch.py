@@ -122,7 +122,7 @@ class Replayer:
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
         parts = [(name, part) for name, replays in self._passes.items() for part in _parts(replays)]
-        workers = (os.cpu_count() or 1) if executor else 1
+        workers = (getattr(executor, "_max_workers", None) or os.cpu_count() or 1) if executor else 1
         # Few lanes take a little more time a set, and less than workers that have nothing to do.
         enough = len(parts) * len(parameter_sets) >= 2 * workers * LANES
         size = LANES if enough or workers == 1 else WIDEST

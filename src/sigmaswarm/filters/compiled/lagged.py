@@ -2,8 +2,7 @@
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-from functools import cache
-
+from sigmaswarm.compilation import once
 from sigmaswarm.filters.compiled.live import N_ALL, take_again
 from sigmaswarm.filters.compiled.run import cached_by_sources
 
@@ -16,15 +15,15 @@ def _again(sources):
     def again(step, v, counts, fixes, speeds, history, first):
         if sources == "":  # never; so the name is closed over
             return
-        take_again(step, v, counts, fixes, speeds, history, first)
+        take_again(step, v, counts, fixes, speeds, history, first, False)
 
     return again
 
 
-@cache
+@once
 def again_call():
     """``(step, v, counts, fixes, speeds, history, first)``: a live filter's samples again.
 
-    ``step`` is `single_step` with its tape at N_TAPED; ``v`` the belief before the sample of number ``first``.
+    ``step`` is the address of `single_step` with its tape at N_TAPED; ``v`` is the belief before sample number ``first``.
     """
     return cached_by_sources(_again, "live again")

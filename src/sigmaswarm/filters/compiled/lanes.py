@@ -24,8 +24,8 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 def kernel(function, **known):
     """A function to be written into others, with its keyword-only parameters bound: see `unrolled` and `put_loops`.
 
-    It takes the array of rows ``w``, and gives nothing. Its loops over lanes become functions of their own; what
-    remains is a few decisions.
+    It takes the array of rows ``w``, gives nothing, and does not end early. Its loops over lanes become functions of
+    their own; what remains is a few decisions.
     """
     made = unrolled(function, None if config.DISABLE_JIT else put_loops, **known)
     made.is_kernel = True
@@ -38,7 +38,7 @@ def _reduced(x):
     Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms
     paired so that fewer have to wait for each other. Error about 3e-16 for |x| below 1e5.
     """
-    n = np.floor(x * (2 / math.pi) + 0.5)  # math.floor would go through integers
+    n = np.floor(x * (2 / math.pi) + 0.5)
     r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
     z = r * r
     zz = z * z

@@ -17,18 +17,19 @@ A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where
 
 import math
 from dataclasses import dataclass
-from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numba import float64, int64, njit
 from numba.core.dispatcher import Dispatcher
 
+from sigmaswarm.compilation import once
 from sigmaswarm.drives.frozen import FROZEN, kind_of
 from sigmaswarm.drives.gaps import gap_of, usual_after
 from sigmaswarm.drives.odometer import INTERVAL, SLOW, STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
+from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import N_KEPT, R
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
@@ -79,8 +80,8 @@ TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
 
 
-# Bookkeeping has no lanes to vectorize, and must divide as Python does: slots of time are compared with those of a run.
-_plain = partial(njit, error_model="numpy", nogil=True)
+_plain = njit(**OPTIONS)
+"""Bookkeeping has no lanes; its slots of time are compared with those of a run, so nothing in it is rearranged."""
 
 
 @_plain
@@ -319,11 +320,15 @@ def _first_after(counts, history, t):
 
 
 @_plain
-def take_again(step, v, counts, fixes, speeds, history, first):
-    """Take the kept samples again, from number ``first`` on; ``v`` is the belief before it."""
+def take_again(step, v, counts, fixes, speeds, history, first, corrects):
+    """Take the kept samples again, from number ``first`` on; ``v`` is the belief before it.
+
+    ``corrects``: what was believed before each of them is what is believed now.
+    """
     for number in range(first, counts[N_HISTORY]):
         record = _record(counts, history, number)
-        _copy(v, record, N_BELIEF)
+        if corrects:
+            _copy(v, record, N_BELIEF)
         _take(
             step,
             v,
@@ -341,7 +346,7 @@ def take_again(step, v, counts, fixes, speeds, history, first):
 def _again_from(step, v, counts, fixes, speeds, history, back):
     """Back to before a kept sample, and forward again."""
     _copy(_record(counts, history, back), v, N_BELIEF)
-    take_again(step, v, counts, fixes, speeds, history, back)
+    take_again(step, v, counts, fixes, speeds, history, back, True)
 
 
 @_plain
@@ -444,7 +449,7 @@ _MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 4)
 
 @dataclass(frozen=True)
 class LiveCalls:
-    """What is done with the memory of a live filter; ``step`` is what `single_step` gives for its model.
+    """What is done with the memory of a live filter; ``step`` is the address of its model's `single_step`.
 
     Attributes
     ----------
@@ -457,8 +462,11 @@ class LiveCalls:
     fix: Any
     speed: Any
 
+    def __reduce__(self):
+        return live_calls, ()
 
-@cache
+
+@once
 def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
     calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed)]

@@ -5,14 +5,13 @@
 import hashlib
 import math
 import re
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sigmaswarm.compilation import cached
+from sigmaswarm.compilation import cached, once
 from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import models, schedule, student, tilted
@@ -142,7 +141,7 @@ def _run(
 def _load(w, rows):
     for r in range(N_KEPT):
         for lane in range(w.shape[1]):
-            w[r, lane] = rows[r, lane % rows.shape[1]]
+            w[r, lane] = rows[r, lane % rows.shape[1]]  # uncompiled, w has always LANES
     for r in range(N_KEPT, N_ROWS):
         for lane in range(w.shape[1]):
             w[r, lane] = 0.0
@@ -182,9 +181,9 @@ def named_by_sources(make, name):
     return function
 
 
-def cached_by_sources(make, name, **options):
+def cached_by_sources(make, name):
     """Compiled for use by Python: see `named_by_sources`."""
-    return cached(named_by_sources(make, name), **(OPTIONS | options))
+    return cached(named_by_sources(make, name), **OPTIONS)
 
 
 def _machine_code(sources, *, steps_to):
@@ -211,13 +210,13 @@ def _kernel_of(model, step, rows, name):
     return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), name)
 
 
-@cache
+@once
 def run_kernel(model):
     """What `run_lanes` calls; written out and compiled for a model when it is first asked for."""
     return _kernel_of(model, step_of(model), state_rows(model), model)
 
 
-@cache
+@once
 def taped_kernel(model):
     """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
     return _kernel_of(model, step_of(model, noted=True), taped_rows(model), f"{model}, taped")

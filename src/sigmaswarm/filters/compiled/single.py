@@ -7,14 +7,15 @@ memory, and whoever takes a filter through steps is told where it stands.
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
-from functools import cache
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import config, float64, int64, types
 from numba.extending import intrinsic
 
-from sigmaswarm.compilation import callback
+from sigmaswarm.compilation import address_of, once
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
@@ -51,9 +52,26 @@ def _one_step(sources, *, step, kept, tape, taped):
     return one_step
 
 
-@cache
-def single_step(model, *, tape=-1):
-    """What `take_step` takes: where the machine code of a model's step stands; a function where nothing is compiled.
+@dataclass(frozen=True, eq=False)
+class SingleStep:
+    """A model's step in this process, in others of which it stands elsewhere: a copy of it is looked up anew.
+
+    Attributes
+    ----------
+    address : what `take_step` takes; a function where nothing is compiled
+    """
+
+    model: str
+    tape: int
+    address: Any
+
+    def __reduce__(self):
+        return single_step, (self.model, self.tape)
+
+
+@once
+def single_step(model, tape=-1):
+    """The step of a model, compiled now.
 
     ``tape``: the place in the filter's numbers at which the steps on tape are counted; each leaves its `taped_rows`
     behind it. Negative: there is no tape.
@@ -63,18 +81,21 @@ def single_step(model, *, tape=-1):
     make = unrolled(
         _one_step, step=step_of(model, noted=noted), kept=kept, tape=tape, taped=taped_rows(model)
     )
-    function = named_by_sources(make, f"{model}, taped" if noted else model)
-    return callback(function, _SIGNATURE, error_model="numpy")
+    function = named_by_sources(make, f"{model}, tape {tape}" if noted else model)
+    return SingleStep(model, tape, address_of(function, _SIGNATURE, error_model="numpy"))
 
 
 @intrinsic
 def _call(typing_context, step, v, u, happens, z, wheels, lever, since):
     def generate(context, builder, signature, arguments):
+        for kind in (v, u, z, wheels, lever):
+            if not (isinstance(kind, types.Array) and kind.dtype == types.float64 and kind.layout == "C"):
+                raise TypeError(f"a step takes doubles that lie side by side, not {kind}")
         values = [
             context.make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
             for kind, value in zip(signature.args, arguments, strict=True)
         ]
-        function = ir.FunctionType(ir.VoidType(), [value.type for value in values[1:]])
+        function = ir.FunctionType(ir.IntType(8).as_pointer(), [value.type for value in values[1:]])
         builder.call(builder.inttoptr(values[0], function.as_pointer()), values[1:])
         return context.get_dummy_value()
 
@@ -88,7 +109,7 @@ def _called(step, v, u, happens, z, wheels, lever, since):
 take_step = _called if config.DISABLE_JIT else _call
 """``(step, v, u, happens, z, wheels, lever, since)``, for compiled code: one step of one filter.
 
-step : what `single_step` gives
+step : the address of what `single_step` gives
 v : (N_KEPT or more,) the filter before and after
 u : (9,) a row of `Timeline.steps`
 happens : its bits of `schedule`

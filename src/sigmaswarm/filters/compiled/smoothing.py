@@ -13,11 +13,12 @@ the solution of P- X = A P. A model with attitude takes differences and sums in 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 
 import math
-from functools import cache
 
 import numpy as np
 from numba import njit
 
+from sigmaswarm.compilation import once
+from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import QUATERNION, state_rows
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.unroll import unrolled
@@ -26,8 +27,8 @@ from sigmaswarm.filters.tilted import GRAVITY
 
 
 def _plain(function, **known):
-    """Compiled as Python divides; nothing here has lanes."""
-    return njit(unrolled(function, **known), error_model="numpy", nogil=True)
+    """Nothing here has lanes."""
+    return njit(unrolled(function, **known), **OPTIONS)
 
 
 @_plain
@@ -203,7 +204,7 @@ def _backwards(sources, *, n, step_back):
     return backwards
 
 
-@cache
+@once
 def _kernel_of(model):
     n, n_state, tilted = (
         len(MODELS[model].states),
@@ -222,7 +223,7 @@ def _kernel_of(model):
         solve=_plain(_solve, n=n),
     )
     make = unrolled(_backwards, n=n, step_back=step_back)
-    return cached_by_sources(make, f"{model}, backwards", fastmath=False)
+    return cached_by_sources(make, f"{model}, backwards")
 
 
 def smooth_back(model, tape, start, ends, started, sampled, behind, out):

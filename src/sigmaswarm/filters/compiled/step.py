@@ -86,7 +86,7 @@ _PREDICTIONS = {
 
 @cache
 def step_of(name, *, noted=False):
-    """A step of LANES filters of a model, to be called by other compiled functions.
+    """A step of LANES filters of a model, to be written into what is compiled.
 
     ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
     """

@@ -1,8 +1,8 @@
-"""Loops over states, written as loops and compiled as straight lines.
+"""Loops over states, written as loops and compiled as straight lines; kernels, written into each other.
 
-A compiler vectorizes innermost loops only, and ours is the one over lanes: in `for l: for i in range(n): ...` the loop
-over states would hide it. So `unrolled` writes the loops over states out, with n a number, before Numba sees them; and
-it puts numbers in place of rows' names, which Numba would have to look up one by one.
+What becomes vector instructions is the loop over lanes, and its body has to be straight: see `vectors`. So `unrolled`
+writes the loops over states out, with n a number, and puts numbers in place of rows' names. And it puts a kernel's
+statements in place of its call, which Numba does slowly. What a function names has to stand above it in its file.
 """
 
 import ast
@@ -36,8 +36,7 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     written = getattr(function, "written", None)
     if not known and written is not None:
         return written
-    # Without anything to bind, the module's own globals: they may name what comes later in the file.
-    names = function.__globals__ | known if known else function.__globals__
+    names = function.__globals__ | known
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
     definition = tree.body[0]
@@ -149,13 +148,15 @@ class _Writer(ast.NodeTransformer):
         return self._spliced(kernel.written, call.args) if hasattr(kernel, "is_kernel") else node
 
     def _spliced(self, written: Written, arguments: list[ast.expr]) -> list[ast.stmt]:
-        """A kernel's statements in place of its call; names of its own get a number."""
+        """A kernel's statements in place of its call; its names become such as nobody else has."""
         self.calls += 1
         definition = _copied(written.definition)
         parameters = [each.arg for each in definition.args.args]
         names = [n for n in ast.walk(definition) if isinstance(n, ast.Name)]
         stored = {n.id for n in names if isinstance(n.ctx, ast.Store)}
-        renamed = {name: f"{name}_{self.calls}" for name in stored.union(parameters)}
+        if any(isinstance(node, ast.Return) for node in ast.walk(definition)):
+            raise TypeError(f"{definition.name} is a kernel: it gives nothing, and does not end early")
+        renamed = {name: f"_{self.calls}_{name}" for name in stored.union(parameters)}
         body: list[ast.stmt] = []
         for parameter, argument in zip(parameters, arguments, strict=True):
             if isinstance(argument, ast.Name) and parameter not in stored:
@@ -164,11 +165,8 @@ class _Writer(ast.NodeTransformer):
                 body.append(ast.Assign([ast.Name(renamed[parameter], ast.Store())], argument))
         for node in names:
             if node.id not in renamed and node.id in written.names:
-                value = written.names[node.id]
-                renamed[node.id] = node.id
-                if self.names.setdefault(node.id, value) is not value:
-                    renamed[node.id] = f"{node.id}_{self.calls}"
-                    self.names[renamed[node.id]] = value
+                renamed[node.id] = f"_{self.calls}_{node.id}"
+                self.names[renamed[node.id]] = written.names[node.id]
             node.id = renamed.get(node.id, node.id)
         documented = ast.get_docstring(definition) is not None
         return [ast.fix_missing_locations(each) for each in (*body, *definition.body[documented:])]

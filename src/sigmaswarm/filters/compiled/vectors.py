@@ -26,13 +26,13 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from sigmaswarm.filters.compiled.layout import LANES, WIDEST
+from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
 # NaN and inf must keep their meaning, so the flags are named in place of fast-math as a whole.
 FLAGS = ("contract", "reassoc", "nsz", "arcp")
 
-_DOUBLE, _COUNT = ir.DoubleType(), ir.IntType(64)
+_DOUBLE, _WHOLE = ir.DoubleType(), ir.IntType(64)
 _ARITHMETIC = {
     ast.Add: (operator.add, "fadd"),
     ast.Sub: (operator.sub, "fsub"),
@@ -80,7 +80,11 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
     made, shared, counted = {"w", "l"}, dict[str, None](), list[str]()
     for statement in body:
         match statement:
-            case ast.AugAssign(target=ast.Name(id=name)) if name not in made and name not in counted:
+            case ast.AugAssign(target=ast.Name(id=name), op=op) if name not in made and name not in counted:
+                if not isinstance(op, ast.Add):
+                    raise TypeError(
+                        f"no part of a loop over lanes, which counts by +=: {ast.unparse(statement)}"
+                    )
                 counted.append(name)
         for node in ast.walk(statement):
             if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in outside - made:
@@ -88,6 +92,9 @@ def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[st
         made |= {
             n.id for n in ast.walk(statement) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
         }
+    handed_on = made & set(shared) - set(counted)
+    if handed_on:
+        raise TypeError(f"no part of a loop over lanes: {min(handed_on)} goes from lane to lane")
     return [name for name in shared if name not in counted], counted
 
 
@@ -96,11 +103,12 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
     parts = [ast.dump(statement) for statement in body]
     for name in sorted({n.id for s in body for n in ast.walk(s) if isinstance(n, ast.Name)}):
         value = names.get(name)
-        if isinstance(value, int | float):
+        if isinstance(value, int | float | tuple):
             parts.append(f"{name} {value!r}")
         elif callable(value) and value not in _FUNCTIONS:
             inner = written_out(value)
-            parts.append(f"{name} {_hash(inner.definition.body, inner.names)}")
+            parameters = ast.dump(inner.definition.args)
+            parts.append(f"{name} {parameters} {_hash(inner.definition.body, inner.names)}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
@@ -138,8 +146,8 @@ def _put_loop(
 ) -> ir.Function:  # fmt: skip
     """A function that goes over the lanes, ``width`` of them at a time."""
     vector = ir.VectorType(_DOUBLE, width)
-    result = ir.ArrayType(_COUNT, len(counted)) if counted else ir.VoidType()
-    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _COUNT, *(_DOUBLE for _ in shared)])
+    result = ir.ArrayType(_WHOLE, len(counted)) if counted else ir.VoidType()
+    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _WHOLE, *(_DOUBLE for _ in shared)])
     function = ir.Function(module, kind, called)
     function.linkage = "linkonce_odr"
     function.args[0].add_attribute("noalias")
@@ -154,14 +162,14 @@ def _put_loop(
     values = {name: emitter.spread(value) for name, value in zip(shared, function.args[2:], strict=True)}
     builder.branch(loop)
     builder.position_at_end(loop)
-    lane = builder.phi(_COUNT)
-    lane.add_incoming(_COUNT(0), entry)
-    none = ir.Constant(ir.VectorType(_COUNT, width), [0] * width)
+    lane = builder.phi(_WHOLE)
+    lane.add_incoming(_WHOLE(0), entry)
+    none = ir.Constant(ir.VectorType(_WHOLE, width), [0] * width)
     counts = {name: builder.phi(none.type) for name in counted}
     emitter.begin(builder.gep(function.args[0], [lane]))
     frame = _Frame(names, values | counts)
     emitter.block(body, frame)
-    after = builder.add(lane, _COUNT(width))
+    after = builder.add(lane, _WHOLE(width))
     lane.add_incoming(after, loop)
     for name, count in counts.items():
         count.add_incoming(none, entry)
@@ -173,7 +181,7 @@ def _put_loop(
         return function
     sums = ir.Constant(result, ir.Undefined)
     for number, name in enumerate(counted):
-        total = _COUNT(0)
+        total = _WHOLE(0)
         for k in range(width):
             total = builder.add(total, builder.extract_element(frame.values[name], ir.IntType(32)(k)))
         sums = builder.insert_value(sums, total, number)
@@ -244,12 +252,12 @@ class _Emitter:
         match node:
             case ast.Subscript(value=ast.Name(id="w"), slice=ast.Tuple(elts=[row, ast.Name(id="l")])):
                 number = self.value(row, frame)
-                if isinstance(number, int):
+                if isinstance(number, int) and 0 <= number < N_ROWS:
                     return number
         raise TypeError(f"no row of the lane that is known beforehand: {ast.unparse(node)}")
 
     def place(self, row: int) -> Any:
-        place = self.builder.gep(self.lanes, [_COUNT(row * LANES)])
+        place = self.builder.gep(self.lanes, [_WHOLE(row * LANES)])
         return self.builder.bitcast(place, self.vector.as_pointer())
 
     def value(self, node: ast.expr, frame: _Frame) -> Any:
@@ -257,12 +265,15 @@ class _Emitter:
             case ast.Constant(value=value):
                 return value
             case ast.Name(id=name):
-                known = frame.names.get(name, getattr(builtins, name, None))
-                return frame.values.get(name, known)
+                if name in frame.values:
+                    return frame.values[name]
+                if name in frame.names:
+                    return frame.names[name]
+                return getattr(builtins, name)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute):
                 return getattr(frame.names[name], attribute)
             case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(value=place)) if (
-                name in frame.names
+                name not in frame.values
             ):
                 return frame.names[name][place]
             case ast.Subscript():
@@ -294,10 +305,12 @@ class _Emitter:
     def binary(self, op: ast.operator, a: Any, b: Any) -> Any:
         if type(op) in _LOGIC:
             return getattr(self.builder, _LOGIC[type(op)])(a, b)
+        if type(op) not in _ARITHMETIC:
+            raise TypeError(f"no part of a loop over lanes: {type(op).__name__}")
         in_python, in_llvm = _ARITHMETIC[type(op)]
         if isinstance(a, int | float) and isinstance(b, int | float):
             return in_python(a, b)
-        if _is_vector_of(a, _COUNT):  # lanes are counted
+        if _is_vector_of(a, _WHOLE):  # lanes are counted
             return self.builder.add(a, self.builder.zext(b, a.type))
         return getattr(self.builder, in_llvm)(self.as_vector(a), self.as_vector(b), flags=FLAGS)
 
