@@ -24,6 +24,6 @@ def _again(sources):
 def again_call():
     """``(step, v, counts, fixes, speeds, history, first)``: a live filter's samples again.
 
-    ``step`` is the address of `single_step` with its tape at N_TAPED; ``v`` is the belief before sample number ``first``.
+    ``step`` is the address of `single_step` with its tape at N_TAPED; ``v`` is the belief before number ``first``.
     """
     return cached_by_sources(_again, "live again")
