@@ -66,13 +66,26 @@ class _Loops(ast.NodeTransformer):
     def visit_For(self, node: ast.For) -> Any:
         if ast.unparse(node.iter) != "range(LANES)":
             return self.generic_visit(node)
-        shared, counted = _seen_from_outside(node.body, self.locals)
         called = f"_{self.title.strip('_')}_{_hash(node.body, self.names)}"
-        self.names[called] = _as_intrinsic(called, node.body, self.names, shared, counted)
-        call = f"{called}(w, ({''.join(name + ', ' for name in shared)}))"
-        new = [call] if not counted else [f"_counts = {call}"]
-        new += [f"{name} += _counts[{k}]" for k, name in enumerate(counted)]
+        loop = _Loop(called, node.body, self.names, *_seen_from_outside(node.body, self.locals))
+        self.names[called] = _as_intrinsic(loop)
+        call = f"{called}(w, ({''.join(name + ', ' for name in loop.shared)}))"
+        new = [call] if not loop.counted else [f"_counts = {call}"]
+        new += [f"{name} += _counts[{k}]" for k, name in enumerate(loop.counted)]
         return [ast.copy_location(statement, node) for statement in ast.parse("\n".join(new)).body]
+
+
+class _Loop(NamedTuple):
+    """A loop over lanes: the function that it becomes, its body, and what names stand for in it.
+
+    ``shared`` are the enclosing function's names that it reads, ``counted`` those that it adds to.
+    """
+
+    called: str
+    body: list[ast.stmt]
+    names: Names
+    shared: list[str]
+    counted: list[str]
 
 
 def _seen_from_outside(body: list[ast.stmt], outside: set[str]) -> tuple[list[str], list[str]]:
@@ -112,43 +125,36 @@ def _hash(body: list[ast.stmt], names: Names) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 
-def _as_intrinsic(
-    called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str]
-) -> Any:
+def _as_intrinsic(loop: _Loop) -> Any:
     """``called(w, (shared ...))``, for Numba: it calls the loop, and puts it into the module if it is not there."""
 
-    def loop(typing_context, w, numbers):
+    def call(typing_context, w, numbers):
         def generate(context, builder, signature, arguments):
             array = context.make_array(w)(context, builder, arguments[0])
             values = [
                 context.cast(builder, builder.extract_value(arguments[1], k), kind, types.float64)
                 for k, kind in enumerate(numbers)
             ]
-            function = builder.module.globals.get(called)
+            function = builder.module.globals.get(loop.called)
             if function is None:
                 wide = "+avx512f" in context.codegen().magic_tuple()[2]
-                function = _put_loop(
-                    builder.module, called, body, names, shared, counted, WIDEST if wide else WIDEST // 2
-                )
+                function = _put_loop(builder.module, loop, WIDEST if wide else WIDEST // 2)
             lanes = builder.extract_value(array.shape, 1)
             result = builder.call(function, [array.data, lanes, *values])
-            return result if counted else context.get_dummy_value()
+            return result if loop.counted else context.get_dummy_value()
 
-        result = types.UniTuple(types.int64, len(counted)) if counted else types.void
+        result = types.UniTuple(types.int64, len(loop.counted)) if loop.counted else types.void
         return result(w, numbers), generate
 
-    return intrinsic(loop)
+    return intrinsic(call)
 
 
-def _put_loop(
-    module: ir.Module, called: str, body: list[ast.stmt], names: Names, shared: list[str], counted: list[str],
-    width: int,
-) -> ir.Function:  # fmt: skip
-    """A function that goes over the lanes, ``width`` of them at a time."""
+def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
+    """The loop as a function ``(w, lanes, shared ...)`` that goes over the lanes, ``width`` of them at a time."""
     vector = ir.VectorType(_DOUBLE, width)
-    result = ir.ArrayType(_WHOLE, len(counted)) if counted else ir.VoidType()
-    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _WHOLE, *(_DOUBLE for _ in shared)])
-    function = ir.Function(module, kind, called)
+    result = ir.ArrayType(_WHOLE, len(loop.counted)) if loop.counted else ir.VoidType()
+    kind = ir.FunctionType(result, [_DOUBLE.as_pointer(), _WHOLE, *(_DOUBLE for _ in loop.shared)])
+    function = ir.Function(module, kind, loop.called)
     function.linkage = "linkonce_odr"
     function.args[0].add_attribute("noalias")
     for attribute in ("noinline", "nounwind"):
@@ -156,37 +162,46 @@ def _put_loop(
     # LLVM takes half of what an Intel processor has, where wide vectors once slowed the clock down. The attribute is
     # put past llvmlite's list, which lacks it.
     set.add(function.attributes, '"prefer-vector-width"="512"')
-    entry, loop, end = (function.append_basic_block(name) for name in ("entry", "loop", "end"))
+    entry, body, end = (function.append_basic_block(name) for name in ("entry", "body", "end"))
     builder = ir.IRBuilder(entry)
-    emitter = _Emitter(builder, vector)
-    values = {name: emitter.spread(value) for name, value in zip(shared, function.args[2:], strict=True)}
-    builder.branch(loop)
-    builder.position_at_end(loop)
+    rows, lanes, *numbers = function.args
+    values = {
+        name: _spread(builder, vector, number) for name, number in zip(loop.shared, numbers, strict=True)
+    }
+    builder.branch(body)
+    builder.position_at_end(body)
     lane = builder.phi(_WHOLE)
-    lane.add_incoming(_WHOLE(0), entry)
     none = ir.Constant(ir.VectorType(_WHOLE, width), [0] * width)
-    counts = {name: builder.phi(none.type) for name in counted}
-    emitter.begin(builder.gep(function.args[0], [lane]))
-    frame = _Frame(names, values | counts)
-    emitter.block(body, frame)
+    counts = {name: builder.phi(none.type) for name in loop.counted}
+    frame = _Frame(loop.names, values | counts)
+    _Emitter(builder, vector, builder.gep(rows, [lane])).block(loop.body, frame)
     after = builder.add(lane, _WHOLE(width))
-    lane.add_incoming(after, loop)
-    for name, count in counts.items():
-        count.add_incoming(none, entry)
-        count.add_incoming(frame.values[name], loop)
-    builder.cbranch(builder.icmp_signed("<", after, function.args[1]), loop, end)
+    for phi, before, behind in (
+        (lane, _WHOLE(0), after), *((phi, none, frame.values[name]) for name, phi in counts.items()),
+    ):  # fmt: skip
+        phi.add_incoming(before, entry)
+        phi.add_incoming(behind, body)
+    builder.cbranch(builder.icmp_signed("<", after, lanes), body, end)
     builder.position_at_end(end)
-    if not counted:
+    if not loop.counted:
         builder.ret_void()
         return function
     sums = ir.Constant(result, ir.Undefined)
-    for number, name in enumerate(counted):
+    for number, name in enumerate(loop.counted):
         total = _WHOLE(0)
         for k in range(width):
             total = builder.add(total, builder.extract_element(frame.values[name], ir.IntType(32)(k)))
         sums = builder.insert_value(sums, total, number)
     builder.ret(sums)
     return function
+
+
+def _spread(builder: ir.IRBuilder, vector: ir.VectorType, number: Any) -> Any:
+    """A double in all lanes of a vector."""
+    undefined = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.IntType(32)(0))
+    places = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), [0] * vector.count)
+    return builder.shuffle_vector(first, undefined, places)
 
 
 class _Frame(NamedTuple):
@@ -199,20 +214,10 @@ class _Frame(NamedTuple):
 class _Emitter:
     """Straight-line code for one vector of lanes. A value is a vector, a number that is known, or a tuple of them."""
 
-    def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType) -> None:
-        self.builder, self.vector = builder, vector
-        self.rows: dict[int, Any] = {}
-
-    def begin(self, lanes: Any) -> None:
+    def __init__(self, builder: ir.IRBuilder, vector: ir.VectorType, lanes: Any) -> None:
         """``lanes`` points to these lanes of the first row."""
-        self.lanes = lanes
-
-    def spread(self, number: Any) -> Any:
-        """A double in all lanes."""
-        undefined = ir.Constant(self.vector, ir.Undefined)
-        first = self.builder.insert_element(undefined, number, ir.IntType(32)(0))
-        places = ir.Constant(ir.VectorType(ir.IntType(32), self.vector.count), [0] * self.vector.count)
-        return self.builder.shuffle_vector(first, undefined, places)
+        self.builder, self.vector, self.lanes = builder, vector, lanes
+        self.rows: dict[int, Any] = {}
 
     def block(self, statements: list[ast.stmt], frame: _Frame) -> Any:
         for statement in statements:
