@@ -1,5 +1,7 @@
 """Loops over states that are written out do what the loops did."""
 
+import ast
+
 import numpy as np
 import pytest
 
@@ -73,3 +75,18 @@ def test_a_kernel_that_is_written_into_another_touches_none_of_its_names():
 def test_a_kernel_that_ends_early_is_refused():
     with pytest.raises(TypeError, match="does not end early"):
         unrolled(_outer, inner=lanes.kernel(_ends_early))
+
+
+def test_what_other_threads_do_to_pythons_trees_is_waited_for(monkeypatch: pytest.MonkeyPatch):
+    parse, calls = ast.parse, []
+
+    def disturbed(*arguments):
+        calls.append(arguments)
+        if len(calls) < 3:
+            raise SystemError("AST constructor recursion depth mismatch (before=87, after=47)")
+        return parse(*arguments)
+
+    monkeypatch.setattr(ast, "parse", disturbed)
+    straight = unrolled(outer_sums, n=2, twice=lambda v: 2 * v)
+    assert len(calls) == 3
+    assert straight(np.zeros((44, 3))) == outer_sums(np.zeros((44, 3)), n=2, twice=lambda v: 2 * v)

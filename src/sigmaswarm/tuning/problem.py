@@ -14,6 +14,7 @@ from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_axes
 from sigmaswarm.scoring.batch import Replayer
@@ -222,6 +223,7 @@ def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace 
     ready = [PreparedDrive(drive, as_recorded=config.as_recorded) for drive in drives]
     replayer = replayer_for(objective, ready, config.outage_seed)
     data = [described(drive) for drive in drives]
+    run_kernel(config.model)  # written out here, before threads start that would all wait for it
     return CarProblem(config, space or car_space(config, usual_interval(drives)), data, replayer)
 
 

@@ -9,6 +9,7 @@ import ast
 import hashlib
 import inspect
 import textwrap
+import time
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -33,9 +34,8 @@ class Written(NamedTuple):
 
 def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     """A function as its text says it, with its keyword-only parameters bound to ``known``; see `unrolled`."""
-    written = getattr(function, "written", None)
-    if not known and written is not None:
-        return written
+    if not known and (there := getattr(function, "written", None)) is not None:
+        return there
     names = function.__globals__ | known
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     ast.increment_lineno(tree, function.__code__.co_firstlineno - 1)
@@ -45,7 +45,10 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     definition.decorator_list, definition.args.kwonlyargs, definition.args.kw_defaults = [], [], []
     writer = _Writer(names, {k: v for k, v in known.items() if isinstance(v, int)})
     definition.body = writer.block(definition.body)
-    return Written(definition, names)
+    written = Written(definition, names)
+    if not known:
+        function.__dict__["written"] = written
+    return written
 
 
 def unrolled(
@@ -65,11 +68,21 @@ def unrolled(
     **known
         Values of its keyword-only parameters, and of globals.
     """
-    written = written_out(function, **known)
-    definition, names = written
+    for _ in range(9):
+        try:
+            return _made(function, change, known)
+        except SystemError:  # Python 3.11 counts the depth of trees of all threads together, and takes fright
+            time.sleep(0.001)
+    return _made(function, change, known)
+
+
+def _made(
+    function: Callable[..., Any], change: Callable[[ast.FunctionDef, Names], None] | None, known: Names
+) -> Callable[..., Any]:
+    definition, names = written_out(function, **known)
     told_apart = _told_apart(definition, known)
+    definition = _copied(definition)
     if change is not None:
-        definition = _copied(definition)
         change(definition, names)
     tree = ast.fix_missing_locations(ast.Module([definition], []))
     defined: Names = {}
