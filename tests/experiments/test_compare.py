@@ -126,6 +126,15 @@ def test_killed_within_a_run_it_ends_in_the_same_bytes(tmp_path: Path):
     assert contents(tmp_path / "killed") == contents(tmp_path / "whole")
 
 
+def test_where_every_run_was_interrupted_the_files_are_the_same(whole, tmp_path: Path):
+    shutil.copytree(whole[1], tmp_path / "killed")
+    for file in (tmp_path / "killed").rglob("run.json"):
+        file.unlink()
+    (tmp_path / "killed" / "times.csv").unlink()
+    compare(DRIVES, out=tmp_path / "killed", resume=True, scales=("log10", "linear"), **OPTIONS)
+    assert (tmp_path / "killed" / "times.csv").read_text() == "optimizer,scale,seed,cpu_seconds\n"
+
+
 def test_the_tables_say_what_the_runs_were(whole):
     comparison, folder = whole
     row = comparison.frame.row(1, named=True)

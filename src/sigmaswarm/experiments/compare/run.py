@@ -107,6 +107,8 @@ def compare(
     ):
         folder = ResultFolder(place, asked, resume=resume or out is None)
         job = _Job(_searched(problem, rivals), beside, folder.path, threading.Lock())
+        if not job.times.exists():
+            write_whole(job.times, "optimizer,scale,seed,cpu_seconds\n")
 
         def told(done: int, total: int, _: object) -> None:
             if progress:
@@ -177,11 +179,15 @@ class _Job:
             outcome.write(file)
         return Outcome.read(file)
 
+    @property
+    def times(self) -> Path:
+        """Of the runs that nobody interrupted; none, perhaps."""
+        return self.folder / "times.csv"
+
     def _note(self, run: _Run, seconds: float) -> None:
-        file = self.folder / "times.csv"
+        line = f'"{run.rival.name}",{run.rival.scale},{run.seed},{seconds:.3f}\n'
         with self.lock:
-            known = file.read_text() if file.exists() else "optimizer,scale,seed,cpu_seconds\n"
-            write_whole(file, known + f'"{run.rival.name}",{run.rival.scale},{run.seed},{seconds:.3f}\n')
+            write_whole(self.times, self.times.read_text() + line)
 
 
 def _outcome(tuning: Tuning, held_out: CarProblem | None) -> Outcome:
