@@ -119,7 +119,8 @@ def _slot(t, start, interval):
 @_plain
 def _take(step, v, counts, fixes, speeds, t, u, calm, means):
     """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do."""
-    before, wheels = v[TIME], np.zeros(3)
+    before, nothing = v[TIME], np.zeros(9)
+    no_fix, wheels = nothing[:6], nothing[6:]
     end = _seen(counts, fixes, t)
     first = end
     while first > 0 and fixes[first - 1, FIX_TIME] > v[TIME]:
@@ -148,7 +149,7 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means):
             happens |= STANDSTILL
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
-        _step_to(step, v, t, u, happens, np.zeros(FIX_ROW.stop - FIX_ROW.start), wheels)
+        _step_to(step, v, t, u, happens, no_fix, wheels)
 
 
 @_plain

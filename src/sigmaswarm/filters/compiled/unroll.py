@@ -125,7 +125,7 @@ class _Writer(ast.NodeTransformer):
     def block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         written: list[ast.stmt] = []
         for statement in statements:
-            result = self.visit(_copied(statement))
+            result = self.visit(statement)
             written += result if isinstance(result, list) else [result]
         return written
 
@@ -136,7 +136,7 @@ class _Writer(ast.NodeTransformer):
         outer, written = self.values, list[ast.stmt]()
         for value in self._value(node.iter):
             self.values = outer | {node.target.id: value}
-            written += self.block(node.body)
+            written += self.block(_copied(node.body))  # once for each value
         self.values = outer
         return written
 
