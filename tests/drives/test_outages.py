@@ -38,6 +38,18 @@ def test_both_ends_of_a_window_are_hidden():
     assert not hidden_fixes(time, np.empty((0, 2))).any()
 
 
+@given(
+    st.lists(st.floats(-10, 10), max_size=20),
+    st.lists(st.tuples(st.integers(-9, 9), st.integers(0, 5)), max_size=8),
+)
+def test_a_fix_is_hidden_if_any_window_has_it(time: list[float], windows: list[tuple[int, int]]):
+    """In whatever order the windows are, and where they overlap or are a moment only."""
+    spans = [(float(start), float(start + length)) for start, length in windows]
+    time = [*time, *(end for span in spans for end in span), float("nan")]
+    found = hidden_fixes(time, np.array(spans).reshape(-1, 2))
+    assert found.tolist() == [any(start <= t <= end for start, end in spans) for t in time]
+
+
 def test_hiding_fixes_changes_nothing_else():
     drive = make_drive(duration=20.0)
     hidden = hide_fixes(drive, [[5.0, 8.0]])

@@ -159,8 +159,9 @@ class Alignments:
     def _rough(self) -> Array:
         imu, turned = self._drive.imu, self._integrals[0]
         direction = np.exp(1j * turned)
-        pieces = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)
-        way = np.concatenate([[0.0], np.cumsum(pieces)])
+        direction[1:] = 0.5 * (direction[1:] + direction[:-1]) * np.diff(imu.time)
+        direction[0] = 0.0
+        way = np.cumsum(direction, out=direction)
         at = np.interp(self.time, imu.time, way)
         psi = np.interp(self.time, imu.time, turned)
         first, last = self._first[self._worth], np.flatnonzero(self._worth)

@@ -183,7 +183,11 @@ def build_timeline(
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
     gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
-    axes = [_across(gaps, column)[sample] for column in _axes(drive)]
+    axes = _axes(drive)
+    steps = np.empty((len(ends), AX + len(axes)))  # filled column by column: those of ten hours are held once
+    steps[:, DT], steps[:, Q_SCALE], steps[:, GAP] = dt, dt / nominal, gaps[sample]
+    for column, axis in enumerate(axes, AX):
+        steps[:, column] = _across(gaps, axis)[sample]
     has_velocity = drive.gps.speed is not None and drive.gps.course is not None
     velocity = np.zeros((2, len(drive.gps)))
     if drive.gps.speed is not None and drive.gps.course is not None:
@@ -192,7 +196,7 @@ def build_timeline(
     return Timeline(
         start=start,
         end=ends,
-        steps=np.column_stack([dt, dt / nominal, gaps[sample], *axes]),
+        steps=steps,
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
@@ -201,7 +205,7 @@ def build_timeline(
         has_velocity=has_velocity,
         states_accuracy=stated,
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
-        cornering=np.abs(axes[1]) > CORNERING,
+        cornering=np.abs(steps[:, AY]) > CORNERING,
         sample=sample,
         drive=drive,
         kinds=kinds,

@@ -52,17 +52,23 @@ class Outages:
         """Run filters with the fixes hidden, and a smoother. No steps are kept."""
         for seed in self.seeds:
             self._ready.forget()
-            outages = outage_replay(self._ready, length=self._length, seed=seed)
-            recordings = [Recording(outages, p, recover=m in WATCHED) for m, p in filters.items()]
-            sums = joined([recording.finished().sums for recording in recordings], axis=1)
-            scores = scores_of({"outages": [outages]}, {"outages": sums})
-            for i, method in enumerate(filters):
-                self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
-                if scores[i, 0].failed:
-                    self.failed.add(method)
-            if smoothed is not None:
-                self._smooth(outages, smoothed)
-            self._ready.forget()
+            self._run_placed(seed, filters, smoothed)
+        self._ready.forget()
+
+    def _run_placed(
+        self, seed: Seed, filters: Mapping[str, FilterParameters], smoothed: FilterParameters | None
+    ) -> None:
+        """One placement; a function of its own, so that its steps are gone before the next one's are made."""
+        outages = outage_replay(self._ready, length=self._length, seed=seed)
+        recordings = [Recording(outages, p, recover=m in WATCHED) for m, p in filters.items()]
+        sums = joined([recording.finished().sums for recording in recordings], axis=1)
+        scores = scores_of({"outages": [outages]}, {"outages": sums})
+        for i, method in enumerate(filters):
+            self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
+            if scores[i, 0].failed:
+                self.failed.add(method)
+        if smoothed is not None:
+            self._smooth(outages, smoothed)
 
     def _smooth(self, outages: Replay, parameters: FilterParameters) -> None:
         """What a smoother is off at the ends of the outages, where it knows of the fixes behind them."""

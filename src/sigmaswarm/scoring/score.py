@@ -148,7 +148,9 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
     if drive.truth is None:
         return Score(failed=estimate.failure is not None)
     errors = PieceErrors(drive.truth, estimate.initial)
-    errors.add(estimate.time, estimate.mean)
+    for first in range(0, len(estimate.time), 100_000):  # a long drive's at once would be held several times
+        part = slice(first, first + 100_000)
+        errors.add(estimate.time[part], estimate.mean[part])
     return replace(errors.score, failed=estimate.failure is not None)
 
 
