@@ -1,19 +1,17 @@
 """What a live filter knows by now of a moment some seconds ago."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.lagged import N_TAPED, TAPE, again_call
 from sigmaswarm.filters.compiled.layout import N_KEPT, state_rows
+from sigmaswarm.filters.compiled.memory import LiveArrays
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.names import ModelName
 
-LiveMemory = tuple[Array, NDArray[np.int64], Array, Array, Array, Array]
-"""belief, counts, memory, fixes, speeds, history: see `compiled.live`."""
 NEARLY = 1e-6
 """s: what rounding may take off a lag."""
 
@@ -41,13 +39,15 @@ class FixedLag:
         self._no_starts = np.zeros(0, dtype=np.int64), nothing
         self._out = nothing
         # Compiled now: no sample waits for it.
-        nobody = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD))
-        again_call()(self._step.address, self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0)
+        nobody = np.zeros((0, live.N_FIX)), np.zeros((0, 2)), np.zeros((1, live.N_RECORD)), np.zeros((0, 0))
+        again_call()(
+            self._step.address, self._belief, np.zeros(live.N_COUNTS, dtype=np.int64), *nobody, 0, False
+        )
         self._back(np.zeros((0, self._width)), np.zeros(len(self._state)), np.zeros(len(self._state)))
 
-    def smoothed(self, memory: LiveMemory) -> tuple[float, Array]:
+    def smoothed(self, memory: LiveArrays) -> tuple[float, Array]:
         """The moment, s, and its state rows, (s,)."""
-        belief, counts, _, fixes, speeds, history = memory
+        belief, counts, _, fixes, speeds, history, marks = memory
         now, kept = float(belief[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
         # The belief before a sample is the one after the sample before it.
@@ -61,7 +61,7 @@ class FixedLag:
         v[: len(belief)] = belief  # the settings
         v[: live.N_BELIEF] = before
         v[N_TAPED] = 0.0
-        again_call()(self._step.address, v, counts, fixes, speeds, history, first)
+        again_call()(self._step.address, v, counts, fixes, speeds, history, marks, first, False)
         tape = v[TAPE : TAPE + int(v[N_TAPED]) * self._width].reshape(-1, self._width)
         return float(moments[first]), self._back(tape, before[self._state], v[:N_KEPT][self._state])
 

@@ -1,9 +1,8 @@
 """LiveFilter: one sample at a time, for real-time use, with the results of `run_filter` on the same data."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from operator import itemgetter
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
+from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
@@ -123,11 +123,11 @@ class LiveFilter:
             raise InputError(f"lag = {lag}: give a positive number of seconds, or leave it out")
         p = parameters
         self.parameters = p
-        self._calls, self._step = live.live_calls(), single_step(p.model)
+        self._calls = live.live_calls()
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
-        # In the order of AXES, of the model's and a 0 behind them, which stands for those that it does not read.
-        self._in_order = itemgetter(*(self._axes.index(axis) if axis in self._axes else -1 for axis in AXES))
+        self._planar = tuple(self._axes.index(axis) for axis in ("ax", "ay", "gz"))
+        self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
@@ -136,24 +136,30 @@ class LiveFilter:
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
-        self._belief = _believe(p, initial, nominal_interval, lever_arm)
-        self._belief[live.AS_RECORDED] = as_recorded
+        belief = _believe(p, initial, nominal_interval, lever_arm)
+        belief[live.AS_RECORDED] = as_recorded
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
-        self._memory = (
-            self._belief,
-            counts,
-            new_memory()[: 0 if p.standstill_noise is None else None],
-            np.zeros((MOST_WAITING + seen, live.N_FIX)),
-            np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
-            np.zeros((samples, live.N_RECORD)),
+        self._memory = Memory(
+            single_step(p.model),
+            LiveArrays(
+                belief,
+                counts,
+                new_memory()[: 0 if p.standstill_noise is None else None],
+                np.zeros((MOST_WAITING + seen, live.N_FIX)),
+                np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
+                np.zeros((samples, live.N_RECORD)),
+                np.zeros((0, 0)),
+            ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._recovery = Recovery() if recover else None
         self._lately = Lately(lever_arm)
         self._history = history
         self._last_fix, self._came_late = -np.inf, False
+        self._unseen = False  # a fix has come since the filter was last looked at
+        self._holds = False  # it is lost, and the estimate is a fix, anew at each sample
         self._looked = -1.0  # the interval between looks in which the last one was
-        self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=len(self._memory[3]) + samples)
+        self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
         """Take an IMU sample. One that is not after the last one is left out, one more than 10 s ahead held back.
@@ -177,18 +183,19 @@ class LiveFilter:
                 f"an IMU sample of {len(imu)} numbers: {self.parameters.model} reads {', '.join(self._axes)}; "
                 "give these, in this order"
             )
-        ax, ay, gz, az, gx, gy = self._in_order((*imu, 0.0))
-        before = float(self._belief[live.LAST_SAMPLE])
-        self._calls.sample(self._step.address, *self._memory, t, ax, ay, gz, az, gx, gy)
-        if self._recovery is not None and self._belief[live.LAST_SAMPLE] == t:
+        took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
+        if took == live.NOTHING or self._recovery is None:
+            return
+        if took == live.BOTH:
             held = self._belief[live.SAMPLE_AHEAD]
-            if t - before > live.LEAP and before < held[0] < t:  # it had waited for this one
-                self._lately.sample(*held[:4].tolist())
-                self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
-            self._lately.sample(t, ax, ay, gz)
-            # Most samples bring nothing to look at.
-            if (self._lately.newest > self._last_fix or self._recovery.lost) and t > self._belief[live.START]:
-                self._watch(self._recovery, t)
+            self._lately.sample(tuple(held[:4].tolist()))
+            self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
+        ax, ay, gz = self._planar
+        self._lately.sample((t, imu[ax], imu[ay], imu[gz]))
+        # Most samples bring nothing to look at.
+        if (self._unseen or self._holds) and t > self._belief[live.START]:
+            self._watch(self._recovery, t)
+            self._unseen = self._lately.newest > self._last_fix
 
     def update(
         self,
@@ -214,17 +221,16 @@ class LiveFilter:
         """
         var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
         if velocity is None or not self._takes_velocity:
-            kept = self._calls.fix(
-                self._step.address, *self._memory, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y
-            )
+            kept = self._calls.fix(self._memory.handle, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
         else:
             seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            kept = self._calls.fix(self._step.address, *self._memory, t, *seen, var_x, var_y)
+            kept = self._calls.fix(self._memory.handle, t, *seen, var_x, var_y)
         begun = t > self._belief[live.START]
         if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
             self._came_late = begun and t <= self._belief[live.TIME]
             if not self._is_frozen(t, fix):
                 self._lately.fix(t, fix[0], fix[1], var_x, var_y)
+                self._unseen = True
         return kept == live.TAKEN
 
     def update_odometer(self, t: float, speed: float) -> bool:
@@ -238,11 +244,11 @@ class LiveFilter:
             False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
             already.
         """
-        return self._calls.speed(self._step.address, *self._memory, t, speed) == live.TAKEN
+        return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
 
     def _is_frozen(self, t: float, fix: Sequence[float]) -> bool:
         """Whether a fix that was just taken is one that filters don't take for a position."""
-        counts, fixes = self._memory[1], self._memory[3]
+        counts, fixes = self._memory.arrays.counts, self._memory.arrays.fixes
         first, last = np.searchsorted(
             fixes[: counts[live.N_FIXES], live.FIX_TIME], [t, np.nextafter(t, np.inf)]
         )
@@ -259,22 +265,40 @@ class LiveFilter:
         soon = now - fix[0] <= LATEST_LOOK + (self._history if self._came_late else 0.0)
         self._last_fix = fix[0]
         slot = float(slot_of(np.float64(now), float(self._belief[live.START])))
-        if fresh and soon and slot != self._looked:
+        due = fresh and soon and slot != self._looked
+        if due:
             self._looked = slot
-            start = recovery.look(self._seen(now, fix))
-            if start is not None:
-                self._start_anew(start)
+        self._look(recovery, now, fix, due=due)
+
+    def _look(self, recovery: Recovery, now: float, fix: tuple[float, ...], *, due: bool) -> None:
+        """Start anew after a sample if need be; ``due``: it is time to look at what is believed."""
+        start = self._judged(recovery, now, fix, self._believed, due=due)
+        if start is not None:
+            self._start_anew(start)
+        self._holds = recovery.lost
+
+    def _judged(
+        self,
+        recovery: Recovery,
+        now: float,
+        fix: tuple[float, ...],
+        believed: Callable[[], tuple[Array, Array]],
+        *,
+        due: bool,
+    ) -> InitialState | None:
+        """Where what is ``believed`` is to start anew, if it is."""
+        start = recovery.look(self._seen(now, fix, *believed())) if due else None
         if recovery.lost:
-            theta = float(self._believed()[0][THETA])
-            self._start_anew(at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever))
+            theta = float(believed()[0][THETA])
+            return at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever)
+        return start
 
     def _variance_of(self, fix: tuple[float, ...]) -> Array:
         """Diagonal of R of a fix, (2,) m2."""
         return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * np.array(fix[3:5])
 
-    def _seen(self, now: float, fix: tuple[float, ...]) -> Seen:
+    def _seen(self, now: float, fix: tuple[float, ...], mean: Array, covariance: Array) -> Seen:
         alignments = cache(lambda: self._lately.alignments)
-        mean, covariance = self._believed()
         return Seen(
             time=now,
             mean=mean,
@@ -293,8 +317,12 @@ class LiveFilter:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
         rows = start_rows([start], [self._interval], Chunk((self.parameters,)))
         self._belief[:N_KEPT] = rows[0, :, 0]
-        counts = self._memory[1]
+        counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+
+    @property
+    def _belief(self) -> Array:
+        return self._memory.arrays.belief
 
     def _believed(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
@@ -309,17 +337,17 @@ class LiveFilter:
     @property
     def too_late(self) -> int:
         """See the class."""
-        return int(self._memory[1][live.TOO_LATE])
+        return int(self._memory.arrays.counts[live.TOO_LATE])
 
     @property
     def time_jumps(self) -> int:
         """See the class."""
-        return int(self._memory[1][live.TIME_JUMPS])
+        return int(self._memory.arrays.counts[live.TIME_JUMPS])
 
     @property
     def frozen(self) -> int:
         """See the class."""
-        return int(self._memory[1][live.N_FROZEN])
+        return int(self._memory.arrays.counts[live.N_FROZEN])
 
     @property
     def state(self) -> LiveState:
@@ -340,16 +368,21 @@ class LiveFilter:
         """
         if self._lag is None:
             raise InputError("a live filter without lag has no smoothed state; make it with lag=2.0, say")
-        return self._state_at(*self._lag.smoothed(self._memory))
+        return self._state_at(*self._lag.smoothed(self._memory.arrays))
 
     def _state_at(self, time: float, packed: Array) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
         mean, covariance = (of[0] for of in believed(packed[:, np.newaxis], self.parameters.model))
-        sound = self._belief[live.OK] == 1.0 and np.isfinite(mean).all() and np.isfinite(covariance).all()
-        if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
-            mean[THETA] = wrap_angle(float(mean[THETA]))
         lost = self._recovery is not None and self._recovery.lost
-        return LiveState(time, mean, covariance, not (sound and self._plausible), lost)
+        return told(time, mean, covariance, lost, self._belief[live.OK] == 1.0 and self._plausible)
+
+
+def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
+    """A belief, as it is told: ``mean``, changed, with its heading wrapped."""
+    sound &= bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
+    if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
+        mean[THETA] = wrap_angle(float(mean[THETA]))
+    return LiveState(time, mean, covariance, not sound, lost)
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
@@ -376,5 +409,8 @@ def _believe(
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
     v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
     v[live.LAST_SAMPLE] = -np.inf
+    given = MODELS[p.model].imu
+    nothing = len(given)  # behind the model's axes come zeros
+    v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
     v[live.STOP] = new_stop()
     return v

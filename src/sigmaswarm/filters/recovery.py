@@ -44,6 +44,8 @@ SPEED_STD = 10.0
 """m/s per axis: what is known of the velocity while there is nothing but fixes."""
 _KEPT = MAX_DURATION + 1.0
 """s of samples and fixes that a live filter keeps for it."""
+_MOST_SAMPLES = 40_000
+"""That many of them, at 1 kHz; so many are there only while no fix comes."""
 _MOST_FIXES = 1000
 """That many of them; more come only while the IMU is silent."""
 
@@ -224,16 +226,19 @@ class Lately:
 
     def __init__(self, lever: Sequence[float]) -> None:
         self._lever = tuple(lever)
-        self._samples, self._fixes = deque[tuple[float, ...]](), deque[tuple[float, ...]]()
+        self._samples = deque[tuple[float, ...]](maxlen=_MOST_SAMPLES)
+        self._fixes = deque[tuple[float, ...]]()
+        self.sample = self._samples.append
+        """``((time, ax, ay, gz))``: an IMU sample, after all before it."""
 
-    def sample(self, time: float, ax: float, ay: float, gz: float) -> None:
-        """An IMU sample, after all before it."""
-        self._samples.append((time, ax, ay, gz))
-        while len(self._samples) > 1 and self._samples[1][0] < time - _KEPT:  # one from before a gap stays
-            self._samples.popleft()
+    def _forget(self) -> None:
+        """Samples from too long ago; not at each sample, which costs as much as the filter."""
+        while len(self._samples) > 1 and self._samples[1][0] < self._samples[-1][0] - _KEPT:
+            self._samples.popleft()  # one from before a gap stays
 
     def fix(self, time: float, x: float, y: float, var_x: float, var_y: float) -> None:
         """A fix and its stated variance, in whatever order; it has to be finite."""
+        self._forget()
         self._fixes.append((time, x, y, var_x, var_y))
         if len(self._fixes) > 1 and self._fixes[-2][0] > time:
             self._fixes = deque(sorted(self._fixes, key=itemgetter(0)))
@@ -264,6 +269,7 @@ class Lately:
     @property
     def alignments(self) -> Alignments:
         """Of the fixes of these seconds."""
+        self._forget()
         imu = Imu(*np.array(self._samples).T)
         now = self._samples[-1][0]
         gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)

@@ -12,18 +12,19 @@ TAPE = N_ALL + 1
 
 
 def _again(sources):
-    def again(step, v, counts, fixes, speeds, history, first):
+    def again(step, v, counts, fixes, speeds, history, marks, first, corrects):
         if sources == "":  # never; so the name is closed over
             return
-        take_again(step, v, counts, fixes, speeds, history, first, False)
+        take_again(step, v, counts, fixes, speeds, history, marks, first, corrects)
 
     return again
 
 
 @once
 def again_call():
-    """``(step, v, counts, fixes, speeds, history, first)``: a live filter's samples again.
+    """``(step, v, counts, fixes, speeds, history, marks, first, corrects)``: a live filter's samples again.
 
-    ``step`` is the address of `single_step` with its tape at N_TAPED; ``v`` is the belief before number ``first``.
+    ``v`` is the belief before number ``first``; ``corrects`` as in `live.take_again`. For a smoother ``step`` is the
+    address of `single_step` with its tape at N_TAPED.
     """
     return cached_by_sources(_again, "live again")

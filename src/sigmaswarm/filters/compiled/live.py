@@ -1,7 +1,7 @@
 """A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
 
 The filter is the first lane of the rows in `layout`; a step stands in `single`, and is called by its address, so that
-what is here is compiled once for all models. The memory is six arrays, so that each call takes the same few arguments:
+what is here is compiled once for all models. The memory is seven arrays:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
@@ -9,6 +9,8 @@ what is here is compiled once for all models. The memory is six arrays, so that 
     fixes   (f, N_FIX) by time; those of one time in the order in which they came; each with what it is
     speeds  (r, 2) readings of the odometer by time, s and m/s; of no rows where the filter takes none
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
+    marks   (m, k) a ring: the k numbers behind the belief, which the step changes too, before each MARK_EVERY-th
+            sample; of no rows where there are none
 
 A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one.
 """
@@ -31,6 +33,7 @@ from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand,
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
 from sigmaswarm.filters.compiled.layout import N_KEPT, R
+from sigmaswarm.filters.compiled.memory import memory_at
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
 from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
@@ -57,11 +60,21 @@ N_FIX = 9
 SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
-N_ALL = NEW_SAMPLE.stop
+ORDER = slice(NEW_SAMPLE.stop, NEW_SAMPLE.stop + len(AXES))  # where each of AXES stands in what comes
+N_ALL = ORDER.stop
 
-N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS = range(9)
-N_COUNTS = 9
+(
+    N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
+    N_SAMPLES,  # that went into the history
+    SPARE,  # records of the history that are there only to go on from a mark
+) = range(11)  # fmt: skip
+N_COUNTS = 11
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
+
+BEHIND = 8 * math.ceil(N_ALL / 8)
+"""Where the numbers behind the belief begin, a whole number of the widest vectors from its start."""
+MARK_EVERY = 16
+"""Samples: what is behind the belief is much, and seldom gone back to."""
 
 LEAP = 10.0
 """s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
@@ -76,6 +89,8 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
+ONE, BOTH = 1, 2
+"""What became of a sample, beside NOTHING: it was taken; so was the one that waited for it."""
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
 
@@ -275,7 +290,7 @@ def _keep_speed(v, counts, speeds, history, t, speed):
 
 
 @_plain
-def _go_on(step, v, counts, memory, fixes, speeds, history, sample):
+def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
     """Take an IMU sample whose time is believed: a gap before it is driven by the mean of the two around it."""
     t, last, gap = sample[0], v[SAMPLE], 0.0
     if last[0] > -math.inf:
@@ -297,6 +312,8 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, sample):
     else:
         counts[OLDEST] = (counts[OLDEST] + 1) % history.shape[0]
     record = _record(counts, history, counts[N_HISTORY] - 1)
+    _mark(v, marks, counts[N_SAMPLES])
+    counts[N_SAMPLES] += 1
     _copy(v, record, N_BELIEF)
     record[S_TIME], record[S_STEP][GAP] = t, gap
     _copy(sample[1:], record[S_AXES], len(AXES))
@@ -310,6 +327,13 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, sample):
 
 
 @_plain
+def _mark(v, marks, number):
+    """Keep what is behind the belief, if it is time before sample ``number``."""
+    if marks.shape[0] > 0 and number % MARK_EVERY == 0:
+        _copy(v[BEHIND:], marks[number // MARK_EVERY % marks.shape[0]], marks.shape[1])
+
+
+@_plain
 def _first_after(counts, history, t):
     """The first of the kept samples that is not before a time, or -1 if the filter can't go back to before it."""
     back = counts[N_HISTORY]
@@ -317,11 +341,11 @@ def _first_after(counts, history, t):
         back -= 1
     if back == counts[N_HISTORY] or _record(counts, history, back)[TIME] >= t:
         return -1
-    return back
+    return back if counts[N_HISTORY] - back <= history.shape[0] - counts[SPARE] else -1
 
 
 @_plain
-def take_again(step, v, counts, fixes, speeds, history, first, corrects):
+def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
     """Take the kept samples again, from number ``first`` on; ``v`` is the belief before it.
 
     ``corrects``: what was believed before each of them is what is believed now.
@@ -330,6 +354,7 @@ def take_again(step, v, counts, fixes, speeds, history, first, corrects):
         record = _record(counts, history, number)
         if corrects:
             _copy(v, record, N_BELIEF)
+            _mark(v, marks, counts[N_SAMPLES] - counts[N_HISTORY] + number)
         _take(
             step,
             v,
@@ -344,14 +369,18 @@ def take_again(step, v, counts, fixes, speeds, history, first, corrects):
 
 
 @_plain
-def _again_from(step, v, counts, fixes, speeds, history, back):
-    """Back to before a kept sample, and forward again."""
+def _again_from(step, v, counts, fixes, speeds, history, marks, back):
+    """Back to before a kept sample, or to the mark before it, and forward again."""
+    if marks.shape[0] > 0:
+        number = counts[N_SAMPLES] - counts[N_HISTORY] + back
+        back -= number % MARK_EVERY
+        _copy(marks[number // MARK_EVERY % marks.shape[0]], v[BEHIND:], marks.shape[1])
     _copy(_record(counts, history, back), v, N_BELIEF)
-    take_again(step, v, counts, fixes, speeds, history, back, True)
+    take_again(step, v, counts, fixes, speeds, history, marks, back, True)
 
 
 @_plain
-def _place(step, v, counts, fixes, speeds, history, z):
+def _place(step, v, counts, fixes, speeds, history, marks, z):
     """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
     if t <= v[START]:  # absorbed already, but it may show a standstill
@@ -362,17 +391,20 @@ def _place(step, v, counts, fixes, speeds, history, z):
     if kept == LEFT_OUT:
         counts[TOO_LATE] += 1
     elif kept == TAKEN and t <= v[TIME]:
-        _again_from(step, v, counts, fixes, speeds, history, back)
+        _again_from(step, v, counts, fixes, speeds, history, marks, back)
     return kept
 
 
 def _take_sample(sources):
-    def sample(step, v, counts, memory, fixes, speeds, history, t, ax, ay, gz, az, gx, gy):
+    def sample(handle, t, a, b, c, d, e, f):
         """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
+        step, v, counts, memory, fixes, speeds, history, marks = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
-            return
-        new, held = v[NEW_SAMPLE], v[SAMPLE_AHEAD]
-        new[0], new[1], new[2], new[3], new[4], new[5], new[6] = t, ax, ay, gz, az, gx, gy
+            return NOTHING
+        new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
+        new[0] = t
+        for axis in range(len(AXES)):
+            new[1 + axis] = axes[int(v[ORDER][axis])]
         holds = counts[HOLDS_SAMPLE] > 0
         ahead = _lies_ahead(v, t)
         agrees = ahead and holds and 0.0 < t - held[0] <= AGREES
@@ -381,23 +413,25 @@ def _take_sample(sources):
                 counts[TIME_JUMPS] += counts[HOLDS_SAMPLE]
                 counts[HOLDS_SAMPLE] = 1
                 _copy(new, held, N_SAMPLE)
-            return
+            return NOTHING
         counts[HOLDS_SAMPLE] = 0
         if agrees:
-            _go_on(step, v, counts, memory, fixes, speeds, history, held)
+            _go_on(step, v, counts, memory, fixes, speeds, history, marks, held)
         elif holds:
             counts[TIME_JUMPS] += 1
-        _go_on(step, v, counts, memory, fixes, speeds, history, new)
+        _go_on(step, v, counts, memory, fixes, speeds, history, marks, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
-            _place(step, v, counts, fixes, speeds, history, v[FIX_AHEAD].copy())
+            _place(step, v, counts, fixes, speeds, history, marks, v[FIX_AHEAD].copy())
+        return BOTH if agrees else ONE
 
     return sample
 
 
 def _take_fix(sources):
-    def fix(step, v, counts, memory, fixes, speeds, history, t, x, y, vx, vy, has_velocity, var_x, var_y):
+    def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
+        step, v, counts, _, fixes, speeds, history, marks = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
@@ -408,7 +442,7 @@ def _take_fix(sources):
             if _same(ahead, z, N_FIX):  # the same message again
                 return IGNORED
             if agrees:
-                _place(step, v, counts, fixes, speeds, history, ahead.copy())
+                _place(step, v, counts, fixes, speeds, history, marks, ahead.copy())
             else:
                 counts[TIME_JUMPS] += 1
         counts[HOLDS_FIX] = NOTHING
@@ -417,14 +451,15 @@ def _take_fix(sources):
             _copy(z, ahead, N_FIX)
             if not agrees:
                 return IGNORED
-        return _place(step, v, counts, fixes, speeds, history, z)
+        return _place(step, v, counts, fixes, speeds, history, marks, z)
 
     return fix
 
 
 def _take_speed(sources):
-    def speed(step, v, counts, memory, fixes, speeds, history, t, value):
+    def speed(handle, t, value):
         """A reading of the odometer: it waits for its sample, or takes the filter back; none is held back."""
+        step, v, counts, _, fixes, speeds, history, marks = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
         if not (math.isfinite(t) and math.isfinite(value)):
@@ -439,24 +474,21 @@ def _take_speed(sources):
         if kept == LEFT_OUT:
             counts[TOO_LATE] += 1
         elif kept == TAKEN and begun and t <= v[TIME]:
-            _again_from(step, v, counts, fixes, speeds, history, back)
+            _again_from(step, v, counts, fixes, speeds, history, marks, back)
         return kept
 
     return speed
 
 
-_MEMORY = (float64[::1], int64[::1], *(float64[:, ::1],) * 4)
-
-
 @dataclass(frozen=True)
 class LiveCalls:
-    """What is done with the memory of a live filter; ``step`` is the address of its model's `single_step`.
+    """What is done with the memory of a live filter, of which they take the `Memory.handle`.
 
     Attributes
     ----------
-    sample : ``(step, *memory, t, ax, ay, gz, az, gx, gy)``, an IMU sample
-    fix : ``(step, *memory, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
-    speed : ``(step, *memory, t, speed)``, a reading of the odometer; what became of it
+    sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
+    fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
+    speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
     """
 
     sample: Any
@@ -472,7 +504,7 @@ def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
     calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed)]
     for function, numbers in zip(calls, (7, 8, 2), strict=True):
-        signature = (int64, *_MEMORY, *(float64,) * numbers)
+        signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)
             function.disable_compile()

@@ -24,7 +24,7 @@ from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 _NUMBERS = types.CPointer(float64)
-_SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
+SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
 
 
 def _one_step(sources, *, step, kept, tape, taped):
@@ -59,14 +59,14 @@ class SingleStep:
     Attributes
     ----------
     address : what `take_step` takes; a function where nothing is compiled
+    made_by : the function that gives it, and its arguments
     """
 
-    model: str
-    tape: int
     address: Any
+    made_by: tuple[Any, ...]
 
     def __reduce__(self):
-        return single_step, (self.model, self.tape)
+        return self.made_by[0], self.made_by[1:]
 
 
 @once
@@ -82,7 +82,7 @@ def single_step(model, tape=-1):
         _one_step, step=step_of(model, noted=noted), kept=kept, tape=tape, taped=taped_rows(model)
     )
     function = named_by_sources(make, f"{model}, tape {tape}" if noted else model)
-    return SingleStep(model, tape, address_of(function, _SIGNATURE, error_model="numpy"))
+    return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (single_step, model, tape))
 
 
 @intrinsic

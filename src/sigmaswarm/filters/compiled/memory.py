@@ -1,0 +1,102 @@
+"""A live filter's memory as one number: to hand eight arrays to compiled code costs more than a filter's step."""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import config, float64, int64, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from sigmaswarm.filters.compiled.rows import CACHE_LINE
+
+_ARRAYS = (
+    types.Array(float64, 1, "C"),
+    types.Array(int64, 1, "C"),
+    *(types.Array(float64, 2, "C"),) * 5,
+)
+_KIND = types.Tuple((int64, *_ARRAYS))
+
+
+class LiveArrays(NamedTuple):
+    """What `live` says they are."""
+
+    belief: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    calm: NDArray[np.float64]
+    fixes: NDArray[np.float64]
+    speeds: NDArray[np.float64]
+    history: NDArray[np.float64]
+    marks: NDArray[np.float64]
+
+
+class Memory:
+    """The arrays of a live filter and the address of its step: see `live`.
+
+    Attributes
+    ----------
+    step : SingleStep
+    arrays : LiveArrays
+        The belief is a copy of what was given.
+    handle : int
+        What `memory_at` takes; as long as this object lives. Without compiling, the step and the arrays.
+    """
+
+    def __init__(self, step: Any, given: LiveArrays) -> None:
+        self.step, self.arrays = step, given._replace(belief=_aligned(given.belief))
+        arrays = self.arrays
+        self._table = np.array([step.address, *_numbers(arrays)]) if not config.DISABLE_JIT else None
+        self.handle: Any = (step.address, *arrays) if self._table is None else int(self._table.ctypes.data)
+
+    def __reduce__(self):
+        return Memory, (self.step, self.arrays)
+
+
+def _aligned(numbers):
+    """A copy that begins where a cache line does, as vectors in it have to."""
+    room = np.empty(len(numbers) + CACHE_LINE // 8)
+    first = (-room.ctypes.data // 8) % (CACHE_LINE // 8)
+    copy = room[first : first + len(numbers)]
+    copy[:] = numbers
+    return copy
+
+
+def _numbers(arrays):
+    return [n for array in arrays for n in (array.ctypes.data, *array.shape)]
+
+
+@intrinsic
+def _at(typing_context, handle):
+    """The step's address and the arrays."""
+
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        table = builder.inttoptr(arguments[0], size.as_pointer())
+        numbers = iter(range(1 + sum(1 + kind.ndim for kind in _ARRAYS)))
+
+        def number():
+            return builder.load(builder.gep(table, [size(next(numbers))]))
+
+        parts = [number()]
+        for kind in _ARRAYS:
+            array = context.make_array(kind)(context, builder)
+            data = builder.inttoptr(number(), context.get_data_type(kind.dtype).as_pointer())
+            shape = [number() for _ in range(kind.ndim)]
+            strides = [size(8)] if kind.ndim == 1 else [builder.mul(shape[1], size(8)), size(8)]
+            context.populate_array(
+                array, data=data, shape=shape, strides=strides, itemsize=size(8), meminfo=None
+            )
+            parts.append(array._getvalue())
+        return context.make_tuple(builder, _KIND, parts)
+
+    return _KIND(int64), generate
+
+
+def _as_it_is(handle):
+    return handle
+
+
+memory_at = _as_it_is if config.DISABLE_JIT else _at
+"""``(handle)``, for compiled code: the address of the step, and the arrays of a `Memory`."""
