@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.presets import datasheet, preset
     from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
     from sigmaswarm.filters.smoothing import smooth
+    from sigmaswarm.filters.swarm.live import LiveSwarm
+    from sigmaswarm.filters.swarm.run import run_swarm
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.report.compare import comparison_table
     from sigmaswarm.report.study import save_study, study_figures, study_tables
@@ -102,6 +104,8 @@ _HOMES = {
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
     "filters.custom.smoothing": ("smooth_model",),
     "filters.smoothing": ("smooth",),
+    "filters.swarm.live": ("LiveSwarm",),
+    "filters.swarm.run": ("run_swarm",),
     "report.compare": ("comparison_table",),
     "report.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
@@ -136,6 +140,7 @@ __all__ = [
     "Innovations",
     "InputError",
     "LiveFilter",
+    "LiveSwarm",
     "Log",
     "Model",
     "ModelEstimate",
@@ -167,6 +172,7 @@ __all__ = [
     "run_innovations",
     "run_model",
     "run_study",
+    "run_swarm",
     "run_textbook",
     "save_study",
     "simulate",

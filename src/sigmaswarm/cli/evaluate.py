@@ -22,6 +22,7 @@ def evaluate(
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
     trust_log: Annotated[bool, Parameter(negative=())] = False,
     smooth: Annotated[bool, Parameter(negative=())] = False,
+    swarm: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -36,6 +37,7 @@ def evaluate(
         sigmaswarm evaluate tuned drives/friday --out evaluation
         sigmaswarm evaluate tuned drives/friday --against mine.toml
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
+        sigmaswarm evaluate tuned drives/friday --swarm
         sigmaswarm evaluate tuned drives/friday --json
 
     Parameters
@@ -60,6 +62,8 @@ def evaluate(
         Don't ask the doctor whether something is seriously wrong with the drives.
     smooth
         Also compare the tuned filter in hindsight, each of its estimates with all fixes known, later ones too.
+    swarm
+        Also compare a swarm of the tuned filter: sixteen side by side, differently tuned, whose mixture drives.
     json
         Print the scores for machines.
     """
@@ -85,6 +89,7 @@ def evaluate(
         as_recorded=as_recorded or tuned_as_recorded(tuning),
         seen=seen_by(file) or None,
         smooth=smooth,
+        swarm=swarm,
     )
     _warn_of_training_drives(result)
     written: list[Path] = []

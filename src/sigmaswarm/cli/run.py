@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from sigmaswarm import Estimate
+    from sigmaswarm.filters.swarm.run import SwarmRun
 
 
 NOT_WORTH_TELLING = 5.0
@@ -26,6 +27,7 @@ def run(
     before: Path | None = None,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
     smooth: Annotated[bool, Parameter(negative=())] = False,
+    swarm: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
@@ -40,6 +42,7 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
         sigmaswarm run tuned drives/friday --out estimate.ros2 --beside friday.mcap
         sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
+        sigmaswarm run tuned drives/friday --out estimate.csv --swarm
 
     Parameters
     ----------
@@ -64,6 +67,10 @@ def run(
     smooth
         Estimates in hindsight: each knows all fixes, later ones too. Where the filter started anew smoothing ends, and
         begins again behind it.
+    swarm
+        Run sixteen filters side by side, differently tuned, whose mixture is the estimate, and which follow a change of
+        sensors or surroundings. Beside --out NAME.csv comes NAME.swarm.csv, what the swarm said of itself each second,
+        and NAME.swarm.toml, the filter that it settled on.
     json
         Print a summary for machines.
     """
@@ -81,7 +88,10 @@ def run(
     )
     from sigmaswarm.filters.run import estimates, replay_of
     from sigmaswarm.filters.smoothing import smoothed_estimates
+    from sigmaswarm.filters.swarm.run import SwarmRun, swarm_estimates
 
+    if smooth and swarm:
+        raise InputError("--smooth and --swarm exclude each other: a swarm has no hindsight; leave one out")
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
@@ -95,18 +105,25 @@ def run(
     if before:
         check_fixes_target(before, place)
     began = time_origin_of(read)
-    replay = replay_of(read, as_recorded=as_recorded or tuned_as_recorded(tuning))
+    as_recorded = as_recorded or tuned_as_recorded(tuning)
+    replay = replay_of(read, as_recorded=as_recorded)
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []
-    pieces = _watched((smoothed_estimates if smooth else estimates)(replay, parameters), restarts)
+    swarming = SwarmRun(replay, parameters, recover=True, as_recorded=as_recorded) if swarm else None
+    if swarming is not None:
+        found = swarm_estimates(swarming)
+    else:
+        found = (smoothed_estimates if smooth else estimates)(replay, parameters)
+    pieces = _watched(found, restarts)
     write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside, name=read.name)
     fixes = write_fixes(read, first, before, origin=place, time_origin=began) if before else 0
     if truth and true:
         write_estimate(true, truth, origin=place, time_origin=began, name=f"{read.name}: truth")
+    said = {} if swarming is None else _save_swarm(swarming, out)
     if json:
         ends = {"start_s": first, "end_s": last}
-        print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts})
+        print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts, **said})
     else:
         if restarts:
             at = ", ".join(f"{t:.2f}" for t in restarts)
@@ -114,6 +131,11 @@ def run(
         stdout().print(
             f"wrote {len(time)} {'smoothed ' if smooth else ''}estimates from {first:.2f} s to {last:.2f} s to {out}"
         )
+        for sentence in said.get("said", ()):
+            stdout().print(f"the swarm: {sentence}")
+        for name in ("swarm", "settled"):
+            if name in said:
+                stdout().print(f"wrote {said[name]}")
         earlier = first - float(read.imu.time[0])
         if earlier > NOT_WORTH_TELLING:
             stdout().print(
@@ -125,6 +147,18 @@ def run(
                     else "--before NAME.csv writes the fixes"
                 )
             )
+
+
+def _save_swarm(run: "SwarmRun", out: Path) -> dict[str, Any]:
+    """Write what a swarm said of itself, and what it settled on, beside the estimates; for machines, what and where."""
+    from sigmaswarm.files import write_whole
+
+    log, spread = run.log, run.swarm.spread
+    log_file, filter_file = (out.with_name(f"{out.stem}.swarm.{ending}") for ending in ("csv", "toml"))
+    write_whole(log_file, log.to_frame().write_csv())
+    spread.parameters(log.settled).save(filter_file)
+    said = [*spread.said(log.settled)]
+    return {"swarm": str(log_file), "settled": str(filter_file), "said": said}
 
 
 def _watched(pieces: "Iterator[Estimate]", restarts: list[float]) -> "Iterator[Estimate]":

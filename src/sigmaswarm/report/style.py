@@ -4,7 +4,8 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.views.charts import Dash, Look
-from sigmaswarm.scoring.evaluation import METHODS, method_names
+from sigmaswarm.scoring.drifts import OWN
+from sigmaswarm.scoring.evaluation import ALSO, METHODS, method_names
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
 BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
@@ -20,6 +21,7 @@ LOOKS: dict[str, Look] = {
     "truth": Look(BLACK, 1.2),
     "tuned": Look(BLUE, 2.2),
     "smoothed": Look(INDIGO, 1.6),
+    "swarm": Look(VERMILION, 1.4, "dash"),
     "against": Look(SKY, 1.6),
     "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
     "datasheet": Look(PURPLE, 1.2, "dashdot"),
@@ -38,7 +40,7 @@ STUDY_LOOKS: dict[str, Look] = {
     "raw_gps": LOOKS["raw_gps"],
 }
 """Of the series in a study's tracks, the first one on top."""
-LABELS = {"truth": "truth", **method_names(own=True, smoothed=True), **METHODS}
+LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
 
 
 def check_file(path: Path, suffix: str = ".png") -> None:

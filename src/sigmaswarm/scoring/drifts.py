@@ -1,26 +1,46 @@
 """What methods drift while fixes are hidden: outages placed again and again, for one placement is a draw of chance."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate
-from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import Seed, drift_reference, outage_replay, outage_windows, placements
 
 SMOOTHED = "smoothed"
 """The method that is the tuned filter in hindsight."""
+SWARM = "swarm"
+"""The method that is a swarm of the tuned filter."""
 OWN = "against"
 """The method that is a filter of the user's own."""
 WATCHED = ("tuned", OWN)
 """The methods that start anew where they lost their way."""
+
+
+class Run(Protocol):
+    """What goes over a replay and gives its estimates in pieces."""
+
+    @property
+    def initial(self) -> InitialState: ...
+    @property
+    def failure(self) -> str | None: ...
+    @property
+    def restarts(self) -> Sequence[float]: ...
+    def __iter__(self) -> Iterator[Piece]: ...
+
+
+Runs = Mapping[str, Callable[[Replay], Run]]
+"""Methods that are more than a filter, by their names."""
 
 
 class Outages:
@@ -48,16 +68,14 @@ class Outages:
         """What an estimate drifts that never sees a fix: it needs no run of its own for that."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
-    def run(self, filters: Mapping[str, FilterParameters], smoothed: FilterParameters | None = None) -> None:
-        """Run filters with the fixes hidden, and a smoother. No steps are kept."""
+    def run(self, filters: Mapping[str, FilterParameters], also: Runs = MappingProxyType({})) -> None:
+        """Run filters with the fixes hidden, and what else there is. No steps are kept."""
         for seed in self.seeds:
             self._ready.forget()
-            self._run_placed(seed, filters, smoothed)
+            self._run_placed(seed, filters, also)
         self._ready.forget()
 
-    def _run_placed(
-        self, seed: Seed, filters: Mapping[str, FilterParameters], smoothed: FilterParameters | None
-    ) -> None:
+    def _run_placed(self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs) -> None:
         """One placement; a function of its own, so that its steps are gone before the next one's are made."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         recordings = [Recording(outages, p, recover=m in WATCHED) for m, p in filters.items()]
@@ -67,19 +85,19 @@ class Outages:
             self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
             if scores[i, 0].failed:
                 self.failed.add(method)
-        if smoothed is not None:
-            self._smooth(outages, smoothed)
+        for method, make in also.items():
+            self._follow(method, make(outages))
 
-    def _smooth(self, outages: Replay, parameters: FilterParameters) -> None:
-        """What a smoother is off at the ends of the outages, where it knows of the fixes behind them."""
-        smoothing, of = Smoothing(outages, parameters, recover=True), self._each.setdefault(SMOOTHED, [])
+    def _follow(self, method: str, run: Run) -> None:
+        """What a run is off at the ends of the outages."""
+        of = self._each.setdefault(method, [])
         ends, at, places = self._ends[len(of)], 0, np.empty((0, 2))
-        for piece in smoothing:
+        for piece in run:
             here = ends[at : np.searchsorted(ends, piece.time[-1], side="right")]  # each ends at a sample
             places = np.vstack([places, piece.mean[np.searchsorted(piece.time, here), :2]])
             at += len(here)
-        if smoothing.failure:
-            self.failed.add(SMOOTHED)
+        if run.failure:
+            self.failed.add(method)
         reference = drift_reference(self._ready)
         true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
         of.append(float(np.sqrt(np.mean(np.square(places - np.column_stack(true)).sum(axis=1)))))

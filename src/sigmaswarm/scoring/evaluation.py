@@ -1,6 +1,6 @@
 """What a tuning is worth: the same drives by the tuned filter, the manual ones, raw GPS and IMU only."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,11 +18,13 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import joined
+from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.filters.smoothing import Smoothing
+from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import OWN, SMOOTHED, WATCHED, Outages, rms_drift
+from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
@@ -68,17 +70,19 @@ KIND_NAMES = {
 """What people call the kinds of filters."""
 
 
-def method_names(
-    kind: str = "ukf", model: str = "planar5", *, own: bool = False, smoothed: bool = False
-) -> dict[str, str]:
+ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"}
+"""The rows behind the tuned filter that are there if they are asked for."""
+
+
+def method_names(kind: str = "ukf", model: str = "planar5", *, also: Collection[str] = ()) -> dict[str, str]:
     """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's.
 
-    ``own``: the user's own filter first; ``smoothed``: the tuned one in hindsight behind it.
+    ``also``: what there is beside them: `OWN`, the user's own filter, which comes first, and of `ALSO`.
     """
     suffix = "" if model == "planar5" else f", {model}"
-    first = {OWN: "your own filter"} if own else {}
+    first = {OWN: "your own filter"} if OWN in also else {}
     first |= {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
-    return first | ({SMOOTHED: "tuned, smoothed"} if smoothed else {}) | METHODS | first
+    return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
 
 
 @dataclass(frozen=True)
@@ -361,6 +365,7 @@ def evaluate(
     as_recorded: bool = False,
     seen: Sequence[Landmarks] | None = None,
     smooth: bool = False,
+    swarm: bool = False,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -386,6 +391,8 @@ def evaluate(
     smooth : bool
         Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
         behind it.
+    swarm : bool
+        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveSwarm`.
 
     Raises
     ------
@@ -405,20 +412,25 @@ def evaluate(
         ready = prepared(drive, as_recorded=as_recorded)
         known = None if seen is None else known_overlap(landmarks(drive), seen)
         filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
-        each = _evaluated(ready, filters, name, outage_length, outage_seed, smooth=smooth)
-        found[name] = replace(each, seen=known)
-    names = method_names(parameters.kind, parameters.model, own=against is not None, smoothed=smooth)
+        also: dict[str, Callable[[Replay], Run]] = {}
+        if smooth:
+            also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
+        if swarm:
+            also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
+        found[name] = replace(_evaluated(ready, filters, also, name, outage_length, outage_seed), seen=known)
+    there = [OWN] if against is not None else []
+    there += [method for method, asked in ((SMOOTHED, smooth), (SWARM, swarm)) if asked]
+    names = method_names(parameters.kind, parameters.model, also=there)
     return Evaluation(found, names, outage_length, outage_seed)
 
 
 def _evaluated(
     ready: PreparedDrive,
     filters: Mapping[str, FilterParameters],
+    also: Runs,
     name: str,
     length: float,
     seed: int,
-    *,
-    smooth: bool,
 ) -> Evaluated:
     """Every method once over the whole drive, and the filters again with the outages."""
     drive = ready.drive
@@ -440,10 +452,14 @@ def _evaluated(
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
     whole = scores_of({"tracking": [tracking]}, {"tracking": sums})
-    hindsight = {SMOOTHED: tracker.smooth(SMOOTHED, tracking, filters["tuned"])} if smooth else {}
+    more: dict[str, Score] = {}
+    for method, make in also.items():
+        run = make(tracking)
+        more[method] = tracker.follow(method, run)
+        restarts[method] = tuple(run.restarts)
     del recorded, tracking  # the next pass has steps and targets of its own
     for of in outages.values():
-        of.run(filters, filters["tuned"] if smooth else None)
+        of.run(filters, also)
     each = {
         method: replace(
             whole[i, 0],
@@ -453,17 +469,17 @@ def _evaluated(
         )
         for i, method in enumerate(filters)
     }
-    hindsight = {
+    more = {
         method: replace(score, failed=score.failed or any(method in of.failed for of in outages.values()))
-        for method, score in hindsight.items()
+        for method, score in more.items()
     }
-    scores = {**each, **hindsight, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
-    for method in (*filters, *hindsight, "imu_only"):
+    scores = {**each, **more, "raw_gps": score_raw_gps(drive, ready.initial), "imu_only": dead_reckoning}
+    for method in (*filters, *more, "imu_only"):
         short, long = (of.drift(method) for of in outages.values())
         scores[method] = replace(scores[method], outage_drift=short, long_outage_drift=long)
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
-        scores={method: scores[method] for method in (OWN, "tuned", SMOOTHED, *METHODS) if method in scores},
+        scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
         consistency=None if failed else consistency_of(innovations, nees),
         innovations=innovations,
         tracks=tracker.tracks(name),

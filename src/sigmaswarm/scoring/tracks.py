@@ -23,8 +23,10 @@ from sigmaswarm.filters.presets import DEFAULTS, datasheet
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
-from sigmaswarm.filters.smoothing import Smoothing
+from sigmaswarm.filters.swarm.run import SwarmRun
+from sigmaswarm.filters.swarm.spread import START
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
+from sigmaswarm.scoring.drifts import Run
 from sigmaswarm.scoring.score import PieceErrors, Score
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
@@ -32,6 +34,8 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 """Ends the name of the series that holds a filter's NIS."""
+SHARES, MOVED = ".shares", ".moved"
+"""End the names of the series that say what a swarm's lanes counted, and how far it was from its tuning."""
 MOST_POINTS = 1500
 """Of a series in a file; more than a screen has columns."""
 MOST_DRAWN = 20_000
@@ -129,11 +133,16 @@ class Tracker:
             self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
         return recording
 
-    def smooth(self, series: str, replay: Replay, parameters: FilterParameters) -> Score:
-        """Run a smoother over all fixes of the drive, and keep its track; its score."""
-        smoothing = Smoothing(replay, parameters, recover=True)
-        errors = self._follow(series, smoothing, smoothing.initial, len(replay.timeline.imu_time))
-        return replace(errors.score if errors else Score(), failed=smoothing.failure is not None)
+    def follow(self, series: str, run: Run) -> Score:
+        """Take what is more than a filter over all fixes of the drive, and keep its track; its score."""
+        samples = int((self._ready.drive.imu.time > self._ready.initial.time).sum())
+        errors = self._follow(series, run, run.initial, samples)
+        if isinstance(run, SwarmRun):
+            log = run.log
+            moved = {name: log.moved[:, i] for i, name in enumerate(log.names) if name != START}
+            self._keep(series + SHARES, [{"time": log.time, **log.shares}], len(log.time))
+            self._keep(series + MOVED, [{"time": log.time, **moved}], len(log.time))
+        return replace(errors.score if errors else Score(), failed=run.failure is not None)
 
     def _follow(self, series: str, run: Iterable[Piece], initial: InitialState, n: int) -> PieceErrors | None:
         """Keep the track of n samples that comes piece by piece; its errors, where there is truth."""

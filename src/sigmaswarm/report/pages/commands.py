@@ -1,12 +1,13 @@
 """The command that repeats a result, from the configuration that was saved with it."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.options import DEFAULTS
 from sigmaswarm.tuning.tune import with_guards
@@ -41,14 +42,13 @@ def evaluate_command(
     outage_length: float,
     outage_seed: int,
     *,
-    own: bool = False,
-    smoothed: bool = False,
+    also: Collection[str] = (),
 ) -> tuple[str, str]:
     """The command of an evaluation, and what it can't say."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
-    words += ["--against", "against.toml"] if own else []
-    words += ["--smooth"] if smoothed else []
+    options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
+    words += [word for method in also for word in options[method]]
     note = (
         "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
         "folders instead."

@@ -17,11 +17,12 @@ from sigmaswarm.report.pages.tuning import (
     what_was_tuned,
 )
 from sigmaswarm.report.style import LABELS, LOOKS
-from sigmaswarm.report.views.evaluation import method_bars
+from sigmaswarm.report.views.evaluation import method_bars, swarm_charts
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
-from sigmaswarm.scoring.drifts import OWN, SMOOTHED
+from sigmaswarm.scoring.drifts import OWN
 from sigmaswarm.scoring.evaluation import (
+    ALSO,
     HOW_MANUAL,
     Measure,
     measures,
@@ -32,19 +33,19 @@ from sigmaswarm.scoring.evaluation import (
 )
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
-from sigmaswarm.scoring.tracks import TRACKS_FILE, load_tracks
+from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
 
 MANUAL = ("defaults", "datasheet")
-LINES = ("truth", SMOOTHED, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
+LINES = ("truth", *ALSO, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
     "fixes are hidden from it, measured against those fixes, and whether its forecasts miss the fixes by as "
     "much as it says (NIS)."
 )
-SHOWN = ("truth", "tuned", SMOOTHED, OWN, "datasheet", "raw_gps")
+SHOWN = ("truth", "tuned", *ALSO, OWN, "datasheet", "raw_gps")
 """Those that are shown from the start."""
 
 
@@ -53,16 +54,15 @@ def evaluation_report(folder: Path) -> Report:
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     asked = load_record(EvaluationRecord, folder / ASKED_FILE)
     file = load_record(TuningRecord, folder / FILE)
-    own, smoothed = OWN in scores.mean, SMOOTHED in scores.mean
+    also = [method for method in (OWN, *ALSO) if method in scores.mean]
     names = method_names(
         str(file.filter.get("kind", "ukf")),
         str(file.filter.get("model", "planar5")),
-        own=own,
-        smoothed=smoothed,
+        also=also,
     )
-    there = {OWN: own, SMOOTHED: smoothed}
+    left_out = {OWN, *ALSO} - {*also}
     lines = tuple(
-        Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if there.get(m, True)
+        Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if m not in left_out
     )
     tracks = TrackView(tuple(load_tracks(folder / TRACKS_FILE)), lines, "tuned")
     if list(scores.drives) != [d.name for d in asked.data] or list(scores.drives) != [
@@ -78,9 +78,7 @@ def evaluation_report(folder: Path) -> Report:
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
     )
     shown = measures(asked.outage_length_s)
-    command, note = evaluate_command(
-        list(scores.drives), asked.outage_length_s, asked.outage_seed, own=own, smoothed=smoothed
-    )
+    command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, also=also)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, data, asked.outage_length_s), *without, what_was_tuned(file)),
@@ -92,6 +90,7 @@ def evaluation_report(folder: Path) -> Report:
         sections=(
             _comparison(scores, names, shown, asked.outage_length_s),
             Section("Tracks over time" if blind else "Tracks and errors over time", tracks=tracks),
+            *_swarm(tracks.drives),
             _consistency(scores),
             parameters_section(file),
             *convergence_section(file, folder),
@@ -246,6 +245,17 @@ def _scores(
 ) -> Table:
     strong = frozenset(i for i, row in enumerate(rows) if row[1] == names["tuned"])
     return Table(caption, columns, tuple(rows), strong)
+
+
+def _swarm(drives: Sequence[Tracks]) -> tuple[Section, ...]:
+    charts = tuple(chart for drive in drives for chart in swarm_charts(drive))
+    text = (
+        "Sixteen filters of one tuning, differently tuned, foretell each fix; how well they did in the last minute "
+        "is what they count in the estimate. Every 10 s while the car drives, those that count least give way to "
+        "what a search over the last minute finds. Where it moves far from its tuning, the vehicle, its sensors or "
+        "its surroundings are not those that the filter was tuned for: one decade is a factor of ten in a variance.",
+    )
+    return (Section("The swarm", text, charts=charts),) if charts else ()
 
 
 def _consistency(scores: ScoresRecord) -> Section:

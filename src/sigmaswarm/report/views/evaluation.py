@@ -4,7 +4,21 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sigmaswarm.report.style import BLACK, CHARCOAL, GREY, LOOKS, MIST, SILVER, SLATE
+from sigmaswarm.report.style import (
+    BLACK,
+    BLUE,
+    CHARCOAL,
+    DASHES,
+    GREEN,
+    GREY,
+    LOOKS,
+    MANY,
+    MIST,
+    ORANGE,
+    PURPLE,
+    SILVER,
+    SLATE,
+)  # fmt: skip
 from sigmaswarm.report.views.charts import (
     Axis,
     Band,
@@ -22,9 +36,9 @@ from sigmaswarm.report.views.charts import (
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.evaluation import Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
-from sigmaswarm.scoring.tracks import CLOSE_UP, Columns, Picture
+from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 
-DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", "smoothed", "truth")
+DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 
 
@@ -159,4 +173,32 @@ def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ..
     return (
         Chart(title, (*radii, *position), Axis(), scale),
         Chart("", (*bounds, *heading), Axis("time, s"), Axis("heading error, deg", range=(-30.0, 30.0))),
+    )
+
+
+def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
+    """What the lanes of a swarm counted over time, one upon the other, and how far they were from the tuning."""
+    shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
+    if shares is None or moved is None:
+        return ()
+    river, low = list[Mark](), np.zeros(len(shares["time"]))
+    for color, (name, share) in zip(
+        (BLUE, ORANGE, GREEN, PURPLE), [(n, v) for n, v in shares.items() if n != "time"], strict=False
+    ):
+        river.append(Band(shares["time"], low, low + share, Look(color, opacity=0.7), name))
+        low = low + share
+    offsets = [(name, by) for name, by in moved.items() if name not in ("time", "rear_axle")]
+    looks = [
+        Look(MANY[i % len(MANY)], 1.2, DASHES[i // len(MANY) % len(DASHES)]) for i in range(len(offsets))
+    ]
+    curves = [Curve(moved["time"], by, look, name) for (name, by), look in zip(offsets, looks, strict=True)]
+    title = f"{tracks.name}: what the lanes of the swarm count"
+    return (
+        Chart(title, tuple(river), Axis("time, s"), Axis("share", range=(0.0, 1.0))),
+        Chart(
+            f"{tracks.name}: how far the swarm is from its tuning",
+            (Rule("y", 0.0, Look(GREY, 0.8)), *curves),
+            Axis("time, s"),
+            Axis("decades of variance"),
+        ),
     )

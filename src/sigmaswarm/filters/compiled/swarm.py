@@ -1,0 +1,182 @@
+"""A swarm's step: LANES filters of one model at once, and how well each of them has foretold the fixes.
+
+It stands where a live filter's `single_step` stands. The filter itself is the swarm's first lane; all lanes are behind
+the belief (`live.BEHIND`), so that late fixes take them back with it:
+
+    NUMBERS   a few numbers, then what is known of each lane: its evidence, what is held against it, its weight
+    ROWS      (N_KEPT, LANES) the lanes, as in `layout`; the marks of a live filter reach to here
+    SCRATCH   (N_ROWS - N_KEPT, LANES)
+    TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
+
+The evidence of a lane is the logarithm of the likelihood of the fixes under Student's t, as `innovation-t` has it, and
+fades with time. A weight is exp(EVIDENCE_COUNTS evidence - held against it), normed.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
+
+import math
+
+from llvmlite import ir
+from numba import float64, njit, types
+from numba.core import cgutils, config
+from numba.extending import intrinsic
+
+from sigmaswarm.compilation import address_of, once
+from sigmaswarm.drives.timeline import DT
+from sigmaswarm.filters.compiled.lanes import OPTIONS
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, R, state_rows
+from sigmaswarm.filters.compiled.live import BEHIND, TIME
+from sigmaswarm.filters.compiled.run import named_by_sources
+from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
+from sigmaswarm.filters.compiled.step import step_of
+from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.schedule import FIX
+from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE
+
+EVIDENCE_LASTS = 60.0
+"""s in which evidence fades to 1/e."""
+EVIDENCE_COUNTS = 0.1
+"""Fixes' errors last: so many of them tell as much as one that is independent, about a tenth."""
+
+# Behind the belief, counted from BEHIND: how many steps there were on tape, and how many the tape holds; when the last
+# fix was absorbed, how many were; nu and S of the mixture at the last one.
+TAPED, TAPE_LENGTH, FIXED_AT, N_FIXED, NU_X, NU_Y, S_XX, S_XY, S_YY = range(9)
+EVIDENCE = slice(16, 16 + LANES)
+AGAINST = slice(EVIDENCE.stop, EVIDENCE.stop + LANES)
+WEIGHT = slice(AGAINST.stop, AGAINST.stop + LANES)
+NUMBERS = WEIGHT.stop
+ROWS = slice(NUMBERS, NUMBERS + N_KEPT * LANES)
+MARKED = ROWS.stop
+"""So many numbers belong to a mark."""
+TAPE = NUMBERS + N_ROWS * LANES
+
+# A row of the tape: a row of `Timeline.steps`, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it took,
+# Q's scale since the last fix, and when it ended, s.
+T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 16), slice(16, 19), 19, 20
+N_TAPE = 21
+
+_AT_EVIDENCE, _AT_AGAINST, _AT_WEIGHT = (BEHIND + part.start for part in (EVIDENCE, AGAINST, WEIGHT))
+
+
+@intrinsic
+def _rows_behind(typing_context, v):
+    """The array of rows that lies in a swarm's numbers."""
+    kind = types.Array(float64, 2, "A")
+
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        array = context.make_array(kind)(context, builder)
+        context.populate_array(
+            array,
+            data=cgutils.gep_inbounds(builder, arguments[0], size(BEHIND + NUMBERS)),
+            shape=[size(N_ROWS), size(LANES)],
+            strides=[size(8 * LANES), size(8)],
+            itemsize=size(8),
+            meminfo=None,
+        )
+        return array._getvalue()
+
+    return kind(v), generate
+
+
+def _rows_in_python(v):
+    first = BEHIND + NUMBERS
+    return v[first : first + N_ROWS * LANES].reshape(N_ROWS, LANES)
+
+
+_rows_of = _rows_in_python if config.DISABLE_JIT else _rows_behind
+
+
+@njit(**OPTIONS)
+def weigh(v):
+    """The lanes' weights by their evidence; all 0 where no lane has any."""
+    best = -math.inf
+    for lane in range(LANES):
+        for_it = EVIDENCE_COUNTS * v[_AT_EVIDENCE + lane] - v[_AT_AGAINST + lane]
+        v[_AT_WEIGHT + lane] = for_it
+        if for_it > best:  # never of NaN
+            best = for_it
+    total = 0.0
+    for lane in range(LANES):
+        for_it = v[_AT_WEIGHT + lane]
+        v[_AT_WEIGHT + lane] = math.exp(for_it - best) if math.isfinite(for_it) else 0.0
+        total += v[_AT_WEIGHT + lane]
+    if total > 0.0:
+        for lane in range(LANES):
+            v[_AT_WEIGHT + lane] /= total
+
+
+@njit(**OPTIONS)
+def _note_fix(v, w, now):
+    """What a fix says of each lane: see the module. Before that: how the mixture had foretold it."""
+    x, y, total = 0.0, 0.0, 0.0
+    for lane in range(LANES):
+        share = v[_AT_WEIGHT + lane]
+        if share > 0.0:
+            x += share * w[R.NU1, lane]
+            y += share * w[R.NU2, lane]
+            total += share
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for lane in range(LANES):
+        share = v[_AT_WEIGHT + lane]
+        if share > 0.0:
+            dx, dy = w[R.NU1, lane] - x, w[R.NU2, lane] - y
+            xx += share * (w[R.V11, lane] + dx * dx)
+            xy += share * (w[R.V12, lane] + dx * dy)
+            yy += share * (w[R.V22, lane] + dy * dy)
+    v[BEHIND + NU_X], v[BEHIND + NU_Y] = x, y
+    v[BEHIND + S_XX], v[BEHIND + S_XY], v[BEHIND + S_YY] = xx, xy, yy
+    fades = math.exp((v[BEHIND + FIXED_AT] - now) / EVIDENCE_LASTS)
+    v[BEHIND + FIXED_AT] = now
+    v[BEHIND + N_FIXED] += 1.0
+    for lane in range(LANES):
+        n1, n2 = w[R.NU1, lane], w[R.NU2, lane]
+        s11, s12, s22 = w[R.V11, lane], w[R.V12, lane], w[R.V22, lane]
+        det = s11 * s22 - s12 * s12
+        nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
+        sound = w[R.OK, lane] == 1.0 and det > 0.0 and nis >= 0.0
+        loss = math.inf
+        if sound:
+            loss = 0.5 * math.log(det) + 0.5 * (INNOVATION_DOF + 2.0) * math.log(1.0 + nis / INNOVATION_SCALE)
+        v[_AT_EVIDENCE + lane] = fades * v[_AT_EVIDENCE + lane] - loss
+
+
+def _swarm_step(sources, *, step, kept):
+    def swarm_step(v, u, happens, z, wheels, lever, since):
+        """A step of all lanes; ``v`` is a live filter's belief, and what is behind it."""
+        if sources == "":  # never; so the name is closed over
+            return
+        w = _rows_of(v)
+        step(
+            w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
+            (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
+            (lever[0], lever[1], lever[2]), since,
+        )  # fmt: skip
+        now = v[TIME] + u[DT]
+        if happens & FIX:
+            _note_fix(v, w, now)
+            weigh(v)
+        for r in kept:
+            v[r] = w[r, 0]
+        row = BEHIND + TAPE + N_TAPE * (int(v[BEHIND + TAPED]) % int(v[BEHIND + TAPE_LENGTH]))
+        v[BEHIND + TAPED] += 1.0
+        for c in range(9):
+            v[row + c] = u[c]
+        v[row + 9] = happens
+        for c in range(6):
+            v[row + 10 + c] = z[c]
+        for c in range(3):
+            v[row + 16 + c] = wheels[c]
+        v[row + 19] = since
+        v[row + 20] = now
+
+    return swarm_step
+
+
+@once
+def swarm_step(model):
+    """The step of a swarm of a model, compiled now: as `single.single_step`."""
+    kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
+    make = unrolled(_swarm_step, step=step_of(model), kept=kept)
+    function = named_by_sources(make, f"swarm {model}")
+    return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

@@ -1,0 +1,432 @@
+"""LiveSwarm: sixteen filters behind the interface of one, whose mixture drives; it goes on looking for better ones.
+
+All of it depends on the stream alone. What becomes of the lanes is decided by what can't change any more: by the state
+so far back that no late fix reaches it; from there the samples are taken again with the new lanes. So the same samples
+and fixes give the same bits, whether they come in time or late, live or from a file.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled import live, swarm
+from sigmaswarm.filters.compiled.lagged import again_call
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, state_rows
+from sigmaswarm.filters.compiled.memory import Memory
+from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
+from sigmaswarm.filters.live import LiveFilter, LiveState, told
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import Chunk, believed, start_rows
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recovery import Recovery
+from sigmaswarm.filters.swarm.search import Found, Steps, search
+from sigmaswarm.filters.swarm.spread import FIXED, Spread
+from sigmaswarm.geodesy import wrap_angle
+
+SEARCH_EVERY = 10.0
+"""s from one search to the next."""
+SEARCH_TAKES = 1.0
+"""s of the stream until what it found takes its place; a search takes some 20 ms beside it."""
+REPLAYED = 60.0
+"""s that a search looks back."""
+FASTER = 2.0
+"""m/s: slower, fixes tell little of headings and biases, and nothing is changed."""
+REPLACED = 7
+"""Lanes that give way after a search: one to what was found, the others to copies of good ones, jittered."""
+JITTER = 0.6
+"""Of an offset's standard deviation: how far a copy lies off its parent."""
+FADED = 0.632
+"""Of what a search tells by its 60 s, how much has not faded on average: 1 - 1/e."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """What a swarm believes at some moments: the mean and covariance of its mixture, the heading on the circle.
+
+    Attributes
+    ----------
+    mean : (k, n)
+    covariance : (k, n, n)
+    """
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
+        """Of the state rows (k, s, LANES) and the weights (k, LANES) of a swarm; NaN where all weights are 0."""
+        mean, covariance = believed(states, model)  # (k, LANES, n), (k, LANES, n, n)
+        weights = weights.copy()
+        weights[weights.sum(axis=1) == 0.0] = np.nan
+        leads = np.argmax(weights, axis=1)
+        from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
+        from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
+        out = weights == 0.0  # also of lanes that are NaN
+        from_leader[out], covariance[out] = 0.0, 0.0
+        middle = np.einsum("kl,kln->kn", weights, from_leader)
+        off = from_leader - middle[:, np.newaxis]
+        spread = np.einsum("kl,kln,klm->knm", weights, off, off)
+        together = np.einsum("kl,klnm->knm", weights, covariance) + spread
+        return cls(mean[np.arange(len(mean)), leads] + middle, together)
+
+
+@dataclass(frozen=True, eq=False)
+class _Snapshot:
+    """Where a replay can begin: how many steps were on tape, when that was, and the lane that led then (N_KEPT,)."""
+
+    taped: int
+    time: float
+    lane: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Pending:
+    """A search under way: its result lands with the first sample from a time on; it replayed up to a step."""
+
+    lands: float
+    taped: int
+    found: "Future[Found | None]"
+
+
+class LiveSwarm(LiveFilter):
+    """Sixteen filters of a tuning, differently tuned, on one stream of samples; their mixture is the estimate.
+
+    How much a filter counts is told by the fixes: each lane foretells them, and its evidence is their likelihood under
+    Student's t, which fades within a minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes
+    stand for other receivers. Every 10 s while the car drives the worst lanes are replaced: by what a search finds over
+    the last minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or
+    the sky closes; on the car that a filter was tuned for it drives no better than the filter.
+
+    It takes and gives what a `LiveFilter` does, and is used in the same way. A copy by `pickle` goes on with the same
+    bits.
+
+    Parameters
+    ----------
+    parameters, initial, nominal_interval, lever_arm, history, recover, as_recorded
+        As of `LiveFilter`.
+    seed : int
+        Of its chance: the lanes' first offsets, and the search.
+    searches : bool
+        Look for better filters on the way; False: the sixteen stay as they are.
+
+    Attributes
+    ----------
+    spread : Spread
+        What the lanes differ in.
+    offsets : ndarray, shape (16, d)
+        By how much: decades, m for the rear axle.
+    n_searches : int
+        That found something.
+    restarts : list of float
+        s: when lane 0 started anew; the others do so together where their mixture is lost, see ``swarm_restarts``.
+    """
+
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        initial: InitialState,
+        *,
+        nominal_interval: float,
+        lever_arm: Sequence[float] = (0.0, 0.0),
+        history: float = 1.0,
+        recover: bool = True,
+        as_recorded: bool = False,
+        seed: int = 0,
+        searches: bool = True,
+    ) -> None:
+        super().__init__(
+            parameters,
+            initial,
+            nominal_interval=nominal_interval,
+            lever_arm=lever_arm,
+            history=history,
+            recover=recover,
+            as_recorded=as_recorded,
+        )
+        self._seed, self._searches, self.n_searches = seed, searches, 0
+        self.spread = Spread(parameters)
+        self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
+        self._population = self.offsets.copy()
+        self._model: ModelName = parameters.model
+        self._settled = len(
+            self._memory.arrays.history
+        )  # records of the history: as many samples back nothing changes
+        self._memory = self._with_lanes(nominal_interval)
+        self._start_lanes(initial, range(LANES))
+        self._together = Recovery() if recover else None
+        self._snapshots = [self._snapshot(self._numbers, initial.time)]
+        self._pending: _Pending | None = None
+        self._due = initial.time + SEARCH_EVERY
+        self._n_begun = 0
+        Steps(self._model, np.empty((0, N_TAPE)), np.zeros(3)).run(self._rows_of(self._numbers)[:, :8].copy())
+        again_call()
+
+    def _with_lanes(self, nominal_interval: float) -> Memory:
+        of_one = self._memory.arrays
+        longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
+        tape = int(1.25 * (longest / nominal_interval + len(of_one.fixes) / 10)) + self._settled
+        wider = np.zeros(live.BEHIND + TAPE + tape * N_TAPE)
+        wider[: live.N_ALL] = of_one.belief
+        wider[live.BEHIND + swarm.TAPE_LENGTH] = tape
+        of_one.counts[live.SPARE] = live.MARK_EVERY
+        longer = np.zeros((self._settled + live.MARK_EVERY, live.N_RECORD))
+        marks = np.zeros((len(longer) // live.MARK_EVERY + 2, swarm.MARKED))
+        arrays = of_one._replace(belief=wider, history=longer, marks=marks)
+        return Memory(swarm_step(self._model), arrays)
+
+    @property
+    def _numbers(self) -> Array:
+        """What is behind the belief."""
+        return self._belief[live.BEHIND :]
+
+    def _start_lanes(self, start: InitialState, lanes: Sequence[int]) -> None:
+        """Some lanes as at a start, and the evidence of all gone."""
+        sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
+        rows = self._rows_of(self._numbers)
+        rows[:, lanes] = start_rows([start], [self._interval], Chunk(sets))[0][:, lanes]
+        rows[CONSTANT_ROWS] = self.spread.grown(self._own_constants, self.offsets)
+        self._numbers[swarm.EVIDENCE] = 0.0
+        self._numbers[swarm.AGAINST] = self.spread.against(self.offsets)
+        self._numbers[swarm.FIXED_AT] = start.time
+        swarm.weigh(self._belief)
+
+    @property
+    def _own_constants(self) -> Array:
+        return Chunk((self.parameters,)).constants(self._interval)[:, :1]
+
+    @staticmethod
+    def _rows_of(numbers: Array) -> Array:
+        """The lanes in what is behind the belief, or in a mark: (N_KEPT, LANES)."""
+        return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
+
+    def predict(self, t: float, imu: Sequence[float]) -> None:
+        """Take an IMU sample, as `LiveFilter.predict`."""
+        super().predict(t, imu)
+        if t >= self._due and self._belief[live.TIME] >= self._due:
+            self._move()
+
+    def _move(self) -> None:
+        """Begin a search, or let what it found take its place."""
+        now = float(self._belief[live.TIME])
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            found = pending.found.result()
+            if found is not None:
+                self._replace(found, pending.taped)
+        elif self._searches:
+            self._pending = self._begin(now)
+        self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
+
+    def _settled_mark(self) -> tuple[int, Array, Array] | None:
+        """The last mark that no late fix reaches: the number of its record, the record, and the mark."""
+        of = self._memory.arrays
+        counts, history, marks = of.counts, of.history, of.marks
+        n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
+        number = max(0, n - self._settled) // live.MARK_EVERY * live.MARK_EVERY
+        place = number - (n - kept)
+        if place < 0:  # it started anew since
+            return None
+        record = history[(int(counts[live.OLDEST]) + place) % len(history)]
+        return place, record, marks[number // live.MARK_EVERY % len(marks)]
+
+    def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
+        leads = int(np.argmax(numbers[swarm.WEIGHT]))
+        return _Snapshot(int(numbers[swarm.TAPED]), time, self._rows_of(numbers)[:, leads].copy())
+
+    def _begin(self, now: float) -> _Pending | None:
+        mark = self._settled_mark()
+        if mark is None:
+            return None
+        _, record, numbers = mark
+        here = self._snapshot(numbers, float(record[live.TIME]))
+        self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
+        begins = self._snapshots[0]
+        if np.hypot(here.lane[R.U], here.lane[R.V]) <= FASTER:
+            return None
+        taped = self._tape(begins.taped, here.taped)
+        if taped is None:
+            return None
+        self._n_begun += 1
+        leads = int(np.argmax(numbers[swarm.WEIGHT]))
+        steps = Steps(self._model, taped, self._belief[live.LEVER].copy())
+        rng = np.random.default_rng([self._seed, self._n_begun])
+        arguments = (
+            self.spread,
+            steps,
+            begins.lane,
+            self.offsets[leads],
+            self._population,
+            self._interval,
+            rng,
+        )
+        return _Pending(now + SEARCH_TAKES, here.taped, _searcher().submit(search, *arguments))
+
+    def _tape(self, first: int, last: int) -> Array | None:
+        """Steps from number ``first`` to before ``last``, (k, N_TAPE); None where the tape no longer has them."""
+        length = int(self._numbers[swarm.TAPE_LENGTH])
+        if first < int(self._numbers[swarm.TAPED]) - length:
+            return None
+        tape = self._numbers[TAPE:].reshape(length, N_TAPE)
+        return tape[np.arange(first, last) % length]
+
+    def _replace(self, found: Found, replayed: int) -> None:
+        """Put what was found, and copies of good lanes, in place of the worst; then take the last samples again."""
+        mark = self._settled_mark()
+        if mark is None:
+            return
+        place, record, numbers = mark
+        since = self._tape(replayed, int(numbers[swarm.TAPED]))
+        if since is None:
+            return
+        rng = np.random.default_rng([self._seed, self._n_begun, 1])
+        rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
+        evidence = numbers[swarm.EVIDENCE]
+        leads = int(np.argmax(weight))
+        worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED)][:REPLACED]
+        parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
+        offsets, states, known = [found.offsets], [self._brought_on(found, since)], [0.0]
+        known[0] = evidence[leads] + FADED * found.better_by
+        for parent in parents:
+            jitter = JITTER * self.spread.std * rng.standard_normal(len(self.spread.names))
+            offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
+            states.append(rows[:, parent].copy())
+            known.append(float(evidence[parent]))
+        failed = [lane for lane in range(1, LANES) if weight[lane] == 0.0 and lane not in worst]
+        for lane in failed:  # it goes on from where the best one is, with its own offsets
+            rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
+        for lane, its, state, told_by in zip(worst, offsets, states, known, strict=True):
+            self.offsets[lane], rows[:, lane], evidence[lane] = its, state, told_by
+        constants = self.spread.grown(self._own_constants, self.offsets)
+        rows[CONSTANT_ROWS, 1:] = constants[:, 1:]
+        numbers[swarm.AGAINST] = self.spread.against(self.offsets)
+        self._population = found.population
+        self.n_searches += 1
+        belief, counts, _, fixes, speeds, history, marks = self._memory.arrays
+        belief[live.BEHIND : live.BEHIND + swarm.MARKED] = numbers
+        swarm.weigh(belief)
+        numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
+        belief[: live.N_BELIEF] = record[: live.N_BELIEF]
+        again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
+
+    def _brought_on(self, found: Found, since: Array) -> Array:
+        """The filter that was found, (N_KEPT,), through the steps since the replay."""
+        lane = np.repeat(found.lane, 8, axis=1)
+        Steps(self._model, since, self._belief[live.LEVER].copy()).run(lane)
+        return lane[:, 0]
+
+    def _look(self, recovery: Recovery, now: float, fix: tuple[float, ...], *, due: bool) -> None:
+        super()._look(recovery, now, fix, due=due)
+        together = self._together
+        assert together is not None
+        start = self._judged(together, now, fix, self._believed_together, due=due)
+        if start is None and due and not self.weights.any():  # all failed
+            start = self._seen(now, fix, *self._believed_together()).start
+        if start is not None:
+            self._start_lanes(start, range(1, LANES))
+            self._begin_history()
+        self._holds = self._holds or together.lost
+
+    def _start_anew(self, start: InitialState) -> None:
+        super()._start_anew(start)
+        self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
+        self._begin_history()
+
+    def _begin_history(self) -> None:
+        """From here on nothing goes back to before now."""
+        counts = self._memory.arrays.counts
+        counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+        counts[live.N_SAMPLES] = -(-int(counts[live.N_SAMPLES]) // live.MARK_EVERY) * live.MARK_EVERY
+        self._snapshots = [self._snapshot(self._numbers, float(self._belief[live.TIME]))]
+        self._pending = None
+
+    @property
+    def swarm_restarts(self) -> list[float]:
+        """s: when all lanes but the first started anew, since their mixture was lost."""
+        return [] if self._together is None else self._together.restarts
+
+    @property
+    def weights(self) -> Array:
+        """How much each lane counts, (16,), together 1; all 0 where all have failed."""
+        return self._numbers[swarm.WEIGHT].copy()
+
+    @property
+    def effective(self) -> float:
+        """How many lanes the mixture is worth: 1 / sum of squared weights."""
+        squares = float(np.square(self.weights).sum())
+        return 1.0 / squares if squares > 0.0 else 0.0
+
+    @property
+    def leader(self) -> FilterParameters:
+        """The parameters of the lane that counts most."""
+        return self.spread.parameters(self.offsets[int(np.argmax(self.weights))])
+
+    @property
+    def moved(self) -> Array:
+        """How far the swarm is from its tuning, (d,): the weighted mean of its offsets."""
+        return self.weights @ self.offsets
+
+    @property
+    def settled(self) -> FilterParameters:
+        """The tuning moved by `moved`: what to save as a filter for this car."""
+        return self.spread.parameters(self.moved)
+
+    @property
+    def n_fixes(self) -> int:
+        """How many fixes were absorbed."""
+        return int(self._numbers[swarm.N_FIXED])
+
+    @property
+    def innovation(self) -> tuple[Array, Array]:
+        """nu (2,) m and S (2, 2) m2 of the mixture at the last fix, before it was absorbed."""
+        n = self._numbers
+        xy = n[swarm.S_XY]
+        return n[[swarm.NU_X, swarm.NU_Y]], np.array([[n[swarm.S_XX], xy], [xy, n[swarm.S_YY]]])
+
+    @property
+    def state(self) -> LiveState:
+        """What the mixture believes after the last IMU sample and all fixes up to then."""
+        mean, covariance = self._believed_together()
+        return told(float(self._belief[live.TIME]), mean, covariance, self.lost, self._plausible)
+
+    @property
+    def lost(self) -> bool:
+        """The mixture is lost and can't yet start anew; its position is that of the last fix."""
+        return self._together is not None and self._together.lost
+
+    def lanes(self) -> tuple[Array, Array]:
+        """State rows (s, LANES) and weights (LANES,) now: for who mixes many moments at once."""
+        return self._rows_of(self._numbers)[state_rows(self._model)], self.weights
+
+    def _believed_together(self) -> tuple[Array, Array]:
+        states, weights = self.lanes()
+        mixed = Mixture.of(states[np.newaxis], weights[np.newaxis], self._model)
+        return mixed.mean[0], mixed.covariance[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For a copy: what is searched for is found first."""
+        state = self.__dict__.copy()
+        if self._pending is not None:
+            known: Future[Found | None] = Future()
+            known.set_result(self._pending.found.result())
+            state["_pending"] = self._pending.lands, self._pending.taped, known.result()
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if isinstance(self._pending, tuple):
+            found: Future[Found | None] = Future()
+            found.set_result(self._pending[2])
+            self._pending = _Pending(self._pending[0], self._pending[1], found)
+
+
+@cache
+def _searcher() -> ThreadPoolExecutor:
+    """One thread for the searches of all swarms of a process."""
+    return ThreadPoolExecutor(1, thread_name_prefix="swarm")

@@ -1,0 +1,263 @@
+"""A swarm over a whole drive: the drive's samples and fixes, one by one, through a `LiveSwarm`."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.errors import SigmaswarmError
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import Chunk
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Innovations, Piece, failure_at
+from sigmaswarm.filters.replay import Replay, require_readable
+from sigmaswarm.filters.run import Estimate, replay_of
+from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
+from sigmaswarm.filters.swarm.spread import GROUPS
+from sigmaswarm.geodesy import wrap_angle
+
+SETTLED_OVER = 60.0
+"""s at the end of a drive over which what a swarm settled on is averaged."""
+TOLD_EVERY = 1.0
+"""s between two rows of what a swarm says of itself."""
+_AT_ONCE = 500
+"""Samples that are mixed together."""
+
+
+@dataclass(frozen=True, eq=False)
+class SwarmLog:
+    """What a swarm said of itself, once a second.
+
+    Attributes
+    ----------
+    names : tuple of str, length d
+        Of the offsets: see `spread`.
+    time : (k,) s
+    weights : (k, LANES)
+    moved : (k, d)
+        How far the mixture was from the tuning: decades, m for the rear axle.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    weights: Array
+    moved: Array
+
+    @property
+    def effective(self) -> Array:
+        """How many lanes the mixture was worth, (k,); 0 where all had failed."""
+        squares = np.square(self.weights).sum(axis=1)
+        return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+
+    @property
+    def settled(self) -> Array:
+        """How far it was from the tuning in the last minute, (d,)."""
+        return self.moved[self.time >= self.time[-1] - SETTLED_OVER].mean(axis=0)
+
+    @property
+    def shares(self) -> dict[str, Array]:
+        """What each of `spread.GROUPS` of lanes counted, (k,)."""
+        return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in GROUPS.items()}
+
+    def to_frame(self) -> pl.DataFrame:
+        """As swarm.csv has it: t, the lane that leads, effective, each offset, each lane's weight."""
+        columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
+        columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
+        return pl.DataFrame(columns)
+
+
+class SwarmRun:
+    """A swarm over a replay, as an iterator of pieces; what else it found, after the last one.
+
+    Parameters
+    ----------
+    replay : Replay
+    parameters : FilterParameters
+    seed : int
+    searches, recover, as_recorded
+        See `LiveSwarm`.
+
+    Attributes
+    ----------
+    swarm : LiveSwarm
+    initial : InitialState
+    failure : str or None
+        When first no lane was left, in the pieces so far.
+    """
+
+    def __init__(
+        self,
+        replay: Replay,
+        parameters: FilterParameters,
+        *,
+        seed: int = 0,
+        searches: bool = True,
+        recover: bool = False,
+        as_recorded: bool = False,
+    ) -> None:
+        require_readable(replay, Chunk((parameters,)))
+        self._line, self.initial = replay.timeline, replay.initial
+        self._model: ModelName = parameters.model
+        self.swarm = LiveSwarm(
+            parameters,
+            replay.initial,
+            nominal_interval=self._line.nominal_interval,
+            lever_arm=self._line.lever.tolist(),
+            seed=seed,
+            searches=searches,
+            recover=recover,
+            as_recorded=as_recorded,
+        )
+        self.failure: str | None = None
+        self._log: list[tuple[float, Array, Array]] = []
+        self._innovations: list[Array] = []
+
+    @property
+    def restarts(self) -> list[float]:
+        """s: when the swarm started anew, in the pieces so far."""
+        return self.swarm.swarm_restarts
+
+    def __iter__(self) -> Iterator[Piece]:
+        line, drive, swarm = self._line, self._line.drive, self.swarm
+        time = drive.imu.time.tolist()
+        imu = np.column_stack([getattr(drive.imu, axis) for axis in MODELS[self._model].imu]).tolist()
+        begins = int(np.searchsorted(drive.imu.time, self.initial.time, side="right"))
+        events = _events(drive)
+        event = next(events, None)
+        states, weights, lost = [], [], []
+        at, told, fixed = 0, -np.inf, 0
+        for k, (t, sample) in enumerate(zip(time, imu, strict=True)):
+            while event is not None and event[0] <= t:
+                if event[1] is None:
+                    swarm.update_odometer(event[0], event[2])
+                else:
+                    swarm.update(event[0], event[1], *event[2])
+                event = next(events, None)
+            swarm.predict(t, sample)
+            if k < begins:
+                continue
+            if swarm.n_fixes != fixed:
+                fixed = swarm.n_fixes
+                nu, s = swarm.innovation
+                self._innovations.append(np.array([t, *nu, s[0, 0], s[0, 1], s[1, 1]]))
+            if t >= told + TOLD_EVERY:
+                told = t
+                self._log.append((t, swarm.weights, swarm.moved))
+            state, weight = swarm.lanes()
+            states.append(state)
+            weights.append(weight)
+            lost.append(swarm.lost)
+            if len(states) == _AT_ONCE or k == len(time) - 1:
+                yield self._piece(line.imu_time[at : at + len(states)], states, weights, lost)
+                at += len(states)
+                states, weights, lost = [], [], []
+
+    def _piece(self, time: Array, states: list[Array], weights: list[Array], lost: list[bool]) -> Piece:
+        mixed = Mixture.of(np.array(states), np.array(weights), self._model)
+        mixed.mean[:, THETA] = wrap_angle(mixed.mean[:, THETA])
+        sound = np.isfinite(mixed.mean.sum(axis=1) + mixed.covariance.sum(axis=(1, 2)))
+        if self.failure is None and not sound.all():
+            self.failure = failure_at(self._line, float(time[np.argmin(sound)]))
+        return Piece(time, mixed.mean, mixed.covariance, sound, np.array(lost))
+
+    @property
+    def log(self) -> SwarmLog:
+        """See `SwarmLog`; of the pieces so far."""
+        time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
+        return SwarmLog(self.swarm.spread.names, time, weights, moved)
+
+    @property
+    def innovations(self) -> Innovations:
+        """Of the mixture, of the pieces so far."""
+        rows = np.array(self._innovations).reshape(-1, 6)
+        return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
+
+
+def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
+    """Fixes (time, position, (velocity, std)) and readings of the odometer (time, None, speed), by time."""
+    gps = drive.gps
+    velocity = None
+    if gps.speed is not None and gps.course is not None:
+        velocity = np.column_stack([gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]).tolist()
+    std = None if gps.std_x is None or gps.std_y is None else np.column_stack([gps.std_x, gps.std_y]).tolist()
+    found: list[tuple[float, Any, Any]] = [
+        (t, (x, y), (velocity and velocity[i], std and std[i]))
+        for i, (t, x, y) in enumerate(zip(gps.time.tolist(), gps.x.tolist(), gps.y.tolist(), strict=True))
+    ]
+    if drive.odometer is not None:
+        found += [
+            (t, None, v)
+            for t, v in zip(drive.odometer.time.tolist(), drive.odometer.speed.tolist(), strict=True)
+        ]
+    return iter(sorted(found, key=lambda event: event[0]))
+
+
+def swarm_estimates(run: SwarmRun) -> Iterator[Estimate]:
+    """What `run_swarm` gives, piece by piece.
+
+    Raises
+    ------
+    SigmaswarmError
+        Where no lane is left.
+    """
+    told = 0
+    for piece in run:
+        if run.failure:
+            raise SigmaswarmError(run.failure)
+        restarts = tuple(run.restarts[told:])
+        told = len(run.restarts)
+        yield Estimate(
+            piece.time, piece.mean, piece.covariance, run.initial, restarts=restarts, lost=piece.lost
+        )
+
+
+def run_swarm(
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    seed: int = 0,
+    searches: bool = True,
+    recover: bool = True,
+    as_recorded: bool = False,
+) -> Estimate:
+    """Run a swarm of a tuning over a drive: what a `LiveSwarm` gives at each IMU sample.
+
+    Parameters
+    ----------
+    drive, parameters, initial, recover, as_recorded
+        As in `run_filter`.
+    seed, searches
+        As of `LiveSwarm`.
+
+    Raises
+    ------
+    AlignmentError
+        If ``initial`` is not given and the drive never moves far enough.
+    """
+    run = SwarmRun(
+        replay_of(drive, initial, as_recorded=as_recorded),
+        parameters,
+        seed=seed,
+        searches=searches,
+        recover=recover,
+        as_recorded=as_recorded,
+    )
+    pieces = list(run)
+    whole = Piece(*(np.concatenate([getattr(p, f.name) for p in pieces]) for f in fields(Piece)))
+    return Estimate(
+        whole.time,
+        whole.mean,
+        whole.covariance,
+        run.initial,
+        run.failure,
+        tuple(run.restarts),
+        whole.lost if recover else None,
+    )

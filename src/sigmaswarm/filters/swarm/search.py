@@ -1,0 +1,189 @@
+"""The swarm's search: filters of other offsets, replayed over the last minute, by differential evolution.
+
+R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). The population goes
+on from search to search: what was good a while ago is where the next one begins.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import Q_SCALE
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, SUM_ROWS, R
+from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, SINCE, new_place, run_lanes
+from sigmaswarm.filters.compiled.swarm import (
+    EVIDENCE_COUNTS,
+    T_FIX,
+    T_FLAGS,
+    T_SINCE,
+    T_STEP,
+    T_TIME,
+    T_WHEELS,
+)
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import pack_constants
+from sigmaswarm.filters.schedule import FIX, ODOMETER
+from sigmaswarm.filters.student import INNOVATION_DOF
+from sigmaswarm.filters.swarm.spread import Spread
+
+GENERATIONS = 4
+WEIGHT, CROSSOVER = 0.7, 0.9
+"""Of differential evolution: F and CR."""
+NOT_SCORED = 2.0
+"""s at the beginning of a replay, in which a filter of other offsets settles."""
+FEWEST_FIXES = 8
+"""That are scored; fewer tell nothing."""
+FARTHEST = 4.0
+"""Standard deviations of an offset."""
+_NO_TARGETS = np.empty((0, 5))
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of a swarm's tape (k, N_TAPE), and what else `run_lanes` reads of them."""
+
+    model: ModelName
+    rows: Array
+    lever: Array
+
+    def run(self, lanes: Array) -> Array:
+        """Take lanes (N_KEPT, m), changed, through all steps; what was lost over each lane's fixes, (m,).
+
+        Lost is -log of their likelihood under Student's t, as the objective ``innovation-t``, but for those of the
+        first `NOT_SCORED` seconds.
+        """
+        place, k = new_place(), len(self.rows)
+        if k:
+            place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
+        flags = self.rows[:, T_FLAGS].astype(np.int64)
+        arrays = (
+            np.ascontiguousarray(self.rows[:, T_STEP]),
+            flags,
+            np.ascontiguousarray(self.rows[flags & FIX > 0, T_FIX]),
+            np.ascontiguousarray(self.rows[flags & ODOMETER > 0, T_WHEELS]),
+            self.lever,
+            _NO_TARGETS,
+            np.zeros(k, dtype=np.int64),
+        )
+        scored = int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if k else 0
+        run_lanes(self.model, *arrays, lanes, place, scored, NO_RECORD, NO_INNOVATIONS)
+        before = _lost(lanes)
+        run_lanes(self.model, *arrays, lanes, place, k, NO_RECORD, NO_INNOVATIONS)
+        return _lost(lanes) - before
+
+    @property
+    def _begins(self) -> float:
+        return float(self.rows[0, T_TIME] - self.rows[0, T_STEP][0])
+
+    @property
+    def n_scored(self) -> int:
+        """Fixes that are scored."""
+        if not len(self.rows):
+            return 0
+        is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
+        return int((is_fix & (self.rows[:, T_TIME] >= self._begins + NOT_SCORED)).sum())
+
+
+@np.errstate(all="ignore")  # a lane may fail
+def _lost(lanes: Array) -> Array:
+    determinants = lanes[R.LOG_DET] + np.log(lanes[R.DET])
+    return 0.5 * determinants + 0.5 * (INNOVATION_DOF + 2.0) * (lanes[R.LOG_TAIL] + np.log(lanes[R.TAIL]))
+
+
+def as_at_start(lanes: Array) -> Array:
+    """Lanes (N_KEPT, m) that go on from where they are with nothing added up."""
+    fresh = lanes.copy()
+    sums = fresh[SUM_ROWS]
+    kept = [row - SUM_ROWS.start for row in (R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.HEADING, R.OK)]
+    remembered = sums[kept].copy()
+    sums[:] = 0.0
+    sums[kept] = remembered
+    fresh[[R.DET, R.TAIL]] = 1.0
+    return fresh
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The best of a search.
+
+    Attributes
+    ----------
+    offsets : (d,)
+    lane : (N_KEPT, 1)
+        The filter at the end of the replay.
+    better_by : float
+        What the leader lost over the replay more than it.
+    population : (LANES, d)
+        For the next search.
+    """
+
+    offsets: Array
+    lane: Array
+    better_by: float
+    population: Array
+
+
+def search(
+    spread: Spread,
+    steps: Steps,
+    start: Array,
+    leader: Array,
+    population: Array,
+    nominal_interval: float,
+    rng: np.random.Generator,
+) -> Found | None:
+    """Look for better offsets over some steps; None where they tell nothing.
+
+    Parameters
+    ----------
+    spread : Spread
+    steps : Steps
+    start : (N_KEPT,)
+        The filter before the first of them.
+    leader : (d,)
+        The offsets of the lane that leads; they take the place of the worst of the population.
+    population : (LANES, d)
+    nominal_interval : s
+    rng : numpy.random.Generator
+    """
+    if steps.n_scored < FEWEST_FIXES:
+        return None
+    own = pack_constants((spread.tuning,), nominal_interval)[:, :1]
+
+    def replayed(offsets: Array) -> tuple[Array, Array, Array]:
+        """Costs (LANES,), losses (LANES,) and the lanes at the end (N_KEPT, LANES)."""
+        lanes = np.repeat(as_at_start(start[:, np.newaxis]), LANES, axis=1)
+        lanes[CONSTANT_ROWS] = spread.grown(own, offsets)
+        lost = steps.run(lanes)
+        lost[(lanes[R.OK] != 1.0) | ~np.isfinite(lost)] = np.inf
+        return EVIDENCE_COUNTS * lost + spread.against(offsets), lost, lanes
+
+    offsets = population.copy()
+    offsets[-1] = leader  # the last place is the leader's, in each search
+    cost, lost, lanes = replayed(offsets)
+    of_leader = lost[-1]
+    for _ in range(GENERATIONS):
+        trial = _trials(offsets, spread, rng)
+        trial_cost, trial_lost, trial_lanes = replayed(trial)
+        better: NDArray[np.bool_] = trial_cost < cost
+        offsets[better], cost[better], lost[better] = trial[better], trial_cost[better], trial_lost[better]
+        lanes[:, better] = trial_lanes[:, better]
+    best = int(np.argmin(cost))
+    if not np.isfinite(cost[best]):
+        return None
+    better_by = float(of_leader - lost[best]) if np.isfinite(of_leader) else 0.0
+    return Found(offsets[best], lanes[:, best : best + 1].copy(), better_by, offsets)
+
+
+def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
+    """A trial for each of the population: another one, moved by the difference of two more, mixed with it."""
+    n, d = offsets.shape
+    others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
+    a, b, c = (offsets[others[:, k]] for k in range(3))
+    moved = a + WEIGHT * (b - c)
+    crossed = rng.random((n, d)) < CROSSOVER
+    crossed[np.arange(n), rng.integers(d, size=n)] = True
+    trial = np.where(crossed, moved, offsets)
+    return np.clip(trial, -FARTHEST * spread.std, FARTHEST * spread.std) * spread.lasting

@@ -1,0 +1,174 @@
+"""How the filters of a swarm differ from the tuning that they come from: offsets, of which most are decades.
+
+An offset stands for one thing that may be otherwise than it was when the filter was tuned: the IMU's noise, the
+receiver's, how far the antenna or the rear axle is. What the constants of the compiled kernel make of offsets is one
+matrix, so that a lane costs no more than a power of ten.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+
+Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
+"""Decades of variance by which offsets are drawn: of a state's noise, a bias's walk, R, other measurements."""
+R_DOWN_STD = 0.45
+"""Decades by which R is below the tuning's, as it counts against a lane: in a city fixes are good until they jump."""
+SCALE_STD = 0.7
+"""Decades of all variances together: a tuning whose covariance is wrong as a whole drives as well as another."""
+START_STD = 1.5
+"""Decades; of the biases' variance at the start, which is never less than the tuning's."""
+AXLE_STD = 0.7
+"""m."""
+R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
+FIXED = ({}, {START: 2.0}, {START: 4.0}, {R: -1.0}, {R: -2.5}, {R: 1.0}, {R: 2.0})
+"""The first lanes, which are never replaced: the tuning itself; other biases; other receivers."""
+
+GROUPS = {
+    "the tuning": [0],
+    "other biases": [lane for lane, by in enumerate(FIXED) if START in by],
+    "other receivers": [lane for lane, by in enumerate(FIXED) if R in by],
+    "found on the way": [*range(len(FIXED), LANES)],
+}
+"""Lanes, and what people call them."""
+
+_MEASURED = {
+    "velocity": ("velocity_noise", "R_VELOCITY"),
+    "lateral": ("lateral_noise", "R_LATERAL"),
+    "standstill": ("standstill_noise", "R_STANDSTILL"),
+    "odometer": ("odometer_noise", "R_ODOMETER"),
+}
+"""By the offset's name: the parameter and the kernel's constant."""
+
+
+FAR, FAR_AXLE = 0.5, 0.5
+"""Decades, m: an offset that is larger is told."""
+_MEANS = {
+    R: "R is {times}: another receiver?",
+    SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
+    **dict.fromkeys(_MEASURED, "the noise of {name} is {times}: another vehicle, or another mounting?"),
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The offsets that a tuning can have.
+
+    Parameters
+    ----------
+    tuning : FilterParameters
+    """
+
+    tuning: FilterParameters
+
+    @cached_property
+    def deviations(self) -> dict[str, float]:
+        """Name and standard deviation of each offset, in decades of variance; that of the rear axle in m."""
+        p, found = self.tuning, dict[str, float]()
+        for state in MODELS[p.model].states:
+            found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
+        found |= {R: R_STD, SCALE: SCALE_STD}
+        found |= {name: OTHER_STD for name, (of, _) in _MEASURED.items() if getattr(p, of) is not None}
+        if MODELS[p.model].sensors:
+            found[START] = START_STD
+        if p.lateral_noise is not None:
+            found[AXLE] = AXLE_STD
+        return found
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the offsets, in order."""
+        return tuple(self.deviations)
+
+    @cached_property
+    def std(self) -> Array:
+        """Their standard deviations, (d,)."""
+        return np.array(list(self.deviations.values()))
+
+    @cached_property
+    def lasting(self) -> Array:
+        """1 for the offsets that count once a filter is under way, (d,), 0 for that of the start."""
+        return np.array([0.0 if name == START else 1.0 for name in self.names])
+
+    def first(self, rng: np.random.Generator) -> Array:
+        """The offsets with which a swarm starts, (LANES, d). Lane 0 is the tuning."""
+        offsets = rng.standard_normal((LANES, len(self.names))) * self.std
+        if START in self.names:
+            start = self.names.index(START)
+            offsets[:, start] = np.abs(offsets[:, start])
+        for lane, fixed in enumerate(FIXED):
+            offsets[lane] = [fixed.get(name, 0.0) for name in self.names]
+        return offsets
+
+    def against(self, offsets: Array) -> Array:
+        """What is held against lanes, (m,): half the squares of their offsets (m, d) in standard deviations."""
+        relative = offsets / self.std * self.lasting
+        r = relative[..., self.names.index(R)]
+        r[r < 0.0] *= R_STD / R_DOWN_STD
+        return 0.5 * np.square(relative).sum(axis=-1)
+
+    @cached_property
+    def _decades(self) -> Array:
+        """How many decades each constant grows for a decade of each offset, (N_CONSTANTS, d)."""
+        found = np.zeros((len(CONSTANTS), len(self.names)))
+
+        def grows(constant: str, name: str) -> None:
+            found[CONSTANTS.index(constant), self.names.index(name)] = 1.0
+
+        for state in MODELS[self.tuning.model].states:
+            grows(f"Q_{LETTERS[state.name]}", f"q_{state.shared}")
+        for constant in ("RX", "RY", "ACCURACY"):
+            grows(constant, R)
+        for name, (_, constant) in _MEASURED.items():
+            if name in self.names:
+                grows(constant, name)
+        found[:, self.names.index(SCALE)] = found.any(axis=1)
+        return found
+
+    def grown(self, constants: Array, offsets: Array) -> Array:
+        """The kernel's constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
+        found = constants * 10.0 ** (self._decades @ offsets.T)
+        if AXLE in self.names:
+            found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
+        return found
+
+    def said(self, moved: Array) -> tuple[str, ...]:
+        """A sentence for each offset (d,) that is too large for the vehicle that the filter was tuned for."""
+        told: list[str] = []
+        for name, by in zip(self.names, moved.tolist(), strict=True):
+            times = f"{10.0**by:.2g} times the tuning's"
+            if name == AXLE:
+                if abs(by) > FAR_AXLE:
+                    told.append(f"the rear axle lies {abs(by):.1f} m farther {'back' if by > 0 else 'ahead'}")
+            elif name != START and abs(by) > FAR:
+                told.append(
+                    _MEANS.get(name, "the noise of {name} is {times}: another IMU?").format(
+                        name=name.removeprefix("q_"), times=times
+                    )
+                )
+        return tuple(told)
+
+    def parameters(self, offsets: Array) -> FilterParameters:
+        """The tuning with offsets (d,), as a filter of its own."""
+        p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
+        shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
+        scale = 10.0 ** by[SCALE]
+        r = scale * 10.0 ** by[R]
+        changed = {
+            of: scale * 10.0 ** by[name] * getattr(p, of) for name, (of, _) in _MEASURED.items() if name in by
+        }
+        q = [scale * 10.0 ** by[name] * q for name, q in zip(shared, p.process_noise, strict=True)]
+        return replace(
+            p,
+            process_noise=tuple(q),
+            measurement_noise=tuple(r * variance for variance in p.measurement_noise),
+            accuracy_scale=None if p.accuracy_scale is None else r * p.accuracy_scale,
+            bias_std=tuple(10.0 ** (by.get(START, 0.0) / 2) * std for std in p.bias_std),
+            rear_axle=p.rear_axle + by.get(AXLE, 0.0),
+            **changed,
+        )

@@ -1,0 +1,58 @@
+"""The swarm from the command line: what `run` writes, and the row that `evaluate` and its page have."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.swarm.run import run_swarm
+from sigmaswarm.scoring.score import score_estimate
+from sigmaswarm.scoring.tracks import load_tracks
+
+
+def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    drive = next(drives.iterdir())
+    ended = sigmaswarm("run", tuned, drive, "--out", "estimate.csv", "--swarm", "--json")
+    assert ended.code == 0
+    told = json.loads(ended.out)
+    table, p = pl.read_csv(here / "estimate.csv"), FilterParameters.load(tuned)
+    whole = run_swarm(read_drive(drive), p)
+    np.testing.assert_allclose(table["x"].to_numpy(), whole.mean[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(table["std_theta"].to_numpy(), np.sqrt(whole.covariance[:, 4, 4]), rtol=1e-9)
+    said = pl.read_csv(told["swarm"])
+    assert np.ptp(np.diff(said["t"].to_numpy())) < 0.1  # once a second
+    np.testing.assert_allclose(said.select(pl.sum_horizontal("^weight_.*$")).to_series(), 1.0)
+    settled = FilterParameters.load(told["settled"])
+    assert (settled.model, settled.kind) == (p.model, p.kind)
+    assert settled.process_noise != p.process_noise
+    assert sigmaswarm("run", told["settled"], drive, "--out", "again.csv").code == 0
+
+
+def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path, tuned: Path, here: Path):
+    drive = next(drives.iterdir())
+    ended = sigmaswarm("evaluate", tuned, drive, "--swarm", "--out", "evaluation")
+    assert ended.code == 0
+    assert "tuned, as a swarm" in ended.out
+    scores = json.loads((here / "evaluation" / "scores.json").read_text())
+    (row,) = (methods["swarm"] for methods in scores["drives"].values())
+    read = read_drive(drive)
+    score = score_estimate(read, run_swarm(read, FilterParameters.load(tuned)))
+    assert row["position_rmse_m"] == score.position_rmse
+    assert row["outage_drift_m"] > 0
+    (tracks,) = load_tracks(here / "evaluation" / "tracks.npz")
+    shares = [v for name, v in tracks.series["swarm.shares"].items() if name != "time"]
+    np.testing.assert_allclose(np.sum(shares, axis=0), 1.0, rtol=1e-6)
+    assert sigmaswarm("report", "evaluation").code == 0
+    page = (here / "evaluation" / "page.html").read_text()
+    assert "The swarm" in page
+    assert "other receivers" in page
+    assert "--swarm" in page
+
+
+def test_it_has_no_hindsight(sigmaswarm, drives: Path, tuned: Path):
+    ended = sigmaswarm("run", tuned, next(drives.iterdir()), "--out", "e.csv", "--swarm", "--smooth")
+    assert ended.code == 2
+    assert "leave one out" in ended.err

@@ -1,0 +1,331 @@
+"""The driving swarm: its lanes are filters, its mixture is theirs, and the same stream gives the same bits."""
+
+import math
+import pickle
+import tracemalloc
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import cache
+from multiprocessing import get_context
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from filter_cases import OPTIONS, WEIGHED, equipped, parameters
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.filters.compiled import swarm
+from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.packing import pack_constants
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
+from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE
+from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
+from sigmaswarm.filters.swarm.run import SwarmRun, run_swarm
+from sigmaswarm.filters.swarm.search import Steps, search
+from sigmaswarm.filters.swarm.spread import FIXED, START, R, Spread
+from sigmaswarm.geodesy import wrap_angle
+from support import make_drive
+
+ALL = OPTIONS["all"]
+
+
+@cache
+def drive() -> Drive:
+    return equipped(45.0)
+
+
+@cache
+def start() -> InitialState:
+    return initial_state(drive())
+
+
+def made(cls, p: FilterParameters, **more):
+    return cls(p, start(), nominal_interval=drive().nominal_interval, lever_arm=[1.0, 0.5, 1.2], **more)
+
+
+def events(late: float = 0.0) -> list[tuple[float, bool, int]]:
+    """IMU samples and fixes as they come, fixes ``late`` s after their time."""
+    samples = [(t, True, i) for i, t in enumerate(drive().imu.time)]
+    return sorted(samples + [(t + late, False, i) for i, t in enumerate(drive().gps.time)])
+
+
+def feed(filter: LiveFilter, stream: list[tuple[float, bool, int]]) -> Iterator[float]:
+    """Give a filter what comes; the times of the samples, after each."""
+    imu, gps = drive().imu, drive().gps
+    axes = MODELS[filter.parameters.model].imu
+    for t, is_imu, i in stream:
+        if is_imu:
+            filter.predict(t, [getattr(imu, axis)[i] for axis in axes])
+            yield t
+        else:
+            velocity = (gps.speed[i] * math.cos(gps.course[i]), gps.speed[i] * math.sin(gps.course[i]))
+            filter.update(gps.time[i], (gps.x[i], gps.y[i]), velocity, (0.5, 0.6))
+
+
+def fed(cls, p: FilterParameters, late: float = 0.0, **more):
+    filter = made(cls, p, **more)
+    for _ in feed(filter, events(late)):
+        pass
+    return filter
+
+
+def everything(of: LiveSwarm) -> bytes:
+    """All numbers of the lanes, and what they differ in."""
+    return of._numbers[: swarm.MARKED].tobytes() + of.offsets.tobytes() + of._population.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("model", "option"),
+    [("planar8", ALL), ("planar8", WEIGHED["both"]), ("planar5", OPTIONS["velocity"]), ("tilted12", ALL)],
+)
+@pytest.mark.parametrize("late", [0.0, 0.23])
+def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):
+    if model == "tilted12" and drive().imu.az is None:
+        pytest.skip("the drive has three axes")
+    p = parameters(model, **option)
+    alone, among = made(LiveFilter, p), made(LiveSwarm, p)
+    for _, _ in zip(feed(alone, events(late)), feed(among, events(late)), strict=True):
+        assert among._believed()[0].tobytes() == alone._believed()[0].tobytes()
+        assert among._believed()[1].tobytes() == alone._believed()[1].tobytes()
+    assert among.n_searches >= 2
+    assert among.too_late == alone.too_late == 0
+
+
+@pytest.mark.parametrize("option", ["all", "both"])
+def test_late_fixes_change_no_bit_of_what_it_settles_on(option: str):
+    p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
+    in_time, late = fed(LiveSwarm, p), fed(LiveSwarm, p, 0.31)
+    for filter in (in_time, late):
+        for _ in feed(filter, [e for e in events() if not e[1] and e[0] > drive().imu.time[-1] - 0.5]):
+            pass
+    assert in_time.n_searches == late.n_searches >= 2
+    assert everything(late) == everything(in_time)
+    assert everything(fed(LiveSwarm, p, seed=1)) != everything(in_time)
+
+
+def test_what_is_watched_does_not_change_it():
+    """Asking for the state, at whatever moments, changes nothing; nor does how fast the search is."""
+    p = parameters("planar8", **ALL)
+    asked = made(LiveSwarm, p)
+    for k, _ in enumerate(feed(asked, events())):
+        if k % 7 == 0:
+            _ = asked.state, asked.weights, asked.settled, asked.innovation
+        if k % 100 == 0 and asked._pending is not None:
+            asked._pending.found.result()
+    assert everything(asked) == everything(fed(LiveSwarm, p))
+
+
+@pytest.mark.parametrize("option", ["all", "both"])
+def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
+    """Without a search: against one run of each lane's parameters, and the mixture in plain NumPy."""
+    p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
+    seen = replace(
+        drive(),
+        gps=replace(drive().gps, std_x=np.full(len(drive().gps), 0.5), std_y=np.full(len(drive().gps), 0.6)),
+    )
+    found = fed(LiveSwarm, p, searches=False)
+    states, weights = found.lanes()
+    evidence, means, covariances = np.zeros(LANES), [], []
+    for lane in range(LANES):
+        own = found.spread.parameters(found.offsets[lane])
+        run = run_filter(seen, own, initial=start())
+        means.append(run.mean[-1])
+        covariances.append(run.covariance[-1])
+        innovations = run_innovations(seen, own, initial=start())
+        before = start().time
+        for t, nis, s in zip(innovations.time, innovations.nis, innovations.covariance, strict=True):
+            loss = 0.5 * math.log(np.linalg.det(s))
+            loss += 0.5 * (INNOVATION_DOF + 2) * math.log1p(nis / INNOVATION_SCALE)
+            evidence[lane] = evidence[lane] * math.exp((before - t) / swarm.EVIDENCE_LASTS) - loss
+            before = t
+    np.testing.assert_allclose(found._numbers[swarm.EVIDENCE], evidence, rtol=1e-8)
+    log = swarm.EVIDENCE_COUNTS * evidence - found.spread.against(found.offsets)
+    expected = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    np.testing.assert_allclose(weights, expected, rtol=1e-6)
+    means, covariances = np.array(means), np.array(covariances)
+    means[:, 4] = means[0, 4] + wrap_angle(means[:, 4] - means[0, 4])
+    mean = expected @ means
+    spread = sum(w * np.outer(m - mean, m - mean) for w, m in zip(expected, means, strict=True))
+    mixed = found.state
+    np.testing.assert_allclose(mixed.mean, mean, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        mixed.covariance, np.einsum("l,lij->ij", expected, covariances) + spread, rtol=1e-6
+    )
+    assert states.shape[1] == LANES
+
+
+def test_the_heading_of_a_mixture_goes_around_the_circle():
+    p = parameters("planar5")
+    states = np.zeros((1, 20, LANES))
+    states[0, 4] = np.where(np.arange(LANES) % 2, math.pi - 0.1, -math.pi + 0.1)
+    mixed = Mixture.of(states, np.full((1, LANES), 1 / LANES), p.model)
+    assert abs(wrap_angle(mixed.mean[0, 4] - math.pi)) < 1e-12
+    assert mixed.covariance[0, 4, 4] == pytest.approx(0.01)
+    states[0, :, 3] = np.nan  # a lane that failed counts nothing
+    weights = np.full((1, LANES), 1 / (LANES - 1))
+    weights[0, 3] = 0.0
+    assert np.isfinite(Mixture.of(states, weights, p.model).mean).all()
+    assert np.isnan(Mixture.of(states, np.zeros((1, LANES)), p.model).mean).all()
+
+
+@settings(max_examples=25)
+@given(hnp.arrays(float, 13, elements=st.floats(-2.0, 2.0)))
+def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
+    for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
+        spread = Spread(parameters(model, **option))
+        own = pack_constants((spread.tuning,), 0.01)[:, :1]
+        by = np.resize(offsets, len(spread.names))
+        packed = pack_constants((spread.parameters(by),), 0.01)[:, 0]
+        np.testing.assert_allclose(spread.grown(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
+    assert spread.grown(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
+
+
+def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
+    """In another process, which has machine code of its own."""
+    filter = pickle.loads(saved)
+    for _ in feed(filter, stream):
+        pass
+    return everything(filter) + filter.state.mean.tobytes()
+
+
+def test_a_killed_process_goes_on_from_a_saved_copy_with_the_same_bits():
+    p, stream = parameters("planar8", **ALL), events()
+    filter, whole = made(LiveSwarm, p), fed(LiveSwarm, p)
+    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
+    for _ in feed(filter, stream[:cut]):
+        pass
+    assert filter._pending is not None
+    saved = pickle.dumps(filter)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        assert (
+            pool.submit(resumed, saved, stream[cut:]).result()
+            == everything(whole) + whole.state.mean.tobytes()
+        )
+    for _ in feed(filter, stream[cut:]):  # and the one that was copied goes on as if nothing had been
+        pass
+    assert everything(filter) == everything(whole)
+
+
+def test_a_search_finds_what_loses_less_and_the_same_each_time():
+    p = parameters("planar8", **ALL)
+    filter = fed(LiveSwarm, p, searches=False)
+    taped = filter._tape(0, int(filter._numbers[swarm.TAPED]))
+    assert taped is not None
+    begins = filter._snapshots[0].lane
+    steps = Steps(p.model, taped, np.array([1.0, 0.5, 1.2]))
+    zero = np.zeros(len(filter.spread.names))
+    wrong = zero.copy()
+    wrong[filter.spread.names.index(R)] = 2.0
+    population = filter.spread.first(np.random.default_rng(1))
+
+    def found():
+        rng = np.random.default_rng(3)
+        return search(filter.spread, steps, begins, wrong, population, drive().nominal_interval, rng)
+
+    first, again = found(), found()
+    assert first is not None and again is not None
+    assert first.better_by > 10.0  # than a hundred times R
+    assert abs(first.offsets[filter.spread.names.index(R)]) < 1.0
+    assert first.offsets.tobytes() == again.offsets.tobytes()
+    assert first.lane.tobytes() == again.lane.tobytes()
+    few = Steps(p.model, taped[:300], np.zeros(3))
+    assert search(filter.spread, few, begins, zero, population, 0.01, np.random.default_rng(0)) is None
+
+
+def test_the_fixed_lanes_stay():
+    p = parameters("planar8", **ALL)
+    first, last = made(LiveSwarm, p), fed(LiveSwarm, p)
+    np.testing.assert_array_equal(first.offsets[: len(FIXED)], last.offsets[: len(FIXED)])
+    assert not np.array_equal(first.offsets[len(FIXED) :], last.offsets[len(FIXED) :])
+    assert np.isfinite(last.offsets).all()
+    assert (last.offsets[len(FIXED) :, last.spread.names.index(START)] == 0.0).any()
+
+
+def test_it_says_that_the_receiver_is_another_one():
+    """A filter that was tuned for errors of 0.5 m, on a receiver with 4 m."""
+    seen = make_drive(duration=90.0, gps_std=4.0, seed=3)
+    p = parameters("planar8", lateral_noise=0.01, rear_axle=0.0)
+    run = SwarmRun(replay_of(seen), p, recover=True)
+    error = {"swarm": np.concatenate([piece.mean[:, :2] for piece in run])}
+    error["tuning"] = run_filter(seen, p).mean[:, :2]
+    t = seen.imu.time[seen.imu.time > run.initial.time]
+    true = np.column_stack([np.interp(t, seen.truth.time, c) for c in (seen.truth.x, seen.truth.y)])
+    rmse = {name: float(np.sqrt(np.square(of - true).sum(axis=1).mean())) for name, of in error.items()}
+    assert rmse["swarm"] < 0.75 * rmse["tuning"]
+    r = (
+        run.log.settled[run.swarm.spread.names.index(R)]
+        + run.log.settled[run.swarm.spread.names.index("scale")]
+    )
+    assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
+    assert any("another receiver?" in sentence for sentence in run.swarm.spread.said(run.log.settled))
+    nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
+    assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
+
+
+def test_a_run_is_the_stream():
+    p = parameters("planar8", lateral_noise=0.05)
+    run = run_swarm(prepared(drive(), start()), p)
+    filter = made(LiveSwarm, p)
+    means = [filter.state.mean for t in feed(filter, events()) if t > start().time]
+    np.testing.assert_allclose(
+        np.unwrap(run.mean, axis=0), np.unwrap(np.array(means), axis=0), rtol=0, atol=1e-9
+    )
+    assert run.failure is None
+    assert run.covariance.shape == (len(means), 8, 8)
+
+
+def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew():
+    p = parameters("planar8", **ALL)
+    filter, failed = made(LiveSwarm, p), []
+    for k, (t, _) in enumerate(zip(feed(filter, events()), events(), strict=False)):
+        if k == 1200:
+            filter.predict(t + 1e-4, (math.nan, 0.0, 0.0))
+            assert filter.state.failed
+        failed.append(filter.state.failed)
+    assert any(failed)
+    assert not failed[-1]  # it found itself from the fixes
+    assert np.linalg.norm(filter.state.mean[:2] - [drive().truth.x[-1], drive().truth.y[-1]]) < 5.0
+
+
+def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
+    p, filter = parameters("planar8", **ALL), None
+    filter = made(LiveSwarm, p)
+    for k, _ in enumerate(feed(filter, events())):
+        if k == 1000:
+            filter._rows_of(filter._numbers)[:, [2, 9]] = np.nan
+        if k == 1100:  # fixes have come since
+            assert (filter.weights[[2, 9]] == 0.0).all()
+            assert not filter.state.failed
+    assert (filter.weights[[2, 9]] > 0.0).all()  # after the next search
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes uncompiled")
+def test_memory_stays_flat():
+    filter = LiveSwarm(parameters("planar8", **ALL), start(), nominal_interval=0.01)
+    t0 = start().time
+
+    def run(first: int, last: int) -> None:
+        for k in range(first, last):
+            t = t0 + 0.01 * (k + 1)
+            if k % 20 == 10:
+                filter.update(t - (0.2 if k % 100 == 10 else 0.004), (0.05 * k, 0.01 * (k % 7)), (5.0, 0.0))
+            filter.predict(t, (0.01 * math.sin(k), 0.0, 0.0))
+
+    run(0, 12_000)
+    tracemalloc.start()
+    run(12_000, 14_000)
+    before = tracemalloc.get_traced_memory()[0]
+    run(14_000, 20_000)
+    growth = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert growth < 2_000_000  # a search that is under way holds its steps
+    assert not filter.state.failed
