@@ -241,9 +241,16 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     assert search(filter.spread, few, begins, zero, population, 0.01, np.random.default_rng(0)) is None
 
 
-def test_the_fixed_lanes_stay():
-    p = parameters("planar8", **ALL)
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
+def test_the_fixed_lanes_stay(kind: str):
+    p = parameters("planar8", kind=kind, **ALL)
     first, last = made(LiveSwarm, p), fed(LiveSwarm, p)
+    assert last.n_searches >= 2
+    states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
+    for lane in range(len(FIXED)):  # what goes on beside them does not touch them
+        alone = run_filter(drive(), last.spread.parameters(last.offsets[lane]), initial=start())
+        np.testing.assert_allclose(wrap_angle(states.mean[lane] - alone.mean[-1]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(states.covariance[lane], alone.covariance[-1], rtol=1e-7, atol=1e-13)
     np.testing.assert_array_equal(first.offsets[: len(FIXED)], last.offsets[: len(FIXED)])
     assert not np.array_equal(first.offsets[len(FIXED) :], last.offsets[len(FIXED) :])
     assert np.isfinite(last.offsets).all()

@@ -303,8 +303,8 @@ class LiveSwarm(LiveFilter):
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, its, state, told_by in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = its, state, told_by
-        constants = self.spread.grown(self._own_constants, self.offsets)
-        rows[CONSTANT_ROWS, 1:] = constants[:, 1:]
+        new = [*worst, *failed]  # the constants of others may have been adapted
+        rows[CONSTANT_ROWS, new] = self.spread.grown(self._own_constants, self.offsets[new])
         numbers[swarm.AGAINST] = self.spread.against(self.offsets)
         self._population = found.population
         self.n_searches += 1
