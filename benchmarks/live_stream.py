@@ -1,6 +1,7 @@
 """A day through the live filter: 8.64 million IMU samples at 100 Hz, fixes at 5 Hz, every tenth of them late.
 
     python benchmarks/live_stream.py --hours 24
+    python benchmarks/live_stream.py --hours 24 --swarm
 
 A car drives a circle, minute after minute: up to 10 m/s, on, down again, and 10 s at rest. planar8 with all that a car
 allows, which keeps the most. Prints the time it takes, the memory of the process along the way, and where it ends.
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm import FilterParameters, InitialState, LiveFilter
+from sigmaswarm import FilterParameters, InitialState, LiveFilter, LiveSwarm
 
 RATE, FIXES_EVERY = 100, 20
 MINUTE = 60 * RATE
@@ -72,9 +73,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--hours", type=float, default=24.0)
-    minutes = round(60 * parser.parse_args().hours)
+    parser.add_argument("--swarm", action="store_true", help="sixteen filters and their searches")
+    options = parser.parse_args()
+    minutes = round(60 * options.hours)
     initial = InitialState(np.zeros(5), np.diag([1.0, 1.0, 0.1, 0.1, 0.01]), 0.0)
-    filter = LiveFilter(PARAMETERS, initial, nominal_interval=1 / RATE)
+    kind = LiveSwarm if options.swarm else LiveFilter
+    filter = kind(PARAMETERS, initial, nominal_interval=1 / RATE)
     began, errors, memory = time.process_time(), [], []
     for error, megabytes in stream(filter, minutes, np.random.default_rng(0)):
         errors.append(error)

@@ -13,7 +13,7 @@ import pytest
 
 from rival_filterpy import Ekf, Ukf
 from rival_pyswarms import Course
-from sigmaswarm import FilterParameters, LiveFilter
+from sigmaswarm import FilterParameters, LiveFilter, LiveSwarm
 
 SECONDS = 40.0
 NOISE5 = (1e-4, 1e-4, 1e-3, 1e-3, 1e-7)
@@ -83,10 +83,10 @@ def run_filterpy(course, parameters):
     return clock, rival.mean
 
 
-def run_live(course, parameters, late):
+def run_live(course, parameters, late, kind=LiveFilter):
     """The fix comes before the sample that absorbs it; or ``late`` samples after it, and the filter goes back."""
     clock, due = Clock(), []
-    live = LiveFilter(parameters, course.initial, nominal_interval=0.01)
+    live = kind(parameters, course.initial, nominal_interval=0.01)
     for k, (t, _, u, z) in enumerate(list(events(course))):
         if z:
             due.append((k + late, t, z))
@@ -125,6 +125,11 @@ def test_filterpy_calls(benchmark, course, name):
 @pytest.mark.parametrize("name", FILTERS)
 def test_live(benchmark, course, name):
     record(benchmark, lambda: run_live(course, FILTERS[name], late=0))
+
+
+@pytest.mark.parametrize("name", ["planar8 ukf, lateral and standstill"])
+def test_swarm(benchmark, course, name):
+    record(benchmark, lambda: run_live(course, FILTERS[name], late=0, kind=LiveSwarm))
 
 
 def test_live_late(benchmark, course):
