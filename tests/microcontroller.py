@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.export.c99 import replay_events
 from sigmaswarm.export.features import features_of
 from sigmaswarm.export.targets import export_filter
 from sigmaswarm.filters.names import ModelName
@@ -100,13 +100,13 @@ def emulate(machine: Machine, program: Path, *, timeout: float = 3600.0) -> int:
 
 def replay_on(machine: Machine, program: Path, drive: Drive, model: ModelName = "planar5") -> OnBoard:
     """Run arm/replay.c over a drive."""
-    first, *rows = (row.split(",") for row in replay_rows(drive, model).splitlines())
+    (_, first), *told = replay_events(drive, model)
     start = np.zeros(_START)
-    start[: len(first) - 1] = [float(cell) for cell in first[1:]]
-    events = np.full((len(rows), _EVENT), np.nan)
-    for event, (name, *numbers) in zip(events, rows, strict=True):
+    start[: len(first)] = first
+    events = np.full((len(told), _EVENT), np.nan)
+    for event, (name, numbers) in zip(events, told, strict=True):
         event[0] = _EVENTS[name]
-        event[1 : 1 + len(numbers)] = [float(cell) for cell in numbers]
+        event[1 : 1 + len(numbers)] = numbers
     folder = program.parent
     (folder / "replay.bin").write_bytes(start.tobytes() + events.tobytes())
     code = emulate(machine, program)
