@@ -65,22 +65,31 @@ def build_for(
     *flags: str,
     main: Path = BOARD / "replay.c",
     optimize: str = "-O2",
+    align: bool = False,
 ) -> Path:
-    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``."""
+    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``.
+
+    ``align``: with the search for the start.
+    """
     export_filter(parameters, "c99", folder)
-    features = features_of(parameters)
-    has = {"TILT": "USE_TILTED", "ACCURACY": "USE_ACCURACY", "ODOMETER": "USE_ODOMETER"}
-    flags = (*flags, *(f"-DHAS_{name}" for name, feature in has.items() if features[feature]))
-    common = (*machine.flags, *flags, optimize, "-g", "-ffunction-sections", "-fdata-sections", f"-I{folder}")
+    common = (*machine.flags, *has(parameters), *flags, optimize, "-g", "-ffunction-sections", "-fdata-sections", f"-I{folder}")
     objects: list[Path] = []
-    for source in (folder / "ins_gps.c", main, BOARD / "board.c"):
-        strict = WARNINGS if source.parent == folder else ("-std=gnu99", "-fno-tree-loop-distribute-patterns")
+    sources = [folder / "ins_gps.c", folder / "ins_gps_align.c"][: 2 if align else 1]
+    for source in (*sources, main, BOARD / "board.c"):
+        strict = WARNINGS if source in sources else ("-std=gnu99", "-fno-tree-loop-distribute-patterns")
         objects.append(folder / f"{source.stem}.o")
         run([COMPILER, *common, *strict, "-c", source, "-o", objects[-1]])
     program = folder / "program.elf"
     link = ("-nostartfiles", "--specs=nano.specs", "-Wl,--gc-sections", f"-Wl,-Map={folder / 'program.map'}")
     run([COMPILER, *common, *link, f"-T{BOARD / 'board.ld'}", *objects, "-lm", "-o", program])
     return program
+
+
+def has(parameters: FilterParameters) -> list[str]:
+    """Flags that tell a program which of the library's functions take more than others."""
+    features = features_of(parameters)
+    names = {"TILT": "USE_TILTED", "ACCURACY": "USE_ACCURACY", "ODOMETER": "USE_ODOMETER"}
+    return [f"-DHAS_{name}" for name, feature in names.items() if features[feature]]
 
 
 def run(command: list[str | Path]) -> str:
