@@ -127,17 +127,25 @@ FUZZED = {
 
 
 @needs_arm
-@pytest.mark.parametrize("case", FUZZED)
-@pytest.mark.parametrize("machine", [M4F, M7], ids=lambda machine: machine.name)
-def test_random_calls_trap_nothing_on_a_board(tmp_path: Path, machine: Machine, case: str):
-    flags = (FLOAT,) if machine is M4F else ()
+@pytest.mark.parametrize(
+    ("machine", "case", "flags"),
+    [
+        (M4F, "every option", (FLOAT, "-DCALLS=10000")),
+        (M4F, "tilted", (FLOAT, NO_HISTORY, "-DCALLS=3000")),
+        (M7, "adaptive", (NO_HISTORY, "-DCALLS=3000")),
+    ],
+    ids=["every option in float", "tilted in float", "adaptive in double"],
+)
+def test_random_calls_trap_nothing_on_a_board(tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]):
     program = build_for(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c", align=True)
     assert emulate(machine, program) == 0
 
 
 @needs_gcc
-@pytest.mark.parametrize("flags", [(), (FLOAT,), (NO_HISTORY,)], ids=str)
-@pytest.mark.parametrize("case", FUZZED)
+@pytest.mark.parametrize(
+    ("case", "flags"),
+    [("every option", (FLOAT,)), ("weighed", ()), ("adaptive", (NO_HISTORY,)), ("tilted", ())],
+)
 def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...]):
     export_filter(FUZZED[case], "c99", tmp_path)
     program = tmp_path / "fuzz"
