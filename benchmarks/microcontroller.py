@@ -37,7 +37,12 @@ FILTERS = {
     "planar8 ukf, every option": ("planar8", "ukf", True),
     "tilted12 ekf, every option": ("tilted12", "ekf", True),
 }
-CLOSE = ("planar5 ukf", "planar8 ekf, every option", "planar8 ukf, every option", "tilted12 ekf, every option")
+CLOSE = (
+    "planar5 ukf",
+    "planar8 ekf, every option",
+    "planar8 ukf, every option",
+    "tilted12 ekf, every option",
+)
 BUILDS = ((M4F, (FLOAT,)), (M7, (FLOAT,)), (M7, ()))
 
 
@@ -101,7 +106,9 @@ def _libraries(map_text: str) -> dict[str, int]:
     """Bytes that a program takes of libm and of libgcc's soft double, from the linker's map."""
     kept = map_text.split("Linker script and memory map")[1]
     sums = {"libm": 0, "libgcc": 0}
-    for amount, file in re.findall(r"^ \.(?:text|rodata)\S*\s+0x[0-9a-f]+\s+0x([0-9a-f]+) (\S+)$", kept, re.M):
+    for amount, file in re.findall(
+        r"^ \.(?:text|rodata)\S*\s+0x[0-9a-f]+\s+0x([0-9a-f]+) (\S+)$", kept, re.M
+    ):
         for library in sums:
             if f"{library}" in Path(file.split("(")[0]).stem:
                 sums[library] += int(amount, 16)
@@ -134,7 +141,10 @@ def worst_stack(machine: Machine, folder: Path, *flags: str) -> int:
 
 
 def costs(drive: Drive, folder: Path) -> None:
-    print("\n| filter | board | predict | predict + update | mean sample | code -O2 | code -Os | libm | libgcc |", end="")
+    print(
+        "\n| filter | board | predict | predict + update | mean sample | code -O2 | code -Os | libm | libgcc |",
+        end="",
+    )
     print(" RAM | stack: calls | stack: seen |")
     print("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for name in FILTERS:
@@ -156,7 +166,10 @@ def costs(drive: Drive, folder: Path) -> None:
 
 def by_drive(all_drives: list[Drive], folder: Path) -> None:
     """Instructions of planar8 and tilted12 in float on the M4F, with and without options, and calculated times."""
-    print("\n| drive, IMU | filter | predict: plain, every option | ratio | predict + update | at 168 MHz (calculated) |", end="")
+    print(
+        "\n| drive, IMU | filter | predict: plain, every option | ratio | predict + update | at 168 MHz (calculated) |",
+        end="",
+    )
     print(" share of 10 ms |")
     print("|---|---|---:|---:|---:|---:|---:|")
     for drive in all_drives:
@@ -182,10 +195,14 @@ def by_drive(all_drives: list[Drive], folder: Path) -> None:
 def soft_double(drive: Drive, folder: Path) -> None:
     """What double costs a board that has no unit for it: the same filter in double on the M4F."""
     p = given("planar8 ukf, every option", drive)
-    print("\n| planar8 ukf, every option, M4F | predict | predict + update | mean sample |\n|---|---:|---:|---:|")
+    print(
+        "\n| planar8 ukf, every option, M4F | predict | predict + update | mean sample |\n|---|---:|---:|---:|"
+    )
     for label, flags in (("float, times in double", (FLOAT,)), ("double", ())):
         board = replay_on(M4F, build_for(M4F, folder, p, NO_HISTORY, *flags), drive, p.model)
-        print(f"| {label} | " + " | ".join(f"{count:.0f}" for count in instructions(board)) + " |", flush=True)
+        print(
+            f"| {label} | " + " | ".join(f"{count:.0f}" for count in instructions(board)) + " |", flush=True
+        )
 
 
 def main() -> None:

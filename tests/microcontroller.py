@@ -72,7 +72,16 @@ def build_for(
     ``align``: with the search for the start.
     """
     export_filter(parameters, "c99", folder)
-    common = (*machine.flags, *has(parameters), *flags, optimize, "-g", "-ffunction-sections", "-fdata-sections", f"-I{folder}")
+    common = (
+        *machine.flags,
+        *has(parameters),
+        *flags,
+        optimize,
+        "-g",
+        "-ffunction-sections",
+        "-fdata-sections",
+        f"-I{folder}",
+    )
     objects: list[Path] = []
     sources = [folder / "ins_gps.c", folder / "ins_gps_align.c"][: 2 if align else 1]
     for source in (*sources, main, BOARD / "board.c"):

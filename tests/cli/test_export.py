@@ -51,10 +51,14 @@ def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: P
 def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--check", drives / "urban-clear-00")
     assert ended.code == 0
-    pattern = r"^urban-clear-00: C is within (\S+) of sigmaswarm run.*in float within (\S+) mm and (\S+) degrees$"
+    pattern = (
+        r"^urban-clear-00: C is within (\S+) of sigmaswarm run.*in float within (\S+) mm and (\S+) degrees$"
+    )
     (found,) = re.findall(pattern, ended.out, re.MULTILINE)
     assert float(found[0]) < 1e-9 and float(found[1]) < 10.0 and float(found[2]) < 0.01
-    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--json", "--check", drives / "urban-clear-00")
+    ended = sigmaswarm(
+        "export", tuned, "--to", "c99", "--out", "c", "--json", "--check", drives / "urban-clear-00"
+    )
     (checked,) = json.loads(ended.out)["checked"]
     assert checked["drive"] == "urban-clear-00" and checked["double"]["state"] < 1e-9
 

@@ -8,7 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exported import NO_TRAP, SANITIZERS, STRICT, build, distance, jumping, needs_clang, needs_gcc, replay, tuned, twin
+from exported import (
+    NO_TRAP,
+    SANITIZERS,
+    STRICT,
+    build,
+    distance,
+    jumping,
+    needs_clang,
+    needs_gcc,
+    replay,
+    tuned,
+    twin,
+)
 from filter_cases import (
     KINDS,
     OPTIONS,

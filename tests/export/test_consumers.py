@@ -54,7 +54,11 @@ endif()
 add_executable(app main.c)
 target_link_libraries(app PRIVATE ins_gps::ins_gps)
 """
-EVERY = [tuned("planar8", "ukf", 0.01), tuned("tilted12", "ekf", 0.01), tuned("planar5", "adaptive-ukf", 0.01)]
+EVERY = [
+    tuned("planar8", "ukf", 0.01),
+    tuned("tilted12", "ekf", 0.01),
+    tuned("planar5", "adaptive-ukf", 0.01),
+]
 
 
 def run(*command: str | Path) -> None:
@@ -195,7 +199,7 @@ def test_python_calls_the_same_c(tmp_path: Path, case: str):
 
 @needs_gcc
 def test_its_module_needs_no_sigmaswarm(tmp_path: Path):
-    p, drive = CHECKED["every option"]
+    p, _ = CHECKED["every option"]
     export_filter(p, "c99", tmp_path)
     check_export(tmp_path, p, [])
     code = "import sys; sys.modules['sigmaswarm'] = sys.modules['numpy'] = None; import ins_gps\n"
@@ -220,4 +224,3 @@ def test_a_compiler_that_is_not_there_or_refuses_is_told_in_a_line(
     monkeypatch.setattr(check, "COMPILERS", ("no-such-cc",))
     with pytest.raises(InputError, match="no C compiler was found"):
         check_export(tmp_path, p, [drive])
-

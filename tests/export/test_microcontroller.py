@@ -71,9 +71,7 @@ def test_a_board_finds_what_the_run_finds(tmp_path: Path, name: str):
     double = replay_on(M7, build_for(M7, tmp_path, p), city(), p.model)
     np.testing.assert_array_equal(double.time, ours.time)
     assert distance(double.mean, ours.mean) < 1e-9
-    np.testing.assert_allclose(
-        double.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-8
-    )
+    np.testing.assert_allclose(double.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-8)
     for machine in (M4F, M7):
         single = replay_on(machine, build_for(machine, tmp_path, p, FLOAT), city(), p.model)
         metres, degrees = off(single, ours.mean)
@@ -111,9 +109,7 @@ def test_what_it_costs_stays_within_bounds(tmp_path: Path):
 @pytest.mark.parametrize("interval", [0.1, 0.01, 0.001])
 def test_memory_without_history_is_bounded_at_any_rate(tmp_path: Path, interval: float):
     export_filter(given("planar8 ukf", interval), "c99", tmp_path)
-    (tmp_path / "size.c").write_text(
-        '#include "ins_gps.h"\nchar fits[sizeof(InsGps) <= 8192 ? 1 : -1];\n'
-    )
+    (tmp_path / "size.c").write_text('#include "ins_gps.h"\nchar fits[sizeof(InsGps) <= 8192 ? 1 : -1];\n')
     for flags in ((FLOAT,), ()):
         run([COMPILER, *M4F.flags, NO_HISTORY, *flags, "-c", tmp_path / "size.c", "-o", tmp_path / "size.o"])
 
@@ -136,7 +132,9 @@ FUZZED = {
     ],
     ids=["every option in float", "tilted in float", "adaptive in double"],
 )
-def test_random_calls_trap_nothing_on_a_board(tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]):
+def test_random_calls_trap_nothing_on_a_board(
+    tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]
+):
     program = build_for(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c", align=True)
     assert emulate(machine, program) == 0
 

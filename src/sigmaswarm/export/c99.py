@@ -186,27 +186,30 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "POSITION_OFF": recovery.POSITION_OFF,
         "SPEED_STD": recovery.SPEED_STD,
     }
-    return plain(derived) | {
-        "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
-        "PROCESS_NOISE": listed(p.process_noise, "R({})"),
-        "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
-        "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
-        "FIXES": "64",  # 6 s at 10 Hz
-        "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
-        "STATES": repr(names),
-        "MOST_OF_IT": str(standstill.MOST_OF_IT),
-        "QUARTER": str(standstill.QUARTER),
-        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": it learns what calm is" if stands else "",
-        "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "GYRO_NOTE": ", and all that the gyro shows is its bias"
-        if MODELS[p.model].gyro_bias is not None
-        else "",
-        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
-        "LEVER_AXES": ", left and up" if tilted else " and left",
-        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-        "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
-        if tilted
-        else "m/s2 forward and left, rad/s",
-        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
-    }
+    return (
+        plain(derived)
+        | {
+            "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "PROCESS_NOISE": listed(p.process_noise, "R({})"),
+            "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
+            "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
+            "FIXES": "64",  # 6 s at 10 Hz
+            "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
+            "STATES": repr(names),
+            "MOST_OF_IT": str(standstill.MOST_OF_IT),
+            "QUARTER": str(standstill.QUARTER),
+            "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
+            "CALM_NOTE": ": it learns what calm is" if stands else "",
+            "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+            "GYRO_NOTE": ", and all that the gyro shows is its bias"
+            if MODELS[p.model].gyro_bias is not None
+            else "",
+            "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+            "LEVER_AXES": ", left and up" if tilted else " and left",
+            "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+            "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
+            if tilted
+            else "m/s2 forward and left, rad/s",
+            "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
+        }
+    )
