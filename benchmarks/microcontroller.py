@@ -3,8 +3,8 @@
     python benchmarks/microcontroller.py ../shared/drives [--quick]
 
 Needs Debian's gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm. Prints Markdown tables: whole drives in
-float and double beside `run_filter`; instructions, flash, RAM and stack of each filter. A predict is the mean over samples
-without a fix, a predict + update the mean over those with one. --quick takes the first minutes of each drive.
+float and double beside `run_filter`; instructions, flash, RAM and stack of each filter. A predict is the mean over
+samples without a fix, a predict + update the mean over those with one. --quick takes the first minutes of each drive.
 """
 
 import argparse
@@ -72,9 +72,13 @@ def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float, float]:
     )
 
 
+def heading(*columns: str) -> None:
+    """Of a table; the first two columns are words."""
+    print(f"\n| {' | '.join(columns)} |\n|---|---|" + "---:|" * (len(columns) - 2))
+
+
 def closeness(all_drives: list[Drive], folder: Path) -> None:
-    print("| drive | filter | M7, double: any state | M7, float | M4F, float |")
-    print("|---|---|---:|---:|---:|")
+    heading("drive", "filter", "M7, double: any state", "M7, float", "M4F, float")
     for drive in all_drives:
         for name in CLOSE:
             p = given(name, drive)
@@ -124,8 +128,9 @@ def state_bytes(machine: Machine, folder: Path, *flags: str) -> int:
 
 
 def worst_stack(machine: Machine, folder: Path, *flags: str) -> int:
-    """The deepest sum of frames along the calls of the export's own functions (-fcallgraph-info=su); libm's not known."""
-    run([COMPILER, *machine.flags, *flags, "-std=c99", "-O2", "-fcallgraph-info=su", "-c", folder / "ins_gps.c", "-o", folder / "su.o"])  # fmt: skip
+    """The deepest sum of frames along the calls of the export's own functions; libm's are not known."""
+    command = [COMPILER, *machine.flags, *flags, "-std=c99", "-O2", "-fcallgraph-info=su"]
+    run([*command, "-c", folder / "ins_gps.c", "-o", folder / "su.o"])
     graph = (folder / "su.ci").read_text()
     frames = {
         name: int(frame)
@@ -141,12 +146,20 @@ def worst_stack(machine: Machine, folder: Path, *flags: str) -> int:
 
 
 def costs(drive: Drive, folder: Path) -> None:
-    print(
-        "\n| filter | board | predict | predict + update | mean sample | code -O2 | code -Os | libm | libgcc |",
-        end="",
+    heading(
+        *(
+            "filter",
+            "board",
+            "predict",
+            "predict + update",
+            "mean sample",
+            "code -O2",
+            "code -Os",
+            "libm",
+            "libgcc",
+        ),
+        *("RAM", "stack: calls", "stack: seen"),
     )
-    print(" RAM | stack: calls | stack: seen |")
-    print("|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for name in FILTERS:
         p = given(name, drive)
         for machine, flags in BUILDS:
@@ -166,12 +179,10 @@ def costs(drive: Drive, folder: Path) -> None:
 
 def by_drive(all_drives: list[Drive], folder: Path) -> None:
     """Instructions of planar8 and tilted12 in float on the M4F, with and without options, and calculated times."""
-    print(
-        "\n| drive, IMU | filter | predict: plain, every option | ratio | predict + update | at 168 MHz (calculated) |",
-        end="",
+    heading(
+        *("drive, IMU", "filter", "predict: plain, every option", "ratio", "predict + update"),
+        *("at 168 MHz (calculated)", "share of 10 ms"),
     )
-    print(" share of 10 ms |")
-    print("|---|---|---:|---:|---:|---:|---:|")
     for drive in all_drives:
         for name in ("planar8 ukf, every option", "tilted12 ekf, every option"):
             p = given(name, drive)
@@ -186,8 +197,9 @@ def by_drive(all_drives: list[Drive], folder: Path) -> None:
             times = [1e6 * both * cycles / CLOCKS[M4F.name] for cycles in (1.0, 1.5)]
             rate = f"{1 / drive.nominal_interval:.0f} Hz"
             print(
-                f"| {drive.name}, {rate} | {name} | {without:.0f}, {predict:.0f} | {predict / without:.2f} | {both:.0f} "
-                f"| {times[0]:.0f} to {times[1]:.0f} us | {times[0] / 100:.1f} to {times[1] / 100:.1f} % |",
+                f"| {drive.name}, {rate} | {name} | {without:.0f}, {predict:.0f} | "
+                f"{predict / without:.2f} | {both:.0f} | {times[0]:.0f} to {times[1]:.0f} us "
+                f"| {times[0] / 100:.1f} to {times[1] / 100:.1f} % |",
                 flush=True,
             )
 
@@ -195,13 +207,14 @@ def by_drive(all_drives: list[Drive], folder: Path) -> None:
 def soft_double(drive: Drive, folder: Path) -> None:
     """What double costs a board that has no unit for it: the same filter in double on the M4F."""
     p = given("planar8 ukf, every option", drive)
-    print(
-        "\n| planar8 ukf, every option, M4F | predict | predict + update | mean sample |\n|---|---:|---:|---:|"
-    )
+    heading("drive", "planar8 ukf, every option, M4F", "predict", "predict + update", "mean sample")
     for label, flags in (("float, times in double", (FLOAT,)), ("double", ())):
         board = replay_on(M4F, build_for(M4F, folder, p, NO_HISTORY, *flags), drive, p.model)
         print(
-            f"| {label} | " + " | ".join(f"{count:.0f}" for count in instructions(board)) + " |", flush=True
+            f"| {drive.name} | {label} | "
+            + " | ".join(f"{count:.0f}" for count in instructions(board))
+            + " |",
+            flush=True,
         )
 
 

@@ -84,20 +84,21 @@ int main(void)
 {
     static const ins_gps_real mean[5] = {0, 0, 10, 0, 0};
     ins_gps_real covariance[25] = {0};
-    double time = 0.0;
+    double time = 0.0, step = 0.001;
     long failures = 0, lived = 0;
     for (int i = 0; i < 25; i += 6) {
         covariance[i] = 1;
     }
     for (long call = 0, left = 0; call < CALLS; call++, left--) {
         if (left == 0) { /* a run of its own */
-            left = 1 + (long)pick(400);
+            left = 1 + (long)pick(800);
+            step = pick(2) ? 0.001 : 0.02; /* s: a fast IMU, or a slow one, whose fixes reach back far */
             time = pick(4) ? 0.0 : pick(2) ? 1.7e9 : -50.0;
             ins_gps_init(&filter, time, mean, covariance, pick(2) ? mean : 0);
             ins_gps_align_init(&align, 0);
             ins_gps_watch_init(&watch, time, 0);
         }
-        time += 0.001 * (double)pick(20) - 0.002 * (double)(pick(8) == 0);
+        time += step * ((double)pick(20) - 2.0 * (double)(pick(8) == 0));
         const double at = pick(100) ? time : pick(2) ? odd() : time + (double)pick(40) - 20.0;
         if (pick(3)) {
             predict(at);

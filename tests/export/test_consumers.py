@@ -87,8 +87,8 @@ def test_a_cmake_project_builds_on_it(tmp_path: Path, installed: bool):
     run(tmp_path / "b" / "app")
 
 
-# What PlatformIO's own schema asks of the fields that the export has (platformio/assets/schema/library.json), and what its
-# pages say besides: names of a-z, digits and dashes, versions by SemVer.
+# What PlatformIO's own schema (platformio/assets/schema/library.json) asks of the fields that the export has, and what
+# its pages say besides: names of a-z, digits and dashes, versions by SemVer.
 _TEXT = {"type": "string", "maxLength": 255}
 _TEXTS = {"anyOf": [_TEXT, {"type": "array", "items": _TEXT}]}
 MANIFEST = {
