@@ -148,7 +148,7 @@ def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ..
     export_filter(FUZZED[case], "c99", tmp_path)
     program = tmp_path / "fuzz"
     sources = (tmp_path / "ins_gps.c", tmp_path / "ins_gps_align.c", BOARD / "fuzz.c")
-    more = (*has(FUZZED[case]), *flags, f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
+    more = (*has(FUZZED[case]), *flags, "-DCALLS=5000", f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
     run(["gcc", "-std=c99", "-O1", *more, *sources, "-lm", "-o", program])
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
