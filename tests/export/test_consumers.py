@@ -11,6 +11,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+import yaml
 
 from exported import needs_gcc, tuned
 from filter_cases import WEIGHED, equipped, parameters, straying
@@ -132,6 +133,19 @@ def test_platformio_builds_what_the_manifest_says(tmp_path: Path, p: FilterParam
     include = f"-I{tmp_path / manifest['build']['includeDir']}"
     run("gcc", *WARNINGS, include, main, *sorted(sources), "-lm", "-o", tmp_path / "app")
     run(tmp_path / "app")
+
+
+def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
+    """Zephyr itself is not run: its tree is too large for a test."""
+    export_filter(EVERY[0], "c99", tmp_path)
+    module = yaml.safe_load((tmp_path / "zephyr" / "module.yml").read_text())
+    assert set(module) == {"name", "build"}
+    assert (tmp_path / module["build"]["kconfig"]).is_file()
+    build = (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").read_text()
+    sources = re.findall(r"[./\w]+\.c\b", build)
+    assert len(sources) == 2 and all((tmp_path / "zephyr" / source).is_file() for source in sources)
+    options = set(re.findall(r"CONFIG_(\w+)", build))
+    assert options == set(re.findall(r"config (\w+)", (tmp_path / "zephyr" / "Kconfig").read_text()))
 
 
 @needs_cpp
