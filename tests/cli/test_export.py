@@ -47,6 +47,22 @@ def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: P
     assert Path("c/estimate.csv").read_bytes() == Path("c/theirs.csv").read_bytes()
 
 
+@needs_gcc
+def test_the_c_is_checked_on_drives(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--check", drives / "urban-clear-00")
+    assert ended.code == 0
+    pattern = (
+        r"^urban-clear-00: C is within (\S+) of sigmaswarm run.*in float within (\S+) mm and (\S+) degrees$"
+    )
+    (found,) = re.findall(pattern, ended.out, re.MULTILINE)
+    assert float(found[0]) < 1e-9 and float(found[1]) < 10.0 and float(found[2]) < 0.01
+    ended = sigmaswarm(
+        "export", tuned, "--to", "c99", "--out", "c", "--json", "--check", drives / "urban-clear-00"
+    )
+    (checked,) = json.loads(ended.out)["checked"]
+    assert checked["drive"] == "urban-clear-00" and checked["double"]["state"] < 1e-9
+
+
 def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
     said = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py").out
     assert said.endswith("next: python py/run_filter.py DRIVE estimate.csv\n")
@@ -61,6 +77,8 @@ def test_export_says_how_to_go_on(sigmaswarm: Command, tuned: Path, here: Path):
         (["--to", "c99"], "--out"),
         (["--to", "filterpy", "--out", "x", "--replay", "DRIVE"], "--replay is for --to c99 only"),
         (["--to", "c99", "--out", "x", "--replay", "nowhere"], "nowhere does not exist"),
+        (["--to", "c99", "--out", "x", "--check", "nowhere"], "nowhere does not exist"),
+        (["--to", "filterpy", "--out", "x", "--check", "DRIVE"], "--check is for --to c99 only"),
     ],
 )
 def test_mistakes_get_one_line(

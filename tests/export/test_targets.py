@@ -14,7 +14,11 @@ from support import make_drive
 P = tuned("planar5", "ukf", 0.01, everything=False)
 FILES = {
     "filterpy": ["run_filter.py"],
-    "c99": ["ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c"],
+    "c99": [
+        *("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c", "README.md"),
+        *("CMakeLists.txt", "library.json", "zephyr/module.yml", "zephyr/CMakeLists.txt", "zephyr/Kconfig"),
+        *("ins_gps.py", "ins_gps_shared.c"),
+    ],
     "robot_localization": ["robot_localization.yaml"],
 }
 
@@ -29,7 +33,9 @@ def test_it_writes_the_same_files_again(tmp_path: Path, target):
     assert written == [tmp_path / "a" / "b" / name for name in FILES[target]]
     before = [path.read_bytes() for path in written]
     assert [path.read_bytes() for path in export_filter(P, target, tmp_path / "a" / "b")] == before
-    assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == sorted(FILES[target])
+    folder = tmp_path / "a" / "b"
+    found = [str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()]
+    assert sorted(found) == sorted(FILES[target])
 
 
 def test_a_replay_comes_beside_the_c_library(tmp_path: Path):

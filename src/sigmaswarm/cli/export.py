@@ -1,9 +1,14 @@
 """`sigmaswarm export`."""
 
+import math
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from sigmaswarm.export.check import Checked
 
 
 def export(
@@ -13,6 +18,7 @@ def export(
     to: Literal["filterpy", "c99", "robot_localization"],
     out: Path,
     replay: Path | None = None,
+    check: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Write a tuned filter for use elsewhere.
@@ -23,6 +29,7 @@ def export(
 
         sigmaswarm export tuned --to filterpy --out filter-py
         sigmaswarm export tuned --to c99 --out filter-c --replay drives/friday
+        sigmaswarm export tuned --to c99 --out filter-c --check drives
         sigmaswarm export tuned --to robot_localization --out filter-ros
 
     Parameters
@@ -36,22 +43,42 @@ def export(
         Folder to write to; made if missing.
     replay
         c99: a drive to write as the replay program's input.
+    check
+        c99: drives to run the C over, built by this machine's compiler and called from Python; prints how far it is
+        from `sigmaswarm run` at most on each.
     json
-        Print the written files for machines.
+        Print the written files, and what --check found, for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
+    from sigmaswarm.cli.common import print_json, read_drives, read_known, stdout, tuned_as_recorded
+    from sigmaswarm.export.check import check_export
     from sigmaswarm.export.targets import export_filter
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
-    drive = read_known(replay) if replay else None
-    written = export_filter(parameters, to, out, replay=drive, as_recorded=tuned_as_recorded(tuning))
+    if check and to != "c99":
+        raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
+    drive, drives = read_known(replay) if replay else None, read_drives(check or [])
+    as_recorded = tuned_as_recorded(tuning)
+    written = export_filter(parameters, to, out, replay=drive, as_recorded=as_recorded)
+    checked = check_export(out, parameters, drives, as_recorded=as_recorded) if drives else []
     if json:
-        print_json({"written": [str(path) for path in written]})
+        found = {"checked": [asdict(each) for each in checked]} if check else {}
+        print_json({"written": [str(path) for path in written], **found})
         return
     for path in written:
         stdout().print(f"wrote {path}")
+    for each in checked:
+        stdout().print(_found(each))
     stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}")
+
+
+def _found(checked: "Checked") -> str:
+    """One line on a drive."""
+    line = f"{checked.drive}: C is within {checked.double.state:.1e} of sigmaswarm run, in any state"
+    single = checked.single
+    if single is None:
+        return f"{line}; float can't hold this filter"
+    return f"{line}; in float within {1e3 * single.position:.2g} mm and {math.degrees(single.heading):.1g} degrees"
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:

@@ -17,8 +17,23 @@ from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.versions import __version__
 
-FILES = ("ins_gps.h", "ins_gps.c", "ins_gps_align.h", "ins_gps_align.c", "replay.c")
+FILES = (
+    "ins_gps.h",
+    "ins_gps.c",
+    "ins_gps_align.h",
+    "ins_gps_align.c",
+    "replay.c",
+    "README.md",
+    "CMakeLists.txt",
+    "library.json",
+    "zephyr/module.yml",
+    "zephyr/CMakeLists.txt",
+    "zephyr/Kconfig",
+    "ins_gps.py",
+    "ins_gps_shared.c",
+)
 SHORTEST_INTERVAL = 1e-4
 """s: no IMU is faster than that, and a second of its samples would take megabytes."""
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
@@ -43,21 +58,34 @@ def c99(parameters: FilterParameters, interval: float, as_recorded: bool = False
     if parameters.kind not in kinds:
         raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
     features = features_of(parameters)
-    features |= {"USE_DOUBLE": not _fits_float(parameters), "USE_AS_RECORDED": as_recorded}
+    features |= {"USE_DOUBLE": not fits_float(parameters), "USE_AS_RECORDED": as_recorded}
     values = values_of(parameters, interval) | _only_in_c(parameters, interval)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
 def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False) -> str:
-    """A drive as the rows that replay.c reads: where a filter starts, then samples and fixes by time.
+    """A drive as the rows that replay.c reads: those of `replay_events`, as text."""
+    events = replay_events(drive, model, as_recorded=as_recorded)
+    return "".join(_row(name, numbers) + "\n" for name, numbers in events)
+
+
+def replay_events(
+    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False
+) -> list[tuple[str, list[float]]]:
+    """What a filter is told of a drive, in the order of time: where it starts, then samples, fixes and readings.
 
     Parameters
     ----------
     drive : Drive
     model : {"planar5", "planar8", "tilted12"}
-        Whose axes of the IMU and of the lever arm the rows hold.
+        Whose axes of the IMU and of the lever arm the events hold.
     as_recorded : bool
         See `PreparedDrive`.
+
+    Returns
+    -------
+    list of (str, list of float)
+        First ``start``, then ``imu``, ``fix`` and ``odometer``; their numbers are those of replay.c's rows.
 
     Raises
     ------
@@ -68,20 +96,19 @@ def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool
     """
     schedule.require_axes(drive, model)
     initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
-    start = (initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel())
+    start = [initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel()]
     axes = ["ax", "ay", "gz"]
     if MODELS[model].tilts is not None:
-        start = (*start, drive.antenna_height)
+        start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
-    events = [(z[0], 0, _row("fix", z)) for z in _fixes(drive.gps)]  # a fix before the sample of its time
+    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps)]  # a fix before the sample of its time
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
-        events += [(t, 0, _row("odometer", (t, speed))) for t, speed in readings]
+        events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
     samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
-    events += [(t, 1, _row("imu", (t, *u))) for t, *u in samples]
-    return (
-        "\n".join([_row("start", start), *(row for *_, row in sorted(events, key=itemgetter(0, 1)))]) + "\n"
-    )
+    events += [(t, 1, "imu", [t, *u]) for t, *u in samples]
+    ordered = sorted(events, key=itemgetter(0, 1))
+    return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
 
 
 def _fixes(gps: Gps) -> list[list[float]]:
@@ -109,7 +136,7 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
     return gamma_squared, in_range(square * (p.n_states + p.kappa - 1) + p.beta, of)
 
 
-def _fits_float(p: FilterParameters) -> bool:
+def fits_float(p: FilterParameters) -> bool:
     """Whether C's float holds all numbers of a filter."""
     options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
     options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
@@ -159,25 +186,30 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "POSITION_OFF": recovery.POSITION_OFF,
         "SPEED_STD": recovery.SPEED_STD,
     }
-    return plain(derived) | {
-        "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
-        "PROCESS_NOISE": listed(p.process_noise, "R({})"),
-        "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
-        "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
-        "FIXES": "64",  # 6 s at 10 Hz
-        "MOST_OF_IT": str(standstill.MOST_OF_IT),
-        "QUARTER": str(standstill.QUARTER),
-        "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
-        "CALM_NOTE": ": it learns what calm is" if stands else "",
-        "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
-        "GYRO_NOTE": ", and all that the gyro shows is its bias"
-        if MODELS[p.model].gyro_bias is not None
-        else "",
-        "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
-        "LEVER_AXES": ", left and up" if tilted else " and left",
-        "LEVER_COLUMNS": ",left,up" if tilted else ",left",
-        "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
-        if tilted
-        else "m/s2 forward and left, rad/s",
-        "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
-    }
+    return (
+        plain(derived)
+        | {
+            "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "PROCESS_NOISE": listed(p.process_noise, "R({})"),
+            "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
+            "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
+            "FIXES": "64",  # 6 s at 10 Hz
+            "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
+            "STATES": repr(names),
+            "MOST_OF_IT": str(standstill.MOST_OF_IT),
+            "QUARTER": str(standstill.QUARTER),
+            "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
+            "CALM_NOTE": ": it learns what calm is" if stands else "",
+            "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+            "GYRO_NOTE": ", and all that the gyro shows is its bias"
+            if MODELS[p.model].gyro_bias is not None
+            else "",
+            "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+            "LEVER_AXES": ", left and up" if tilted else " and left",
+            "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+            "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
+            if tilted
+            else "m/s2 forward and left, rad/s",
+            "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
+        }
+    )

@@ -26,6 +26,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
         "FORGETTING": adaptive or tracking,
+        "LATENCY": p.latency != 0.0,
         "GATE": gate,
         "GATE_OR_STRETCH": gate or tracking or p.robust_dof is not None,
         "ACCURACY": p.accuracy_scale is not None,

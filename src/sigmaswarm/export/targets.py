@@ -81,5 +81,6 @@ def export_filter(
         texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
     folder = make_folder(Path(folder))
     for name, text in texts.items():
+        make_folder((folder / name).parent)
         write_whole(folder / name, text)
     return [folder / name for name in texts]

@@ -1,0 +1,240 @@
+"""The exported C as others take it in: by CMake, PlatformIO's manifest, C++, Python, and an Arm compiler."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from fnmatch import fnmatch
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from exported import needs_gcc, tuned
+from filter_cases import WEIGHED, equipped, parameters, straying
+from microcontroller import COMPILER, M4F, WARNINGS, needs_arm
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.export import check
+from sigmaswarm.export.check import check_export
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.parameters import FilterParameters
+
+needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
+needs_cpp = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+
+MAIN = """
+#include "ins_gps.h"
+#include "ins_gps_align.h"
+static InsGps filter;
+int main(void)
+{
+    const ins_gps_real mean[5] = {1, 2, 3, 4, 5};
+    ins_gps_real covariance[25] = {0};
+    for (int i = 0; i < 25; i += 6) {
+        covariance[i] = 1;
+    }
+    InsGpsState state;
+    ins_gps_init(&filter, 0.0, mean, covariance, 0);
+    ins_gps_predict(&filter, 0.01, 0, 0, 0);
+    ins_gps_state(&filter, &state);
+    return state.failed || sizeof(ins_gps_real) != SIZE || INS_GPS_FIXES != 32;
+}
+"""
+CONSUMER = """
+cmake_minimum_required(VERSION 3.13)
+project(consumer LANGUAGES C)
+if(ADD)
+  add_subdirectory(${ADD} ins_gps)
+else()
+  find_package(ins_gps REQUIRED)
+endif()
+add_executable(app main.c)
+target_link_libraries(app PRIVATE ins_gps::ins_gps)
+"""
+EVERY = [
+    tuned("planar8", "ukf", 0.01),
+    tuned("tilted12", "ekf", 0.01),
+    tuned("planar5", "adaptive-ukf", 0.01),
+]
+
+
+def run(*command: str | Path) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, re.sub(r"(?s)^\s*$", "", done.stderr)) == (0, ""), done.stderr
+
+
+@needs_gcc
+@needs_cmake
+@pytest.mark.parametrize("installed", [False, True])
+def test_a_cmake_project_builds_on_it(tmp_path: Path, installed: bool):
+    export, consumer, prefix = tmp_path / "export", tmp_path / "consumer", tmp_path / "prefix"
+    export_filter(EVERY[0], "c99", export)
+    options = ("-DINS_GPS_FLOAT=ON", "-DINS_GPS_FIXES=32")
+    consumer.mkdir()
+    (consumer / "CMakeLists.txt").write_text(CONSUMER)
+    (consumer / "main.c").write_text(MAIN.replace("SIZE", "4"))
+    how = f"-DCMAKE_PREFIX_PATH={prefix}" if installed else f"-DADD={export}"
+    if installed:
+        run("cmake", "-S", export, "-B", tmp_path / "a", *options)
+        run("cmake", "--build", tmp_path / "a")
+        run("cmake", "--install", tmp_path / "a", "--prefix", prefix)
+        options = ()
+    run("cmake", "-S", consumer, "-B", tmp_path / "b", how, *options)
+    run("cmake", "--build", tmp_path / "b")
+    run(tmp_path / "b" / "app")
+
+
+# What PlatformIO's own schema (platformio/assets/schema/library.json) asks of the fields that the export has, and what
+# its pages say besides: names of a-z, digits and dashes, versions by SemVer.
+_TEXT = {"type": "string", "maxLength": 255}
+_TEXTS = {"anyOf": [_TEXT, {"type": "array", "items": _TEXT}]}
+MANIFEST = {
+    "type": "object",
+    "required": ["name", "version", "description", "keywords"],
+    "additionalProperties": False,
+    "properties": {
+        "name": {"type": "string", "maxLength": 50, "pattern": "^[a-z0-9]+(-[a-z0-9]+)*$"},
+        "version": {"type": "string", "maxLength": 20, "pattern": r"^\d+\.\d+\.\d+$"},
+        "description": _TEXT,
+        "keywords": _TEXTS,
+        "headers": _TEXTS,
+        "frameworks": _TEXTS,
+        "platforms": _TEXTS,
+        "build": {
+            "type": "object",
+            "additionalProperties": False,
+            "properties": {"srcDir": _TEXT, "includeDir": _TEXT, "srcFilter": _TEXTS},
+        },
+    },
+}
+
+
+@needs_gcc
+@pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
+def test_platformio_builds_what_the_manifest_says(tmp_path: Path, p: FilterParameters):
+    export_filter(p, "c99", tmp_path)
+    manifest = json.loads((tmp_path / "library.json").read_text())
+    jsonschema.validate(manifest, MANIFEST)
+    sources = set[Path]()
+    for rule in manifest["build"]["srcFilter"]:  # each adds files, or takes them out
+        sign, pattern = rule[0], rule[2:-1]
+        chosen = {path for path in tmp_path.glob("*.c") if fnmatch(path.name, pattern)}
+        sources = sources | chosen if sign == "+" else sources - chosen
+    (tmp_path / "project").mkdir()
+    main = tmp_path / "project" / "main.c"
+    headers = "".join(f'#include "{name}"\n' for name in manifest["headers"])
+    main.write_text(
+        headers + "int main(void) { static InsGps f; InsGpsState s; ins_gps_state(&f, &s); return 0; }\n"
+    )
+    include = f"-I{tmp_path / manifest['build']['includeDir']}"
+    run("gcc", *WARNINGS, include, main, *sorted(sources), "-lm", "-o", tmp_path / "app")
+    run(tmp_path / "app")
+
+
+def test_the_zephyr_module_names_what_is_there(tmp_path: Path):
+    """Zephyr itself is not run: its tree is too large for a test."""
+    export_filter(EVERY[0], "c99", tmp_path)
+    module = yaml.safe_load((tmp_path / "zephyr" / "module.yml").read_text())
+    assert set(module) == {"name", "build"}
+    assert (tmp_path / module["build"]["kconfig"]).is_file()
+    build = (tmp_path / module["build"]["cmake"] / "CMakeLists.txt").read_text()
+    sources = re.findall(r"[./\w]+\.c\b", build)
+    assert len(sources) == 2 and all((tmp_path / "zephyr" / source).is_file() for source in sources)
+    options = set(re.findall(r"CONFIG_(\w+)", build))
+    assert options == set(re.findall(r"config (\w+)", (tmp_path / "zephyr" / "Kconfig").read_text()))
+
+
+@needs_cpp
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=str)
+@pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
+def test_cpp_takes_the_headers_and_links(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
+    export_filter(p, "c99", tmp_path)
+    (tmp_path / "main.cpp").write_text(
+        '#include "ins_gps.h"\n#include "ins_gps_align.h"\n'
+        "int main() { static InsGps f; static InsGpsAlign a; InsGpsState s; ins_gps_state(&f, &s);\n"
+        "    ins_gps_align_init(&a, nullptr); return s.failed; }\n"
+    )
+    strict = [flag for flag in WARNINGS if not flag.startswith("-std")]
+    for name in ("ins_gps", "ins_gps_align"):
+        run("gcc", *WARNINGS, *flags, "-c", tmp_path / f"{name}.c", "-o", tmp_path / f"{name}.o")
+    objects = (tmp_path / "ins_gps.o", tmp_path / "ins_gps_align.o")
+    run("g++", "-std=c++11", *strict, *flags, tmp_path / "main.cpp", *objects, "-o", tmp_path / "app")
+    run(tmp_path / "app")
+
+
+@needs_arm
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0")], ids=str)
+@pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
+def test_an_arm_compiler_has_nothing_to_say(tmp_path: Path, p: FilterParameters, flags: tuple[str, ...]):
+    export_filter(p, "c99", tmp_path)
+    for source in ("ins_gps.c", "ins_gps_align.c"):
+        command = (COMPILER, *M4F.flags, *WARNINGS, "-O2", *flags, "-c", tmp_path / source)
+        run(*command, "-o", tmp_path / "object.o")
+
+
+@needs_gcc
+@pytest.mark.parametrize("p", EVERY, ids=lambda p: p.model)
+def test_the_readme_shows_c_that_compiles(tmp_path: Path, p: FilterParameters):
+    export_filter(p, "c99", tmp_path)
+    (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
+    (tmp_path / "loop.c").write_text(code)
+    flags = [flag for flag in WARNINGS if flag != "-pedantic"]
+    run("gcc", *flags, "-c", tmp_path / "loop.c", "-o", tmp_path / "loop.o")
+
+
+CHECKED: dict[str, tuple[FilterParameters, Drive]] = {
+    "every option": (tuned("planar8", "ukf", 0.01), equipped()),
+    "tilted": (tuned("tilted12", "ekf", 0.01), equipped()),
+    "accuracy": (
+        parameters("planar5", kind="ekf", nominal_interval=0.01, **WEIGHED["accuracy"]),
+        straying(),
+    ),
+}
+
+
+@needs_gcc
+@pytest.mark.parametrize("case", CHECKED)
+def test_python_calls_the_same_c(tmp_path: Path, case: str):
+    p, drive = CHECKED[case]
+    export_filter(p, "c99", tmp_path)
+    (found,) = check_export(tmp_path, p, [drive])
+    assert found.drive == drive.name
+    assert found.double.state < 1e-11
+    assert found.single is not None
+    assert 1e-9 < found.single.position < 5e-3 and found.single.heading < 1e-4
+    if case != "accuracy":
+        (other,) = check_export(tmp_path, replace(p, lateral_noise=0.1), [drive])
+        assert other.double.state > 1e-6  # it tells a difference
+
+
+@needs_gcc
+def test_its_module_needs_no_sigmaswarm(tmp_path: Path):
+    p, _ = CHECKED["every option"]
+    export_filter(p, "c99", tmp_path)
+    check_export(tmp_path, p, [])
+    code = "import sys; sys.modules['sigmaswarm'] = sys.modules['numpy'] = None; import ins_gps\n"
+    code += "f = ins_gps.Filter(0.0, [0, 0, 10, 0, 0], [1.0 if i % 6 == 0 else 0.0 for i in range(25)])\n"
+    code += "assert f.predict(0.01, [0.0, 0.0, 0.0]) and not f.predict(0.01, [0.0, 0.0, 0.0])\n"
+    code += "assert not f.failed and f.time == 0.01 and abs(f.mean[0] - 0.1) < 1e-12\n"
+    code += "assert f.update(0.015, [0.1, 0.0]) and len(f.covariance) == len(ins_gps.STATES) == 8\n"
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+
+
+@needs_gcc
+def test_a_compiler_that_is_not_there_or_refuses_is_told_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    p, drive = CHECKED["every option"]
+    export_filter(p, "c99", tmp_path)
+    for compiler, said in (("no-such-cc", "no-such-cc does not run"), ("false", "false could not build")):
+        monkeypatch.setenv("CC", compiler)
+        with pytest.raises(InputError, match=said):
+            check_export(tmp_path, p, [drive])
+    monkeypatch.delenv("CC")
+    monkeypatch.setattr(check, "COMPILERS", ("no-such-cc",))
+    with pytest.raises(InputError, match="no C compiler was found"):
+        check_export(tmp_path, p, [drive])

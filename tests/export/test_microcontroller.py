@@ -1,0 +1,161 @@
+"""The exported C on emulated Cortex-M boards: the run's numbers, what they cost, and nothing that traps.
+
+Whole drives, and all figures of docs/export.md: benchmarks/microcontroller.py.
+"""
+
+import subprocess
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import NO_TRAP, SANITIZERS, distance, needs_gcc, tuned
+from filter_cases import OPTIONS, WEIGHED, parameters
+from microcontroller import (
+    BOARD,
+    COMPILER,
+    M4F,
+    M7,
+    Machine,
+    OnBoard,
+    build_for,
+    emulate,
+    has,
+    needs_arm,
+    replay_on,
+    run,
+)
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.simulation.scenarios import simulate
+from support import DRIVES, needs_shared
+
+FLOAT, NO_HISTORY = "-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0"
+FILTERS = {
+    "planar5": ("planar5", "ukf", False),
+    "planar8 ekf": ("planar8", "ekf", True),
+    "planar8 ukf": ("planar8", "ukf", True),
+    "tilted12": ("tilted12", "ekf", True),
+}
+
+
+def given(name: str, interval: float = 0.01) -> FilterParameters:
+    model, kind, everything = FILTERS[name]
+    return tuned(model, kind, interval, everything=everything)
+
+
+@cache
+def city() -> Drive:
+    """Half a minute in a city, with a red light."""
+    return clip(simulate("urban", duration=60.0, seed=4), 0.0, 40.0)
+
+
+def off(board: OnBoard, ours: np.ndarray) -> tuple[float, float]:
+    """m and degrees, at most."""
+    error = board.mean - ours
+    error[:, 4] = (error[:, 4] + np.pi) % (2 * np.pi) - np.pi
+    return float(np.max(np.hypot(*error[:, :2].T))), float(np.degrees(np.abs(error[:, 4]).max()))
+
+
+@needs_arm
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_board_finds_what_the_run_finds(tmp_path: Path, name: str):
+    p = given(name)
+    ours = run_filter(city(), p, recover=False)
+    double = replay_on(M7, build_for(M7, tmp_path, p), city(), p.model)
+    np.testing.assert_array_equal(double.time, ours.time)
+    assert distance(double.mean, ours.mean) < 1e-9
+    np.testing.assert_allclose(double.variance, np.diagonal(ours.covariance, axis1=1, axis2=2), rtol=1e-8)
+    for machine in (M4F, M7):
+        single = replay_on(machine, build_for(machine, tmp_path, p, FLOAT), city(), p.model)
+        metres, degrees = off(single, ours.mean)
+        assert 0.0 < metres < 0.01 and 0.0 < degrees < 0.01
+
+
+@needs_shared
+@needs_arm
+def test_float_is_as_good_kilometres_from_the_origin(tmp_path: Path):
+    drive = clip(read_drive(DRIVES / "kingston-1"), 1600.0, 1720.0)  # it stands for a while, 2 km away
+    p = given("planar8 ukf", drive.nominal_interval)
+    ours = run_filter(drive, p, recover=False).mean
+    assert np.hypot(*ours[-1, :2]) > 1500.0
+    metres, degrees = off(replay_on(M4F, build_for(M4F, tmp_path, p, FLOAT), drive, p.model), ours)
+    assert metres < 1e-3 and degrees < 1e-3
+
+
+@needs_arm
+def test_what_it_costs_stays_within_bounds(tmp_path: Path):
+    p = given("planar8 ukf")
+
+    def instructions(q: FilterParameters) -> tuple[float, float, float]:
+        board = replay_on(M4F, build_for(M4F, tmp_path, q, NO_HISTORY, FLOAT), city(), q.model)
+        fixed, both = board.fixes > 0, board.predict + board.update
+        assert board.stack < 1024
+        return board.predict[~fixed].mean(), both[fixed].mean(), both.mean()
+
+    predict, both, _ = instructions(p)
+    without, *_ = instructions(tuned(p.model, p.kind, 0.01, everything=False))
+    assert both < 9000 and predict < 1.5 * without
+    assert (predict, both) == instructions(p)[:2]  # they are counted, not timed
+
+
+@needs_arm
+@pytest.mark.parametrize("interval", [0.1, 0.01, 0.001])
+def test_memory_without_history_is_bounded_at_any_rate(tmp_path: Path, interval: float):
+    export_filter(given("planar8 ukf", interval), "c99", tmp_path)
+    (tmp_path / "size.c").write_text('#include "ins_gps.h"\nchar fits[sizeof(InsGps) <= 8192 ? 1 : -1];\n')
+    for flags in ((FLOAT,), ()):
+        run([COMPILER, *M4F.flags, NO_HISTORY, *flags, "-c", tmp_path / "size.c", "-o", tmp_path / "size.o"])
+
+
+FUZZED = {
+    "every option": parameters("planar8", kind="ukf", nominal_interval=0.01, **OPTIONS["all"]),
+    "weighed": parameters("planar8", kind="ekf", nominal_interval=0.01, **WEIGHED["both"]),
+    "adaptive": parameters("planar8", kind="adaptive-ukf", nominal_interval=0.01, **OPTIONS["all"]),
+    "tilted": replace(given("tilted12"), odometer_noise=0.01),
+}
+
+
+@needs_arm
+@pytest.mark.parametrize(
+    ("machine", "case", "flags"),
+    [
+        (M4F, "every option", (FLOAT, "-DCALLS=10000")),
+        (M4F, "tilted", (FLOAT, NO_HISTORY, "-DCALLS=3000")),
+        (M7, "adaptive", (NO_HISTORY, "-DCALLS=3000")),
+    ],
+    ids=["every option in float", "tilted in float", "adaptive in double"],
+)
+def test_random_calls_trap_nothing_on_a_board(
+    tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]
+):
+    program = build_for(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c", align=True)
+    assert emulate(machine, program) == 0
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("case", "flags"),
+    [("every option", (FLOAT,)), ("weighed", ()), ("adaptive", (NO_HISTORY,)), ("tilted", ())],
+)
+def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...]):
+    export_filter(FUZZED[case], "c99", tmp_path)
+    program = tmp_path / "fuzz"
+    sources = (tmp_path / "ins_gps.c", tmp_path / "ins_gps_align.c", BOARD / "fuzz.c")
+    more = (*has(FUZZED[case]), *flags, "-DCALLS=5000", f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
+    run(["gcc", "-std=c99", "-O1", *more, *sources, "-lm", "-o", program])
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_arm
+def test_a_trap_is_seen(tmp_path: Path):
+    main = tmp_path / "main.c"
+    main.write_text("int main(void) { return *(volatile int *)0xF0000000; }\n")
+    assert emulate(M4F, build_for(M4F, tmp_path, given("planar5"), main=main)) == 99
