@@ -16,29 +16,37 @@ if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.errors import SigmaswarmWarning
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_known(folder: Path) -> "Drive":
+def read_known(place: "Place") -> "Drive":
     """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
-    from sigmaswarm.drives.reader import read_with_warnings
+    from sigmaswarm.drives.places import read_place
 
-    drive, warned = read_with_warnings(folder)
-    for warning in warned:
-        if not getattr(warning, "code", "").endswith("-gap"):
-            warnings.warn(warning, stacklevel=2)
+    drive, warned = read_place(place)
+    warn_of_reading(warned, gaps=False)
     return drive
 
 
-def read_drives(paths: Sequence[Path], *, trusted: bool = True, gaps: bool = False) -> "list[Drive]":
+def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
+    """Tell what was found while a drive was read; ``gaps``: those, too."""
+    for warning in warned:
+        if gaps or not getattr(warning, "code", "").endswith("-gap"):
+            warnings.warn(warning, stacklevel=3)
+
+
+def read_drives(places: "Sequence[Place]", *, trusted: bool = True, gaps: bool = False) -> "list[Drive]":
     """Read drive folders; a folder of drive folders stands for all of them.
 
     Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
     """
     from sigmaswarm.cli.findings import warn_of_serious
-    from sigmaswarm.drives.reader import drive_folders, read_drive
+    from sigmaswarm.drives.places import listed_places
+    from sigmaswarm.drives.reader import read_drive
 
-    folders = [folder for given in paths for folder in drive_folders(given)]
+    folders = listed_places(places)
     drives = [(read_drive if gaps else read_known)(folder) for folder in folders]
     if not trusted:
         warn_of_serious(drives, folders)

@@ -138,7 +138,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]
     if not there.is_dir():
         raise InputError(f"{out}: {there} is a file; name another folder")
     found = {name for name in names if (out / name).exists()}
-    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.csv")})
+    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
             f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"
