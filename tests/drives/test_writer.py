@@ -155,7 +155,10 @@ def test_real_drives_survive_the_round_trip(tmp_path: Path, name: str):
 
 def test_reader_and_writer_agree_on_the_files():
     tables = ("imu", "gps", "odometer", "truth")
-    assert {"drive.toml", *(f"{name}.{form}" for name in tables for form in ("csv", "parquet"))} == writer.FILES
+    assert {
+        "drive.toml",
+        *(f"{name}.{form}" for name in tables for form in ("csv", "parquet")),
+    } == writer.FILES
 
 
 def test_reading_back_leaves_the_warnings_filters_of_other_threads_alone(tmp_path: Path, monkeypatch):

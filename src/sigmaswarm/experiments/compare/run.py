@@ -141,7 +141,7 @@ def _asked(
 
 def _searched(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
     """What each contender minimizes: on drives that all of them share, in the box of its own scale."""
-    interval = usual_interval(problem.replayer.drives)
+    interval = usual_interval(problem.equipment)
     spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
     return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 
@@ -194,7 +194,7 @@ def _outcome(tuning: Tuning, held_out: CarProblem | None) -> Outcome:
     """A tuning's costs, and its scores on drives that it never saw."""
     cost = rmse = heading = None
     if held_out:
-        scores = held_out.replayer.scores([tuning.parameters])
+        scores = held_out.replays.scores([tuning.parameters])
         cost = float(held_out.objective.costs(scores, tuning.config.worst)[0])
         rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
     evaluations, steps, best = _history(tuning)

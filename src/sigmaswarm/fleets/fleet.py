@@ -1,0 +1,362 @@
+"""Drives that the workers of a cluster hold: read there once, asked about again and again, read again where one dies.
+
+A worker has one actor (`Holder`) with its share of the drives, and each question is one call a worker: what travels is
+the question, and an answer for each drive. A drive is on one worker at a time. Which one that is changes no answer, for
+each is made of one drive alone and put in the drives' order here; so a fleet on one worker, on two hundred, or on those
+that are left gives the same bits.
+
+Dask does not bring a dead worker's actor back. A call that ends in an error of the connection, or whose worker the
+scheduler no longer knows, means that the worker is lost: what it held is read by others, and only its part of the
+question is asked again. A worker that comes later takes over its share.
+"""
+
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
+from sigmaswarm.fleets.connection import Cluster, ClusterError, Worker
+from sigmaswarm.fleets.holder import Asked, Elsewhere, Holder, Loaded, Raised, Refused, of_each
+from sigmaswarm.fleets.sources import At, Given, Source
+
+T = TypeVar("T")
+Told = Callable[[int, int], None]
+"""Takes how many drives are read, and of how many."""
+
+LOOK = 2.0
+"""s between two looks at who is there, while answers are waited for or between questions."""
+NOTICED = 15.0
+"""s after which a scheduler knows that a worker is dead whose connection is broken."""
+COMES = 60.0
+"""s that a worker may take to load this library."""
+ALLOWED = 3
+"""Workers that may die, a worker that is there, without one answer in between: then the drives kill them."""
+UNREADABLE_SHOWN = 10
+"""Drives in one message."""
+
+
+@dataclass(eq=False)
+class _Host:
+    """A worker with its actor."""
+
+    worker: Worker
+    future: Any
+    actor: Any
+    held: set[int] = field(default_factory=set[int])
+
+    def load(self, sizes: Sequence[float]) -> float:
+        """Bytes that its drives take."""
+        return sum(sizes[i] for i in self.held)
+
+
+class _Lost(Exception):
+    """A worker does not answer any more."""
+
+
+class _Yard:
+    """What all views of a fleet share: who holds what. Its lock is held while drives change hands."""
+
+    def __init__(self, cluster: Cluster, sources: Sequence[Source], progress: Told | None) -> None:
+        self.cluster, self.sources, self.progress = cluster, sources, progress
+        self.sizes = [source.size() for source in sources]
+        self.told: dict[int, Loaded] = {}
+        self.hosts: dict[str, _Host] = {}
+        self._lock = threading.RLock()
+        self._looked = -LOOK
+        self._waiting = False
+        self._deaths = 0
+        self._refused: set[str] = set()
+
+    # Who holds what
+
+    def placed(self, drives: Iterable[int]) -> list[tuple[_Host, list[int]]]:
+        """The drives by the worker that holds them, each read by one where nobody does."""
+        wanted = sorted(drives)
+        with self._lock:
+            if time.monotonic() - self._looked > LOOK:
+                self._look()
+            while missing := [i for i in wanted if not any(i in host.held for host in self.hosts.values())]:
+                self._read(missing)
+            found = [(host, [i for i in wanted if i in host.held]) for host in self.hosts.values()]
+            return [(host, own) for host, own in found if own]
+
+    def lost(self, host: _Host) -> None:
+        """Forget a worker, and what it held."""
+        with self._lock:
+            if self.hosts.get(host.worker.address) is host:
+                del self.hosts[host.worker.address]
+                self._deaths += 1
+                self._looked = -LOOK
+                if self._deaths > ALLOWED * (len(self.hosts) + 1):
+                    raise ClusterError(
+                        f"{self._deaths} workers died one after the other over these drives, which need "
+                        f"{_gb(sum(self.sizes))} in all; give the workers more memory, or start more of them"
+                    )
+
+    def answered(self) -> None:
+        """The workers are well."""
+        self._deaths = 0
+
+    def _look(self) -> None:
+        """See who came and who went; a newcomer takes over its share."""
+        while True:
+            there = self.cluster.workers()
+            for address in [a for a in self.hosts if a not in there]:
+                self.lost(self.hosts[address])
+            new = [w for a, w in there.items() if a not in self.hosts and a not in self._refused]
+            self._adopt(new)
+            self._looked = time.monotonic()
+            if self.hosts:
+                break
+            if not self._waiting:
+                self._waiting = True
+                said = "no worker is left" if self.told else "there is no worker yet"
+                said = f"{said} at {self.cluster.address}: waiting for one to come"
+                warnings.warn(said, SigmaswarmWarning, stacklevel=2)
+            time.sleep(LOOK / 4)
+        self._waiting = False
+        if new and any(host.held for host in self.hosts.values()):
+            self._spread()
+
+    def _adopt(self, new: Sequence[Worker]) -> None:
+        """Start the actors of newcomers that have the same versions."""
+        unlike = self.cluster.unlike([worker.address for worker in new])
+        for address, error in unlike.items():
+            if not self.told:
+                raise error  # at the start the user is to hear of it
+            self._refused.add(address)
+            warnings.warn(f"{error}; it gets nothing to do", SigmaswarmWarning, stacklevel=2)
+        client = self.cluster.client
+        with client.as_current():  # which actors look for
+            begun = [(w, self._actor(w)) for w in new if w.address not in unlike]
+            for worker, future in begun:
+                with suppress(Exception):  # it died while it came
+                    self.hosts[worker.address] = _Host(worker, future, future.result(timeout=COMES))
+
+    def _actor(self, worker: Worker) -> Any:
+        alone: dict[str, Any] = {"workers": [worker.address], "allow_other_workers": False}
+        return self.cluster.client.submit(Holder, worker.threads, actor=True, pure=False, **alone)
+
+    def _spread(self) -> None:
+        """Hand drives over to workers that have far less than their share."""
+        threads = sum(host.worker.threads for host in self.hosts.values())
+        each = sum(host.load(self.sizes) for host in self.hosts.values()) / threads
+        for poor in sorted(self.hosts.values(), key=lambda h: h.load(self.sizes) / h.worker.threads):
+            goal = each * poor.worker.threads
+            if poor.load(self.sizes) > 0.5 * goal:
+                continue
+            taken: list[int] = []
+            for rich in sorted(self.hosts.values(), key=lambda h: -h.load(self.sizes) / h.worker.threads):
+                over = rich.load(self.sizes) - each * rich.worker.threads
+                for i in sorted(rich.held):
+                    room = goal - poor.load(self.sizes) - sum(self.sizes[k] for k in taken)
+                    if rich is not poor and 0 < self.sizes[i] <= min(1.01 * over, 1.01 * room):
+                        taken.append(i)
+                        over -= self.sizes[i]
+            self._load(poor, taken)
+            for rich in list(self.hosts.values()):
+                if rich is not poor and (given := sorted(rich.held & poor.held)):
+                    rich.held -= set(given)
+                    with suppress(_Lost):  # whoever asks next will notice
+                        self.wait(rich, self.call(rich, "drop", given))
+
+    # Reading
+
+    def _read(self, drives: Sequence[int]) -> None:
+        """Have drives read that nobody holds, by those that have the most room."""
+        if not self.hosts:
+            self._look()
+        shares = self._shares(drives)
+        with ThreadPoolExecutor(max(len(shares), 1)) as pool:
+            refused = [one for part in pool.map(lambda share: self._load(*share), shares) for one in part]
+        for host, own in shares:
+            if not host.held.issuperset(set(own) - {i for i, _ in refused}):
+                self.lost(host)
+        if refused:
+            raise all_refused([error for _, error in sorted(refused, key=lambda pair: pair[0])])
+
+    def _shares(self, drives: Sequence[int]) -> list[tuple[_Host, list[int]]]:
+        """Longest first, each to the worker that has the least to do so far, where it fits."""
+        hosts = list(self.hosts.values())
+        load = {host.worker.address: host.load(self.sizes) for host in hosts}
+        shares: dict[str, list[int]] = {host.worker.address: [] for host in hosts}
+        for i in sorted(drives, key=lambda i: -self.sizes[i]):
+            fitting = [h for h in hosts if load[h.worker.address] + self.sizes[i] <= h.worker.room]
+            if not fitting:
+                room = sum(max(h.worker.room, 0.0) for h in hosts)
+                raise ClusterError(
+                    f"the drives need about {_gb(sum(self.sizes))} of the workers' memory, and {len(hosts)} of them "
+                    f"have {_gb(room)} to spare; start more workers, or give them more memory"
+                )
+            best = min(fitting, key=lambda h: load[h.worker.address] / h.worker.threads)
+            shares[best.worker.address].append(i)
+            load[best.worker.address] += self.sizes[i]
+        return [(host, sorted(shares[host.worker.address])) for host in hosts if shares[host.worker.address]]
+
+    def _load(self, host: _Host, drives: Sequence[int]) -> list[tuple[int, InputError]]:
+        """Have a worker read drives, a few at a time; those that it can't."""
+        refused: list[tuple[int, InputError]] = []
+        step = max(host.worker.threads, 1)
+        for k in range(0, len(drives), step):
+            try:
+                found = self.wait(
+                    host, self.call(host, "load", {i: self.sources[i] for i in drives[k : k + step]})
+                )
+            except _Lost:  # the caller sees what is missing
+                break
+            for i, one in found.items():
+                if isinstance(one, Refused):
+                    refused.append((i, one.error))
+                    continue
+                host.held.add(i)
+                self.told.setdefault(i, one)
+                if self.progress:
+                    self.progress(len(self.told), len(self.sources))
+        return refused
+
+    # Calls
+
+    def call(self, host: _Host, method: str, *sent: Any) -> Any:
+        """Begin a call of a worker's actor."""
+        try:
+            return getattr(host.actor, method)(*sent)
+        except RuntimeError:  # Dask knows already that it is lost
+            raise _Lost from None
+
+    def wait(self, host: _Host, future: Any) -> Any:
+        """The answer, or `_Lost`."""
+        while True:
+            try:
+                return future.result(timeout=LOOK)
+            except TimeoutError:
+                if host.worker.address not in self.cluster.workers():
+                    raise _Lost from None
+            except Exception:  # of the connection: what functions raise is an answer
+                self._sure(host)
+                raise _Lost from None
+
+    def _sure(self, host: _Host) -> None:
+        """Wait until the scheduler knows that a worker is gone, so that nobody takes it for a newcomer."""
+        until = time.monotonic() + NOTICED
+        while host.worker.address in self.cluster.workers() and time.monotonic() < until:
+            time.sleep(0.1)
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """Drives on the workers of a cluster, or some of them; made by `Fleet.read`."""
+
+    yard: _Yard
+    drives: tuple[int, ...]
+
+    @classmethod
+    def read(
+        cls,
+        cluster: Cluster,
+        sources: Iterable[Source],
+        *,
+        progress: Told | None = None,
+    ) -> "Fleet":
+        """Have a cluster's workers read drives, and hold them.
+
+        Raises
+        ------
+        DriveError
+            Naming all drives that can't be read.
+        ClusterError
+            If a worker has other versions, or the drives don't fit into the workers' memory.
+        """
+        wanted = list(sources)
+        yard = _Yard(cluster, wanted, progress)
+        fleet = cls(yard, tuple(range(len(wanted))))
+        yard.placed(fleet.drives)
+        return fleet
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    def subset(self, drives: Sequence[int]) -> "Fleet":
+        """Some of the drives, by index; they stay where they are."""
+        return Fleet(self.yard, tuple(self.drives[i] for i in drives))
+
+    def ask(self, function: Asked, *sent: Any) -> list[tuple[list[int], Any]]:
+        """Have the workers call a function on the drives that they hold: places of drives in this fleet, and answers.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module that workers can import: of the `Kept` drives, of an Executor or None, and of what is sent.
+        *sent
+            The same for all.
+        """
+        answers: list[tuple[list[int], Any]] = []
+        missing = {drive: place for place, drive in enumerate(self.drives)}
+        while missing:
+            begun: list[tuple[_Host, list[int], Any]] = []
+            for host, own in self.yard.placed(missing):
+                try:
+                    begun.append((host, own, self.yard.call(host, "ask", function, own, *sent)))
+                except _Lost:
+                    self.yard.lost(host)
+            for host, own, future in begun:
+                try:
+                    answer = self.yard.wait(host, future)
+                except _Lost:
+                    self.yard.lost(host)
+                    continue
+                if isinstance(answer, Raised):
+                    if isinstance(answer.error, Elsewhere):
+                        continue
+                    raise answer.error
+                self.yard.answered()
+                answers.append(([missing.pop(i) for i in own], answer))
+        return answers
+
+    def of_each(self, function: Callable[[Drive], T]) -> list[T]:
+        """What a function of a module says of each drive, in their order.
+
+        Raises
+        ------
+        DriveError
+            Naming all drives of which it can't.
+        """
+        return told_of_each(self.ask(of_each, function))
+
+    @property
+    def warned(self) -> list[SigmaswarmWarning]:
+        """What was told of the drives while they were read, in their order."""
+        return [warning for i in self.drives for warning in self.yard.told[i].warned]
+
+
+def told_of_each(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
+    """Answers, one a drive, in the order of the drives; an error that names all that were refused."""
+    pairs = sorted(
+        (pair for places, each in answers for pair in zip(places, each, strict=True)),
+        key=lambda pair: pair[0],
+    )
+    if refused := [one.error for _, one in pairs if isinstance(one, Refused)]:
+        raise all_refused(refused)
+    return [one for _, one in pairs]
+
+
+def all_refused(errors: Sequence[InputError]) -> InputError:
+    if len(errors) == 1:
+        return errors[0]
+    shown = "; ".join(f"({k}) {error}" for k, error in enumerate(errors[:UNREADABLE_SHOWN], 1))
+    more = f"; and {len(errors) - UNREADABLE_SHOWN} more" if len(errors) > UNREADABLE_SHOWN else ""
+    return DriveError(f"{len(errors)} drives can't be used: {shown}{more}")
+
+
+def _gb(size: float) -> str:
+    return f"{size / 1e9:.2g} GB"
+
+
+def sources_of(drives: Iterable[Any]) -> list[Source]:
+    """Where the workers get drives from that were given as drives, paths or URLs."""
+    return [Given(drive) if isinstance(drive, Drive) else At(drive) for drive in drives]
