@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 30.0
 """s that a scheduler may take to answer."""
+CONNECT = 10.0
+"""s that it may take to be reached."""
 FREE = 0.8
 """Share of a worker's memory that drives may fill: Dask pauses a worker there, and ends it at 0.95."""
 BASE = 350e6
@@ -89,6 +91,17 @@ class Cluster:
                     break
         return found
 
+    def check(self) -> None:
+        """Refuse to begin where a worker has other versions, for what goes without a `Fleet`.
+
+        Raises
+        ------
+        ClusterError
+            Naming the first of them.
+        """
+        for error in self.unlike(list(self.workers())).values():
+            raise error
+
     def gone(self) -> ClusterError:
         """What to say where the scheduler does not answer."""
         return ClusterError(
@@ -159,7 +172,7 @@ def connected(address: str) -> Generator["Client"]:
             )
         where = {"scheduler_file": address}
     try:
-        client = distributed.Client(**where, timeout=10, set_as_default=False, name="sigmaswarm")
+        client = distributed.Client(**where, timeout=CONNECT, set_as_default=False, name="sigmaswarm")
     except (OSError, ValueError) as error:
         said = " ".join(str(error).split())[:150]
         raise ClusterError(

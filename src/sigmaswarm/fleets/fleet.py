@@ -10,11 +10,12 @@ scheduler no longer knows, means that the worker is lost: what it held is read b
 question is asked again. A worker that comes later takes over its share.
 """
 
+import asyncio
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -31,7 +32,7 @@ Told = Callable[[int, int], None]
 
 LOOK = 2.0
 """s between two looks at who is there, while answers are waited for or between questions."""
-NOTICED = 15.0
+NOTICED = 5.0
 """s after which a scheduler knows that a worker is dead whose connection is broken."""
 COMES = 60.0
 """s that a worker may take to load this library."""
@@ -64,7 +65,7 @@ class _Yard:
 
     def __init__(self, cluster: Cluster, sources: Sequence[Source], progress: Told | None) -> None:
         self.cluster, self.sources, self.progress = cluster, sources, progress
-        self.sizes = [source.size() for source in sources]
+        self.sizes = [max(source.size(), 1.0) for source in sources]
         self.told: dict[int, Loaded] = {}
         self.hosts: dict[str, _Host] = {}
         self._lock = threading.RLock()
@@ -144,27 +145,33 @@ class _Yard:
         return self.cluster.client.submit(Holder, worker.threads, actor=True, pure=False, **alone)
 
     def _spread(self) -> None:
-        """Hand drives over to workers that have far less than their share."""
-        threads = sum(host.worker.threads for host in self.hosts.values())
-        each = sum(host.load(self.sizes) for host in self.hosts.values()) / threads
-        for poor in sorted(self.hosts.values(), key=lambda h: h.load(self.sizes) / h.worker.threads):
-            goal = each * poor.worker.threads
-            if poor.load(self.sizes) > 0.5 * goal:
-                continue
-            taken: list[int] = []
-            for rich in sorted(self.hosts.values(), key=lambda h: -h.load(self.sizes) / h.worker.threads):
-                over = rich.load(self.sizes) - each * rich.worker.threads
-                for i in sorted(rich.held):
-                    room = goal - poor.load(self.sizes) - sum(self.sizes[k] for k in taken)
-                    if rich is not poor and 0 < self.sizes[i] <= min(1.01 * over, 1.01 * room):
-                        taken.append(i)
-                        over -= self.sizes[i]
+        """Hand drives over to those that have less, as long as nobody then has more than the one that had most."""
+        for poor, taken in self._moves():
             self._load(poor, taken)
             for rich in list(self.hosts.values()):
                 if rich is not poor and (given := sorted(rich.held & poor.held)):
                     rich.held -= set(given)
                     with suppress(_Lost):  # whoever asks next will notice
                         self.wait(rich, self.call(rich, "drop", given))
+
+    def _moves(self) -> list[tuple[_Host, list[int]]]:
+        """Who is to take over which drives."""
+        hosts = list(self.hosts.values())
+        held = {host.worker.address: set(host.held) for host in hosts}
+
+        def busy(host: _Host, more: float = 0.0) -> float:
+            return (sum(self.sizes[i] for i in held[host.worker.address]) + more) / host.worker.threads
+
+        while True:
+            rich, poor = max(hosts, key=busy), min(hosts, key=busy)
+            own = sorted(held[rich.worker.address], key=lambda i: (-self.sizes[i], i))
+            fit = [i for i in own if busy(poor, self.sizes[i]) < busy(rich)]
+            if not fit:
+                break
+            held[rich.worker.address].remove(fit[0])
+            held[poor.worker.address].add(fit[0])
+        new = [(host, sorted(held[host.worker.address] - host.held)) for host in hosts]
+        return [(host, drives) for host, drives in new if drives]
 
     # Reading
 
@@ -222,30 +229,54 @@ class _Yard:
 
     # Calls
 
-    def call(self, host: _Host, method: str, *sent: Any) -> Any:
-        """Begin a call of a worker's actor."""
-        try:
-            return getattr(host.actor, method)(*sent)
-        except RuntimeError:  # Dask knows already that it is lost
-            raise _Lost from None
+    def call(self, host: _Host, method: str, *sent: Any) -> "Future[Any]":
+        """Begin a call of a worker's actor.
 
-    def wait(self, host: _Host, future: Any) -> Any:
+        By the actor's connection, not by its methods: their futures wait for ever where a call can't be made at all.
+        """
+        from distributed.protocol import to_serialize
+
+        async def made() -> Any:
+            rpc = host.actor._worker_rpc  # by way of the scheduler, or directly, as the client was told
+            packed = [to_serialize(one) for one in sent]
+            return await rpc.actor_execute(function=method, actor=host.actor.key, args=packed, kwargs={})
+
+        loop: Any = self.cluster.client.loop
+        return asyncio.run_coroutine_threadsafe(made(), loop.asyncio_loop)
+
+    def wait(self, host: _Host, future: "Future[Any]") -> Any:
         """The answer, or `_Lost`."""
-        while True:
+        while not future.done():
             try:
-                return future.result(timeout=LOOK)
+                future.result(timeout=LOOK)
             except TimeoutError:
-                if host.worker.address not in self.cluster.workers():
+                if not future.done() and host.worker.address not in self.cluster.workers():
+                    future.cancel()
                     raise _Lost from None
-            except Exception:  # of the connection: what functions raise is an answer
-                self._sure(host)
-                raise _Lost from None
+            except (Exception, CancelledError):
+                break  # it is done
+        try:
+            answer: dict[str, Any] = future.result()
+            if answer["status"] == "OK":
+                return answer["result"]
+            error: BaseException = answer["exception"]
+        except (OSError, CancelledError):  # of the connection: what functions raise is an answer
+            self._sure(host)
+            raise _Lost from None
+        except Exception as raised:
+            error = raised
+        if not self._sure(host):
+            raise _Lost
+        raise ClusterError(f"worker {host.worker.address} can't be asked ({type(error).__name__}: {error})")
 
-    def _sure(self, host: _Host) -> None:
-        """Wait until the scheduler knows that a worker is gone, so that nobody takes it for a newcomer."""
+    def _sure(self, host: _Host) -> bool:
+        """Whether a worker is still there, once the scheduler would know otherwise; else it seems a newcomer."""
         until = time.monotonic() + NOTICED
-        while host.worker.address in self.cluster.workers() and time.monotonic() < until:
+        while host.worker.address in self.cluster.workers():
+            if time.monotonic() > until:
+                return True
             time.sleep(0.1)
+        return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,10 +331,7 @@ class Fleet:
         while missing:
             begun: list[tuple[_Host, list[int], Any]] = []
             for host, own in self.yard.placed(missing):
-                try:
-                    begun.append((host, own, self.yard.call(host, "ask", function, own, *sent)))
-                except _Lost:
-                    self.yard.lost(host)
+                begun.append((host, own, self.yard.call(host, "ask", function, own, *sent)))
             for host, own, future in begun:
                 try:
                     answer = self.yard.wait(host, future)
@@ -327,6 +355,15 @@ class Fleet:
             Naming all drives of which it can't.
         """
         return told_of_each(self.ask(of_each, function))
+
+    def one_by_one(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """The same in answers of one drive each, so that none is large and a lost worker costs little."""
+
+        def one(place: int) -> T:
+            return self.subset([place]).of_each(function)[0]
+
+        with ThreadPoolExecutor(max(2 * len(self.yard.hosts), 2)) as pool:
+            yield from pool.map(one, range(len(self)))
 
     @property
     def warned(self) -> list[SigmaswarmWarning]:
@@ -355,6 +392,15 @@ def all_refused(errors: Sequence[InputError]) -> InputError:
 
 def _gb(size: float) -> str:
     return f"{size / 1e9:.2g} GB"
+
+
+def fleet_groups(
+    cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Told | None = None
+) -> list[Fleet]:
+    """Groups of drives, paths or URLs, all read at once: a view of one fleet for each group."""
+    fleet = Fleet.read(cluster, sources_of([drive for group in groups for drive in group]), progress=progress)
+    ends = [sum(map(len, groups[: k + 1])) for k in range(len(groups))]
+    return [fleet.subset(range(end - len(group), end)) for group, end in zip(groups, ends, strict=True)]
 
 
 def sources_of(drives: Iterable[Any]) -> list[Source]:

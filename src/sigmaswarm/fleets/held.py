@@ -1,6 +1,6 @@
 """The border between what asks and where drives are: a list in this process, or a fleet on a cluster."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
@@ -22,6 +22,10 @@ class Held(Protocol):
         """What a function of a module, which a worker can import, says of each drive, in their order."""
         ...
 
+    def one_by_one(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """The same as it becomes known, for answers that are large or take long."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Here:
@@ -39,6 +43,10 @@ class Here:
     def of_each(self, function: Callable[[Drive], T]) -> list[T]:
         """What a function says of each drive."""
         return [function(drive) for drive in self.drives]
+
+    def one_by_one(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """The same as it becomes known."""
+        return map(function, self.drives)
 
 
 @dataclass(frozen=True, eq=False)

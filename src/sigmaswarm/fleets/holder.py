@@ -94,10 +94,11 @@ def _read(source: Source) -> tuple[Drive, list[SigmaswarmWarning]] | Refused:
 
 def of_each(kept: Sequence[Kept], _: Executor | None, function: Callable[[Drive], Any]) -> list[Any]:
     """What a function says of each drive, or why it can't."""
-    return [_tried(function, one.drive) for one in kept]
+    return [tried(function, one.drive) for one in kept]
 
 
-def _tried(function: Callable[[Drive], Any], drive: Drive) -> Any:
+def tried(function: Callable[[Any], Any], drive: Any) -> Any:
+    """What a function says of a drive, or why it can't."""
     try:
         return function(drive)
     except InputError as error:

@@ -10,16 +10,17 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
-from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import joined
 from sigmaswarm.filters.run import Estimate, Innovations
+from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, WATCHED, Outages, rms_drift
@@ -43,6 +44,10 @@ from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     import pandas as pd
+    from distributed import Client
+
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.fleets.held import Held
 
 METHODS = {
     "tuned": "tuned filter",
@@ -195,6 +200,15 @@ class Evaluated:
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
     seen: Overlap | None = None
+
+    def called(self, name: str) -> "Evaluated":
+        """The same under another name, where two drives have one."""
+        tracks, picture = self.tracks, self.picture
+        return replace(
+            self,
+            tracks=tracks and replace(tracks, name=name),
+            picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
+        )
 
     @property
     def record(self) -> DriveRecord:
@@ -352,7 +366,7 @@ class Evaluation:
 
 
 def evaluate(
-    drives: Sequence[Drive] | Drive,
+    drives: "Sequence[Drive | Place] | Drive | Place | Held",
     parameters: FilterParameters,
     *,
     against: FilterParameters | None = None,
@@ -361,6 +375,7 @@ def evaluate(
     as_recorded: bool = False,
     seen: Sequence[Landmarks] | None = None,
     smooth: bool = False,
+    cluster: "Client | None" = None,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -386,6 +401,9 @@ def evaluate(
     smooth : bool
         Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
         behind it.
+    cluster : distributed.Client, optional
+        Of a Dask cluster, whose workers read the drives, then also given as paths and URLs, and do the work. The
+        result's bits do not depend on it.
 
     Raises
     ------
@@ -396,19 +414,45 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    drives = listed(drives)
-    if not drives:
+    (held,) = held_drives(drives, cluster=cluster)
+    if not len(held):
         raise InputError("no drives were given; name at least one drive folder")
+    own = {} if against is None else {OWN: against}
+    one = partial(
+        _one,
+        parameters=parameters,
+        own=own,
+        length=outage_length,
+        seed=outage_seed,
+        as_recorded=as_recorded,
+        marked=seen is not None,
+        smooth=smooth,
+    )
     found: dict[str, Evaluated] = {}
-    for drive in drives:
-        name = _unique(drive.name, found)
-        ready = prepared(drive, as_recorded=as_recorded)
-        known = None if seen is None else known_overlap(landmarks(drive), seen)
-        filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
-        each = _evaluated(ready, filters, name, outage_length, outage_seed, smooth=smooth)
-        found[name] = replace(each, seen=known)
+    for drive, each, marks in held.one_by_one(one):
+        name = _unique(drive, found)
+        known = None if seen is None or marks is None else known_overlap(marks, seen)
+        found[name] = replace(each if name == drive else each.called(name), seen=known)
     names = method_names(parameters.kind, parameters.model, own=against is not None, smoothed=smooth)
     return Evaluation(found, names, outage_length, outage_seed)
+
+
+def _one(
+    drive: Drive,
+    parameters: FilterParameters,
+    own: Mapping[str, FilterParameters],
+    length: float,
+    seed: int,
+    *,
+    as_recorded: bool,
+    marked: bool,
+    smooth: bool,
+) -> tuple[str, Evaluated, Landmarks | None]:
+    """A drive's name, what is said of it, and where it is asked for, what it is recognized by."""
+    marks = landmarks(drive) if marked else None
+    filters = compared(drive, parameters) | dict(own)
+    ready = PreparedDrive(drive, as_recorded=as_recorded)
+    return drive.name, _evaluated(ready, filters, drive.name, length, seed, smooth=smooth), marks
 
 
 def _evaluated(

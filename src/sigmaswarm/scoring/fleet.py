@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.fleets.fleet import Fleet, told_of_each
 from sigmaswarm.fleets.held import Held, Kept
-from sigmaswarm.fleets.holder import Refused
+from sigmaswarm.fleets.holder import Refused, tried
 from sigmaswarm.scoring.batch import Passes, Replayer, Replays, Scores
 
 Fits = Callable[[Replayer], None]
@@ -32,16 +33,18 @@ def replays_on(held: Held, passes: Passes, fits: Fits) -> Replays:
     """
     if isinstance(held, Fleet):
         return FleetReplays(held, passes, fits)
-    return _made(held.of_each(_itself), passes, fits)
+    return _made(
+        [PreparedDrive(d, as_recorded=passes.as_recorded) for d in held.of_each(_itself)], passes, fits
+    )
 
 
 def _itself(drive: Drive) -> Drive:
     return drive
 
 
-def _made(drives: Sequence[Drive], passes: Passes, fits: Fits) -> Replayer:
+def _made(ready: Sequence[PreparedDrive], passes: Passes, fits: Fits) -> Replayer:
     replayer = Replayer(
-        [PreparedDrive(drive, as_recorded=passes.as_recorded) for drive in drives],
+        ready,
         outages=passes.outages,
         forecasts=passes.forecasts,
         outage_seed=passes.outage_seed,
@@ -111,7 +114,18 @@ def _steps(one: Kept, passes: Passes, fits: Fits) -> int | Refused:
 
 
 def _replayer(one: Kept, passes: Passes, fits: Fits) -> Replayer:
-    return one.once(passes, lambda drive: _made([drive], passes, fits))
+    return one.once(passes, lambda _: _made([_prepared(one, passes.as_recorded)], passes, fits))
+
+
+def _prepared(one: Kept, as_recorded: bool) -> PreparedDrive:
+    return one.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
+
+
+def of_each_prepared(
+    kept: Sequence[Kept], _: Executor | None, function: Callable[[PreparedDrive], Any], as_recorded: bool
+) -> list[Any]:
+    """For `Fleet.ask`: what a function says of each drive made ready, which shares it with what is replayed."""
+    return [tried(function, _prepared(one, as_recorded)) for one in kept]
 
 
 def _taken(

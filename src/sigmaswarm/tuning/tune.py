@@ -17,9 +17,8 @@ from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.fleets.connection import Cluster
-from sigmaswarm.fleets.fleet import Fleet, sources_of
-from sigmaswarm.fleets.held import Held, Here
+from sigmaswarm.fleets.gathering import held_drives
+from sigmaswarm.fleets.held import Held
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import objective_for, with_filter
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
 
     from sigmaswarm.drives.places import Place
 
+TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 C = TypeVar("C", bound=SearchConfig)
 P = TypeVar("P")
 
@@ -128,7 +128,7 @@ def tune(
             )
         problem, others, settings = _own_problem(listed(drives), listed(validation), asked)
     else:
-        data, others = held_drives(drives, validation, cluster=cluster, executor=executor)
+        data, others = held_drives(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
         problem, settings = _car_problem(data, others, asked)
     held_back = problem.on(others) if len(others) else None
     if held_back:
@@ -167,50 +167,6 @@ def tune_problem(
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
-
-
-def held_drives(
-    *groups: Any, cluster: "Client | None" = None, executor: Executor | None = None
-) -> list[Held]:
-    """Groups of drives where they are held: by a cluster's workers, all read at once, or here.
-
-    Raises
-    ------
-    InputError
-        If something is no drive, or both an executor and a cluster are given.
-    """
-    if cluster is not None and executor is not None:
-        raise InputError(
-            "both an executor and a cluster were given; a cluster's workers share the work already"
-        )
-    each = [group if isinstance(group, Fleet | Here) else _drives(group, cluster) for group in groups]
-    if cluster is None:
-        return [group if isinstance(group, Fleet | Here) else Here(group) for group in each]
-    fresh = [drive for group in each if isinstance(group, list) for drive in group]
-    fleet, done = Fleet.read(Cluster(cluster), sources_of(fresh)), 0
-    for warning in fleet.warned:
-        warnings.warn(warning, stacklevel=3)
-    found: list[Held] = []
-    for group in each:
-        if isinstance(group, list):
-            found.append(fleet.subset(range(done, done + len(group))))
-            done += len(group)
-        else:
-            found.append(group)
-    return found
-
-
-def _drives(given: Any, cluster: "Client | None") -> list[Any]:
-    """What was given, one or many: drives, and for a cluster places of drives."""
-    drives = [given] if isinstance(given, str | Path) else listed(given)
-    allowed = Drive if cluster is None else Drive | str | Path
-    stray = [type(thing).__name__ for thing in drives if not isinstance(thing, allowed)]
-    if stray:
-        raise InputError(
-            f"got a {stray[0]}; tune takes Drives, with a cluster also paths and URLs of them, or Logs together with "
-            "model=Model(...)"
-        )
-    return drives
 
 
 def _own_problem(
