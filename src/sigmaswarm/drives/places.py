@@ -102,7 +102,7 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError:
-        raise InputError(f"{url}: reading URLs needs fsspec; pip install 'sigmaswarm[cluster]'") from None
+        raise InputError(f"{url}: reading URLs needs fsspec; run: pip install fsspec") from None
     system, path = fsspec.core.url_to_fs(url)
     return system, str(path).rstrip("/")
 

@@ -6,7 +6,7 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.versions import versions
@@ -118,13 +118,13 @@ class Cluster:
             return await asyncio.wait_for(scheduler.identity(n_workers=-1), PATIENCE)
 
         try:
-            return self.client.sync(ask)
+            return cast("dict[str, Any]", self.client.sync(ask))
         except Exception:  # comm errors, timeouts, a client that was closed meanwhile
             raise self.gone() from None
 
     def _run(self, function: Any, addresses: list[str] | None) -> dict[str, Any]:
         try:
-            return self.client.run(function, workers=addresses, on_error="return")
+            return cast("dict[str, Any]", self.client.run(function, workers=addresses, on_error="return"))
         except OSError:
             raise self.gone() from None
 
@@ -154,7 +154,9 @@ def connected(address: str) -> Generator["Client"]:
     try:
         import distributed
     except ImportError:
-        raise InputError(f"--cluster {address} needs Dask: pip install 'sigmaswarm[cluster]'") from None
+        raise InputError(
+            f"--cluster {address} needs Dask; run: pip install dask distributed fsspec"
+        ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told in one line, here
     kind, _, count = address.partition(":")
     if kind == "local":
@@ -193,7 +195,8 @@ def _local(count: int) -> Generator["Client"]:
     import distributed
 
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
-        cluster: Any = distributed.LocalCluster(
+        local: Any = distributed.LocalCluster  # whose types know of no cluster without a dashboard
+        cluster = local(
             n_workers=count,
             threads_per_worker=1,
             host="127.0.0.1",

@@ -14,6 +14,7 @@ import asyncio
 import threading
 import time
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -181,7 +182,8 @@ class _Yard:
             self._look()
         shares = self._shares(drives)
         with ThreadPoolExecutor(max(len(shares), 1)) as pool:
-            refused = [one for part in pool.map(lambda share: self._load(*share), shares) for one in part]
+            found = pool.map(self._load, *zip(*shares, strict=True)) if shares else ()
+            refused = [one for part in found for one in part]
         for host, own in shares:
             if not host.held.issuperset(set(own) - {i for i, _ in refused}):
                 self.lost(host)
@@ -234,7 +236,7 @@ class _Yard:
 
         By the actor's connection, not by its methods: their futures wait for ever where a call can't be made at all.
         """
-        from distributed.protocol import to_serialize
+        from distributed.protocol.serialize import to_serialize
 
         async def made() -> Any:
             rpc = host.actor._worker_rpc  # by way of the scheduler, or directly, as the client was told
@@ -362,8 +364,15 @@ class Fleet:
         def one(place: int) -> T:
             return self.subset([place]).of_each(function)[0]
 
-        with ThreadPoolExecutor(max(2 * len(self.yard.hosts), 2)) as pool:
-            yield from pool.map(one, range(len(self)))
+        ahead = max(2 * len(self.yard.hosts), 2)  # so that no more answers wait here than are looked at
+        with ThreadPoolExecutor(ahead) as pool:
+            begun = deque[Future[T]]()
+            for place in range(len(self)):
+                begun.append(pool.submit(one, place))
+                if len(begun) >= ahead:
+                    yield begun.popleft().result()
+            for future in begun:
+                yield future.result()
 
     @property
     def warned(self) -> list[SigmaswarmWarning]:

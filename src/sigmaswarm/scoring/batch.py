@@ -144,7 +144,7 @@ class Replayer:
     def together(cls, parts: Sequence["Replayer"]) -> "Replayer":
         """The drives of several, which have the same passes, without making anything ready again."""
         whole = copy(parts[0])
-        whole.__dict__.pop("steps", None)
+        whole.__dict__.pop("_steps", None)
         whole.drives = tuple(drive for part in parts for drive in part.drives)
         whole.initial = tuple(initial for part in parts for initial in part.initial)
         names = parts[0]._passes
@@ -159,7 +159,7 @@ class Replayer:
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""
         part = copy(self)
-        part.__dict__.pop("steps", None)
+        part.__dict__.pop("_steps", None)
         part.drives = tuple(self.drives[i] for i in drives)
         part.initial = tuple(self.initial[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
@@ -175,9 +175,13 @@ class Replayer:
         """How many fixes are hidden to be forecast on each drive; empty without forecasts."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
-    @cached_property
+    @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
+        return self._steps
+
+    @cached_property
+    def _steps(self) -> NDArray[np.int64]:
         each = [[len(replay.timeline.dt) for replay in replays] for replays in self._passes.values()]
         return np.sum(np.array(each, dtype=np.int64), axis=0)
 

@@ -1,10 +1,10 @@
 """What a tuning minimizes: a filter's cost on data, over a box."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ class Problem(Landscape, Protocol[P]):
         """How much worse costs are than another: 0.01 is 1%."""
         ...
 
-    def on(self, data: Sequence[Any]) -> "Problem[P]":
+    def on(self, data: Any) -> "Problem[P]":
         """The same filters and objective on other data."""
         ...
 
@@ -130,9 +130,10 @@ class CarProblem:
         return np.array(self.replays.held.of_each(receiver_std))
 
     @property
-    def seen(self) -> tuple[Landmarks, ...]:
-        """What each drive is recognized by."""
-        return self._landmarks
+    def seen(self) -> Sequence[Landmarks]:
+        """What each drive is recognized by; on a cluster looked up when it is asked for, since it is much of many."""
+        held = self.replays.held
+        return self._landmarks if isinstance(held, Here) else LandmarksOf(held)
 
     @cached_property
     def _landmarks(self) -> tuple[Landmarks, ...]:
@@ -173,9 +174,10 @@ class CarProblem:
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        names = [drive.name for drive in self.equipment]
-        known = zip(names, self._receiver_std, self._fix_noise, costs, r, strict=True)
-        held = (said_of_prior(name, *receiver, near) for name, *receiver, cost, near in known if cost > HELD)
+        known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
+        held = (
+            said_of_prior(one.name, std, noise, near) for one, std, noise, near, cost in known if cost > HELD
+        )
         return next(filter(None, held), [])
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
@@ -207,6 +209,29 @@ class CarProblem:
     def on(self, data: Sequence[Drive] | Held) -> "CarProblem":
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarksOf(Sequence[Landmarks]):
+    """What drives are recognized by that are held elsewhere."""
+
+    held: Held
+
+    def __len__(self) -> int:
+        return len(self.held)
+
+    @overload
+    def __getitem__(self, k: int) -> Landmarks: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Landmarks]: ...
+    def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
+        places = range(len(self))[k]
+        if isinstance(places, int):
+            return self.held.subset([places]).of_each(landmarks)[0]
+        return self.held.subset(places).of_each(landmarks)
+
+    def __iter__(self) -> Iterator[Landmarks]:
+        return self.held.one_by_one(landmarks)
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive, listed
-from sigmaswarm.drives.overlap import SEEN_FILE, overlap_of, save_landmarks
+from sigmaswarm.drives.overlap import SEEN_FILE, SavedLandmarks, overlap_of, save_landmarks
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
@@ -134,15 +135,18 @@ def tune(
     if held_back:
         check_apart(problem, held_back)
     with ExitStack() as stack:
-        folder = None
+        folder = seen = None
         if out is not None:  # made only once nothing is left that the user could have got wrong
             folder = tuning_folder(
                 stack.enter_context(held_folder(Path(out))), problem, settings, resume=resume
             )
             if problem.seen:
-                save_landmarks(problem.seen, folder.path / SEEN_FILE)
+                names = tuple((entry["name"], entry["sha256"]) for entry in problem.data)
+                save_landmarks(problem.seen, folder.path / SEEN_FILE, names)
+                seen = SavedLandmarks(folder.path / SEEN_FILE, names)
         pool = executor or stack.enter_context(ThreadPoolExecutor())
-        return tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
+        tuning = tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
+    return tuning if seen is None or isinstance(problem.seen, tuple) else replace(tuning, seen=seen)
 
 
 def tuning_folder(path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool) -> ResultFolder:
@@ -222,7 +226,7 @@ def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
         raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
-    known = problem.seen
+    known = tuple(problem.seen) if len(held_back.seen) else ()
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
@@ -261,7 +265,7 @@ def _chosen(
         best_trial=best,
         config=config,
         data=problem.data,
-        seen=tuple(problem.seen),
+        seen=problem.seen,
         doubts=tuple(problem.doubts(point)),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
