@@ -46,17 +46,20 @@ NOT_THE_SAME = {"timings.json", "times.csv", "runtime.csv", "runtime.md", "runti
 """They hold times."""
 
 
+DIFFERENT = 16
+"""Drives of a length that are simulated."""
+
+
 def drives_of(folder: Path, count: int, seconds: float) -> list[Path]:
-    """So many simulated drives of a length, in Parquet; of more than 32 the same ones again, under other names."""
+    """So many simulated drives of a length, in Parquet; of more than 16 the same ones again."""
     place, made = folder / f"drives-{seconds:g}s", list[Path]()
     for run in range(count):
         target = place / f"urban-clear-{run:04d}"
-        if not target.exists() and run < 32:
+        if not target.exists() and run < DIFFERENT:
             drive = simulate("urban", run=run, duration=seconds, odometer="can")
             write_drive(drive, target, form="parquet")
         elif not target.exists():
-            source = read_drive(made[run % 32])
-            write_drive(source, target, form="parquet")
+            target.symlink_to(made[run % DIFFERENT])
         made.append(target)
     return made
 
@@ -171,6 +174,7 @@ def scaling(folder: Path, repeats: int) -> None:
     drives = drives_of(folder, 16, 1800.0)
     config: dict[str, Any] = {"particles": 30, "generations": 50, "model": "planar8", "use": EVERY_OPTION}
     took: dict[int, list[float]] = {1: [], 2: []}
+    worked: dict[int, list[float]] = {1: [], 2: []}
     place = folder / f"dask-{os.getpid()}"
     with (
         Processes(place / "one", 1) as one,
@@ -187,14 +191,28 @@ def scaling(folder: Path, repeats: int) -> None:
             print(f"{n} worker(s): ready", flush=True)
         for _ in range(repeats):
             for n, fleet in fleets.items():
-                load, began = os.getloadavg()[0], time.perf_counter()
+                fleet.ask(forget)  # what was made ready: it counts, too
+                running, load = (one, two)[n - 1], os.getloadavg()[0]
+                before = [running.processor(name) for name in running.workers]
+                began, own = time.perf_counter(), time.process_time()
                 cost = tune(fleet, **config).cost
                 took[n].append(time.perf_counter() - began)
+                after = [running.processor(name) for name in running.workers]
+                busy = max(b - a for a, b in zip(before, after, strict=True))
+                own = time.process_time() - own
+                worked[n].append(busy + own)
                 print(
-                    f"{n} worker(s): {took[n][-1]:.1f} s (load before {load:.1f}), cost {cost!r}",
+                    f"{n} worker(s): {took[n][-1]:.1f} s (load before {load:.1f}); of a processor {busy:.1f} s in the "
+                    f"busiest worker, {own:.1f} s in the client; cost {cost!r}",
                     flush=True,
                 )
-    print(f"ratio of the best: {min(took[1]) / min(took[2]):.2f}")
+    print(f"ratio of the best times: {min(took[1]) / min(took[2]):.2f}")
+    print(f"ratio of processor seconds, busiest worker and client: {min(worked[1]) / min(worked[2]):.2f}")
+
+
+def forget(kept: Sequence[Any], _: Any) -> None:
+    for one in kept:
+        one.made.clear()
 
 
 def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
@@ -205,13 +223,13 @@ def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
 
 
 def overhead(folder: Path) -> None:
-    folders = drives_of(folder, 32, 60.0)
+    folders = drives_of(folder, DIFFERENT, 60.0)
     config = TuneConfig(model="planar8", objective="truth-rmse")
     points = np.random.default_rng(0).random((30, 11))
     print("drives  calls  beside the filters, ms: median, 90%   (30 parameter sets, planar8)")
     with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
         for count in (1, 10, 100, 1000):
-            fleet = Fleet.read(Cluster(client), [At(folders[i % 32]) for i in range(count)])
+            fleet = Fleet.read(Cluster(client), [At(folders[i % DIFFERENT]) for i in range(count)])
             problem = car_problem(fleet, config)
             low, high = problem.space.low, problem.space.high
             sets = problem.space.decode(low + points[:, : len(low)] * (high - low))

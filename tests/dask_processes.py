@@ -79,6 +79,11 @@ class Processes:
         status = Path(f"/proc/{self._started[name].pid}/status").read_text()
         return int(status.split("VmHWM:")[1].split()[0]) * 1024
 
+    def processor(self, name: str) -> float:
+        """Seconds of a processor that a process has used so far."""
+        fields = Path(f"/proc/{self._started[name].pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def log(self) -> str:
         """What all of them wrote."""
         return "".join(file.read_text() for file in sorted(self.folder.glob("*.log")))

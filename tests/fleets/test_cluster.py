@@ -10,14 +10,28 @@ import numpy as np
 import pytest
 
 from dask_processes import OTHER_VERSION, Processes
-from sigmaswarm import FilterParameters, evaluate, read_drive, simulate, tune, write_drive
+from sigmaswarm import (
+    FilterParameters,
+    StudyConfig,
+    compare,
+    evaluate,
+    read_drive,
+    simulate,
+    tune,
+    write_drive,
+)
+from sigmaswarm.cli import main
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.design import make_design
+from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.fleets.connection import Cluster, ClusterError, connected
 from sigmaswarm.fleets.fleet import Fleet
 from sigmaswarm.fleets.sources import At
 from sigmaswarm.scoring.batch import Passes
 from sigmaswarm.scoring.fleet import replays_on
+from sigmaswarm.simulation.conditions import simulated_on
 from sigmaswarm.tuning.batch import require_fit
+from support import assert_same
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
@@ -133,6 +147,39 @@ def test_a_newcomer_takes_its_share(processes, client, folders):
         assert sum(held.values()) == 4
     finally:
         processes.kill(name)
+
+
+def test_a_study_asks_the_workers_for_what_it_asks_here(client):
+    config = StudyConfig(maneuvers=("turns", "brake"), environments=("clear",), runs=2, trials=2)
+    here, there = make_design(config), make_design(config, cluster=client)
+    assert (here.conditions, here.strata) == (there.conditions, there.strata)
+    assert here.fingerprint() == there.fingerprint()
+    assert [here.split(k) for k in range(2)] == [there.split(k) for k in range(2)]
+    a, b = score_all(here, {}), score_all(there, {})
+    assert a.to_frame().equals(b.to_frame())
+
+
+def test_compare_and_simulate_are_those_of_threads(client, folders):
+    drives = [read_drive(folder) for folder in folders]
+    few = {"particles": 4, "generations": 2, "model": "planar5", "optimizers": ("de", "pso"), "seeds": 1}
+    here = compare(drives[:2], validation=drives[2:], **few)
+    there = compare(folders[:2], validation=folders[2:], cluster=client, **few)
+    assert here.runs_frame.equals(there.runs_frame)
+    made = list(simulated_on(client, ["turns"], ["clear"], 2, gps="white-1m"))
+    for one, other in zip(made, drives, strict=False):
+        assert_same(one, other)
+
+
+@pytest.mark.filterwarnings("ignore:Cyclopts application")
+def test_the_command_tells_a_cluster_that_is_not_there_in_one_line(folders, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sigmaswarm.fleets.connection.CONNECT", 1.0)
+    there = ["--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:1"]
+    monkeypatch.setattr("sys.argv", ["sigmaswarm", "tune", str(folders[0]), *there])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sigmaswarm: --cluster tcp://127.0.0.1:1: no scheduler answers there")
 
 
 def test_all_drives_that_cannot_be_read_are_named_first(client, folders, tmp_path):
