@@ -31,6 +31,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from distributed.protocol.pickle import dumps
+
 from dask_processes import Processes
 from sigmaswarm import read_drive, simulate, tune, write_drive
 from sigmaswarm.fleets.connection import Cluster, connected
@@ -225,7 +227,7 @@ def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
 def overhead(folder: Path) -> None:
     folders = drives_of(folder, DIFFERENT, 60.0)
     config = TuneConfig(model="planar8", objective="truth-rmse")
-    points = np.random.default_rng(0).random((30, 11))
+    points = np.random.default_rng(0).random((30, 20))
     print("drives  calls  beside the filters, ms: median, 90%   (30 parameter sets, planar8)")
     with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
         for count in (1, 10, 100, 1000):
@@ -246,9 +248,10 @@ def overhead(folder: Path) -> None:
 def _overhead(replays: Any, sets: Sequence[Any], calls: int) -> float:
     """Seconds of a generation beside those of the busiest worker, with so many calls in all."""
     yard, sent = replays.held.yard, (*replays._asked, costs, tuple(sets))
-    began, hosts = time.perf_counter(), yard.placed(replays.held.drives)
+    began = time.perf_counter()
+    packed, hosts = dumps((timed, sent)), yard.placed(replays.held.drives)
     begun = [
-        (host, yard.call(host, "ask", timed, part.tolist(), *sent))
+        (host, yard.call(host, "ask", packed, part.tolist()))
         for host, own in hosts
         for part in np.array_split(np.array(own), min(max(calls // len(hosts), 1), len(own)))
     ]

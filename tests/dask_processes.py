@@ -27,6 +27,7 @@ class Processes:
         self.file = folder / "scheduler.json"
         command = ["-c", "from distributed.cli.dask_scheduler import main; main()"]
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self.file)]
+        options += ["--idle-timeout", "3600"]  # should nobody be left to end it
         self._start("scheduler", [*command, *options])
         self._wait(self.file.exists)
         for _ in range(workers):
@@ -64,6 +65,7 @@ class Processes:
             self._memory,
             "--no-dashboard",
         ]
+        usual += ["--death-timeout", "60"]
         place = ["--host", "127.0.0.1", "--name", name, "--local-directory", str(self.folder / "scratch")]
         self._start(name, ["-c", program, str(self.address), *usual, *place, *options])
         return name

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 30.0
 """s that a scheduler may take to answer."""
+REACH = 2.0
+"""s that a worker may take to answer directly."""
 CONNECT = 10.0
 """s that it may take to be reached."""
 FREE = 0.8
@@ -91,6 +93,19 @@ class Cluster:
                     break
         return found
 
+    def reaches(self, worker: str) -> bool:
+        """Whether a worker answers without the scheduler in between, which many networks do not allow."""
+
+        async def ask() -> None:
+            rpc: Any = self.client.rpc(worker)
+            await asyncio.wait_for(rpc.identity(), REACH)
+
+        try:
+            self.client.sync(ask)
+        except Exception:  # comm errors, timeouts
+            return False
+        return True
+
     def check(self) -> None:
         """Refuse to begin where a worker has other versions, for what goes without a `Fleet`.
 
@@ -157,7 +172,8 @@ def connected(address: str) -> Generator["Client"]:
         raise InputError(
             f"--cluster {address} needs Dask; run: pip install dask distributed fsspec"
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told in one line, here
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what goes wrong is told in one line, here
     kind, _, count = address.partition(":")
     if kind == "local":
         if not count.isdecimal() or int(count) < 1:

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 from sigmaswarm.fleets.connection import Cluster, ClusterError, Worker
-from sigmaswarm.fleets.holder import Asked, Elsewhere, Holder, Loaded, Raised, Refused, of_each
+from sigmaswarm.fleets.holder import Asked, Elsewhere, Holder, Loaded, Raised, Refused, Unknown, of_each
 from sigmaswarm.fleets.sources import At, Given, Source
 
 T = TypeVar("T")
@@ -72,6 +72,7 @@ class _Yard:
         self._lock = threading.RLock()
         self._looked = -LOOK
         self._waiting = False
+        self._direct: bool | None = None
         self._deaths = 0
         self._refused: set[str] = set()
 
@@ -137,6 +138,8 @@ class _Yard:
         client = self.cluster.client
         with client.as_current():  # which actors look for
             begun = [(w, self._actor(w)) for w in new if w.address not in unlike]
+            if self._direct is None and begun:
+                self._direct = self.cluster.reaches(begun[0][0].address)
             for worker, future in begun:
                 with suppress(Exception):  # it died while it came
                     self.hosts[worker.address] = _Host(worker, future, future.result(timeout=COMES))
@@ -224,6 +227,7 @@ class _Yard:
                     refused.append((i, one.error))
                     continue
                 host.held.add(i)
+                self.sizes[i] = one.need
                 self.told.setdefault(i, one)
                 if self.progress:
                     self.progress(len(self.told), len(self.sources))
@@ -239,7 +243,8 @@ class _Yard:
         from distributed.protocol.serialize import to_serialize
 
         async def made() -> Any:
-            rpc = host.actor._worker_rpc  # by way of the scheduler, or directly, as the client was told
+            # directly where that goes: by way of the scheduler a call takes twice as long
+            rpc = self.cluster.client.rpc(host.worker.address) if self._direct else host.actor._worker_rpc
             packed = [to_serialize(one) for one in sent]
             return await rpc.actor_execute(function=method, actor=host.actor.key, args=packed, kwargs={})
 
@@ -328,12 +333,15 @@ class Fleet:
         *sent
             The same for all.
         """
+        from distributed.protocol.pickle import dumps
+
+        packed = dumps((function, sent))  # once for all workers
         answers: list[tuple[list[int], Any]] = []
         missing = {drive: place for place, drive in enumerate(self.drives)}
         while missing:
             begun: list[tuple[_Host, list[int], Any]] = []
             for host, own in self.yard.placed(missing):
-                begun.append((host, own, self.yard.call(host, "ask", function, own, *sent)))
+                begun.append((host, own, self.yard.call(host, "ask", packed, own)))
             for host, own, future in begun:
                 try:
                     answer = self.yard.wait(host, future)
@@ -343,6 +351,8 @@ class Fleet:
                 if isinstance(answer, Raised):
                     if isinstance(answer.error, Elsewhere):
                         continue
+                    if isinstance(answer.error, Unknown):
+                        raise ClusterError(f"worker {host.worker.address} can't be asked ({answer.error})")
                     raise answer.error
                 self.yard.answered()
                 answers.append(([missing.pop(i) for i in own], answer))

@@ -1,5 +1,6 @@
 """What runs on a worker: it reads drives, keeps them, and has functions look at them. A Dask actor, one a worker."""
 
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -8,7 +9,7 @@ from typing import Any
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.fleets.held import Kept
-from sigmaswarm.fleets.sources import Source, held_bytes
+from sigmaswarm.fleets.sources import Source, need_of
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class Refused:
 class Loaded:
     """What is told of a drive that a worker has read."""
 
-    name: str
-    bytes: int
+    need: float
+    """Bytes of the worker's memory."""
     warned: list[SigmaswarmWarning] = field(default_factory=list[SigmaswarmWarning])
 
 
@@ -54,7 +55,7 @@ class Holder:
                 continue
             drive, warned = one
             self._kept[i] = Kept(drive)
-            told[i] = Loaded(drive.name, held_bytes(drive), warned)
+            told[i] = Loaded(need_of(drive), warned)
         return told
 
     def drop(self, drives: Sequence[int]) -> None:
@@ -62,14 +63,22 @@ class Holder:
         for i in drives:
             self._kept.pop(i, None)
 
-    def ask(self, function: Asked, drives: Sequence[int], *sent: Any) -> "Any | Raised":
-        """What a function says of some of the drives."""
+    def ask(self, packed: bytes, drives: Sequence[int]) -> "Any | Raised":
+        """What a function says of some of the drives; it comes pickled with what is sent to it."""
         if any(i not in self._kept for i in drives):
             return Raised(Elsewhere())
+        try:
+            function, sent = pickle.loads(packed)
+        except Exception as error:  # a module that is not here
+            return Raised(Unknown(f"{type(error).__name__}: {error}"))
         try:
             return function([self._kept[i] for i in drives], self._pool, *sent)
         except Exception as error:
             return Raised(error)
+
+
+class Unknown(Exception):
+    """What was asked can't be loaded on a worker."""
 
 
 class Elsewhere(Exception):

@@ -8,8 +8,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.places import Place, is_url, read_place, size_of
 from sigmaswarm.errors import SigmaswarmWarning
 
-PER_CSV_BYTE, PER_PARQUET_BYTE = 1.3, 6.0
-"""Bytes that a worker needs for a byte on disk; measured, with truth: docs/howto/fleets.md."""
+PER_HELD_BYTE, PER_CSV_BYTE, PER_PARQUET_BYTE = 3.3, 1.7, 8.0
+"""Bytes that a worker needs for a byte of a drive's columns, and for one on disk; with truth, `benchmarks/fleet.py`."""
 
 
 class Source(Protocol):
@@ -52,7 +52,7 @@ class Given:
 
     def size(self) -> float:
         """By its numbers."""
-        return 3.0 * held_bytes(self.drive)
+        return need_of(self.drive)
 
 
 def _files(place: Place) -> list[Path]:
@@ -62,9 +62,8 @@ def _files(place: Place) -> list[Path]:
         return []
 
 
-def held_bytes(drive: Drive) -> int:
-    """Of a drive's columns."""
+def need_of(drive: Drive) -> float:
+    """Bytes that a worker needs for a drive: its columns, and what is made of them for filters."""
     tables = (drive.imu, drive.gps, drive.truth, drive.odometer)
-    return sum(
-        c.nbytes for table in tables if table is not None for c in vars(table).values() if c is not None
-    )
+    columns = [c for table in tables if table is not None for c in vars(table).values() if c is not None]
+    return PER_HELD_BYTE * sum(column.nbytes for column in columns)
