@@ -18,6 +18,7 @@ import os
 import random
 import re
 import resource
+import signal
 import subprocess
 import sys
 import threading
@@ -268,7 +269,8 @@ def costs(scores: Any) -> Any:
 
 def memory(folder: Path, drives: int | None) -> None:
     if drives is not None:  # in a process of its own
-        place = drives_of(folder, drives, 600.0)
+        made = drives_of(folder, 3, 600.0)
+        place = [made[i % len(made)] for i in range(drives)]
         with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
             client.wait_for_workers(2)
             time.sleep(1)
@@ -336,6 +338,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="for scaling: runs of each, in turns")
     parser.add_argument("--drives", type=int, help="for memory: so many drives, in this process")
     asked = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the processes are ended, too
     asked.folder.mkdir(parents=True, exist_ok=True)
     for part in asked.parts:
         print(f"--- {part} (load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores)", flush=True)

@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
@@ -101,9 +102,9 @@ def _read(source: Source) -> tuple[Drive, list[SigmaswarmWarning]] | Refused:
         return Refused(InputError(f"{error.filename or source}: {error.strerror or error}"))
 
 
-def of_each(kept: Sequence[Kept], _: Executor | None, function: Callable[[Drive], Any]) -> list[Any]:
+def of_each(kept: Sequence[Kept], pool: Executor | None, function: Callable[[Drive], Any]) -> list[Any]:
     """What a function says of each drive, or why it can't."""
-    return [tried(function, one.drive) for one in kept]
+    return list((pool.map if pool else map)(partial(tried, function), [one.drive for one in kept]))
 
 
 def tried(function: Callable[[Any], Any], drive: Any) -> Any:

@@ -160,7 +160,8 @@ class CarProblem:
     def doubts(self, point: Array) -> list[str]:
         """What plays no part, what is left free, and, where no truth was looked at, whether R can be."""
         parameters = self.parameters(point)
-        found = said_of_accuracy(parameters, self._fix_noise)
+        # a look at the fixes' noise takes as long as reading a drive: not where nothing can be said of it
+        found = [] if parameters.accuracy_scale is None else said_of_accuracy(parameters, self._fix_noise)
         found += said_of_scale(self.objective.name, parameters, self.replays)
         known = all(drive.truth for drive in self.equipment)
         if not (known and self.objective.needs_truth):
