@@ -173,9 +173,14 @@ def faults(folder: Path) -> None:
     compared("resumed on another cluster", out / "tune-threads", out / "tune-scheduler")
 
 
-def scaling(folder: Path, repeats: int) -> None:
-    drives = drives_of(folder, 16, 1800.0)
-    config: dict[str, Any] = {"particles": 30, "generations": 50, "model": "planar8", "use": EVERY_OPTION}
+def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> None:
+    drives = drives_of(folder, 16, 60 * minutes)
+    config: dict[str, Any] = {
+        "particles": 30,
+        "generations": generations,
+        "model": "planar8",
+        "use": EVERY_OPTION,
+    }
     took: dict[int, list[float]] = {1: [], 2: []}
     worked: dict[int, list[float]] = {1: [], 2: []}
     place = folder / f"dask-{os.getpid()}"
@@ -225,13 +230,14 @@ def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
     return answer, time.perf_counter() - began
 
 
-def overhead(folder: Path) -> None:
+def overhead(folder: Path, most: int) -> None:
     folders = drives_of(folder, DIFFERENT, 60.0)
     config = TuneConfig(model="planar8", objective="truth-rmse")
     points = np.random.default_rng(0).random((30, 20))
     print("drives  calls  beside the filters, ms: median, 90%   (30 parameter sets, planar8)")
     with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
-        for count in (1, 10, 100, 1000):
+        client.wait_for_workers(2)
+        for count in (count for count in (1, 10, 100, 1000) if count <= most):
             fleet = Fleet.read(Cluster(client), [At(folders[i % DIFFERENT]) for i in range(count)])
             problem = car_problem(fleet, config)
             low, high = problem.space.low, problem.space.high
@@ -321,8 +327,8 @@ PARTS: dict[str, Callable[[argparse.Namespace], None]] = {
     "form": lambda asked: form(asked.folder, asked.drive),
     "same": lambda asked: same(asked.folder),
     "faults": lambda asked: faults(asked.folder),
-    "scaling": lambda asked: scaling(asked.folder, asked.repeats),
-    "overhead": lambda asked: overhead(asked.folder),
+    "scaling": lambda asked: scaling(asked.folder, asked.repeats, asked.minutes, asked.generations),
+    "overhead": lambda asked: overhead(asked.folder, asked.drives or 1000),
     "memory": lambda asked: memory(asked.folder, asked.drives),
     "thousand": lambda asked: thousand(asked.folder),
 }
@@ -335,8 +341,12 @@ def main() -> None:
     parser.add_argument("parts", nargs="+", choices=PARTS)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--drive", type=Path, help="for form: a drive in CSV")
+    parser.add_argument("--minutes", type=float, default=30, help="for scaling: of each drive")
+    parser.add_argument("--generations", type=int, default=50, help="for scaling")
     parser.add_argument("--repeats", type=int, default=3, help="for scaling: runs of each, in turns")
-    parser.add_argument("--drives", type=int, help="for memory: so many drives, in this process")
+    parser.add_argument(
+        "--drives", type=int, help="for overhead: the most; for memory: so many, in this process"
+    )
     asked = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the processes are ended, too
     asked.folder.mkdir(parents=True, exist_ok=True)
