@@ -2,12 +2,14 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 
 SHARED = Path(__file__).parents[1].parent / "shared"
 DRIVES = SHARED / "drives"
@@ -102,3 +104,44 @@ def make_drive(
 
     motion = Truth(time, position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], theta)
     return Drive(name, imu, gps, motion if truth else None)
+
+
+def assert_same(a: Drive, b: Drive) -> None:
+    """Two drives have the same bits."""
+    assert (a.name, a.frame, a.origin, a.metadata) == (b.name, b.frame, b.origin, b.metadata)
+    for one, other in ((a.imu, b.imu), (a.gps, b.gps), (a.truth, b.truth)):
+        assert type(one) is type(other)
+        for f in fields(one) if one is not None else ():
+            left, right = getattr(one, f.name), getattr(other, f.name)
+            assert (left is None) == (right is None), f.name
+            assert left is None or left.tobytes() == right.tobytes(), f.name
+
+
+def in_degrees(drive: Drive, altitude: bool = True) -> Drive:
+    """The same drive as a log in WGS-84."""
+    origin = (51.05, 13.74, 113.25)
+    enu = np.stack([drive.gps.x, drive.gps.y, np.zeros(len(drive.gps))], axis=1)
+    lat, lon, alt = enu_to_geodetic(enu, origin).T
+    x, y, _ = geodetic_to_enu(lat, lon, alt if altitude else origin[2], origin).T
+    gps = replace(drive.gps, x=x, y=y, lat=lat, lon=lon, alt=alt if altitude else None)
+    return replace(drive, gps=gps, frame="wgs84", origin=origin)
+
+
+def drive_variants() -> dict[str, Drive]:
+    """Drives with all that a file may hold, and without."""
+    drive = make_drive(duration=10.0, jitter=0.4, seed=3)
+    ones = np.ones(len(drive.gps))
+    return {
+        "plain": drive,
+        "no-truth": replace(drive, truth=None),
+        "origin": replace(
+            drive, origin=(-33.1, 151.0, 4.0), metadata={"licence": "MIT", "arm": {"x": [1, 2.5]}}
+        ),
+        "few-imu-columns": replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)),
+        "many-gps-columns": replace(
+            drive, gps=replace(drive.gps, std_x=1.5 * ones, std_y=ones / 3, speed=7 * ones, course=-ones)
+        ),
+        "degrees": in_degrees(drive),
+        "degrees-without-altitude": in_degrees(drive, altitude=False),
+        "both": replace(in_degrees(drive), frame="enu"),
+    }

@@ -2,7 +2,7 @@
 
 import time
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,53 +15,13 @@ from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import DriveError, DriveWarning, InputError
-from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
 from sigmaswarm.simulation import simulate
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, assert_same, drive_variants, make_drive, needs_shared
 
 
-def assert_same(a: Drive, b: Drive) -> None:
-    assert (a.name, a.frame, a.origin, a.metadata) == (b.name, b.frame, b.origin, b.metadata)
-    for one, other in ((a.imu, b.imu), (a.gps, b.gps), (a.truth, b.truth)):
-        assert type(one) is type(other)
-        for f in fields(one) if one is not None else ():
-            left, right = getattr(one, f.name), getattr(other, f.name)
-            assert (left is None) == (right is None), f.name
-            assert left is None or left.tobytes() == right.tobytes(), f.name
-
-
-def in_degrees(drive: Drive, altitude: bool = True) -> Drive:
-    """The same drive as a log in WGS-84."""
-    origin = (51.05, 13.74, 113.25)
-    enu = np.stack([drive.gps.x, drive.gps.y, np.zeros(len(drive.gps))], axis=1)
-    lat, lon, alt = enu_to_geodetic(enu, origin).T
-    x, y, _ = geodetic_to_enu(lat, lon, alt if altitude else origin[2], origin).T
-    gps = replace(drive.gps, x=x, y=y, lat=lat, lon=lon, alt=alt if altitude else None)
-    return replace(drive, gps=gps, frame="wgs84", origin=origin)
-
-
-def variants() -> dict[str, Drive]:
-    drive = make_drive(duration=10.0, jitter=0.4, seed=3)
-    ones = np.ones(len(drive.gps))
-    return {
-        "plain": drive,
-        "no-truth": replace(drive, truth=None),
-        "origin": replace(
-            drive, origin=(-33.1, 151.0, 4.0), metadata={"licence": "MIT", "arm": {"x": [1, 2.5]}}
-        ),
-        "few-imu-columns": replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)),
-        "many-gps-columns": replace(
-            drive, gps=replace(drive.gps, std_x=1.5 * ones, std_y=ones / 3, speed=7 * ones, course=-ones)
-        ),
-        "degrees": in_degrees(drive),
-        "degrees-without-altitude": in_degrees(drive, altitude=False),
-        "both": replace(in_degrees(drive), frame="enu"),
-    }
-
-
-@pytest.mark.parametrize("kind", variants())
+@pytest.mark.parametrize("kind", drive_variants())
 def test_round_trip_keeps_every_bit(tmp_path: Path, kind: str):
-    drive = variants()[kind]
+    drive = drive_variants()[kind]
     assert_same(read_drive(write_drive(drive, tmp_path / "d")), drive)
 
 
@@ -69,7 +29,7 @@ def test_columns_are_those_of_the_format(tmp_path: Path):
     def header(drive: Drive, file: str) -> str:
         return (write_drive(drive, tmp_path / "d", overwrite=True) / file).read_text().split("\n")[0]
 
-    kinds = variants()
+    kinds = drive_variants()
     assert header(kinds["plain"], "imu.csv") == "t,ax,ay,az,gx,gy,gz"
     assert header(kinds["few-imu-columns"], "imu.csv") == "t,ax,ay,gz"
     assert header(kinds["plain"], "gps.csv") == "t,x,y"
@@ -102,7 +62,7 @@ def test_round_trip_keeps_any_finite_float_and_any_name(
 
 
 def test_the_same_drive_gives_the_same_bytes(tmp_path: Path):
-    one, two = (write_drive(in_degrees(make_drive(duration=10.0)), tmp_path / k) for k in "ab")
+    one, two = (write_drive(drive_variants()["degrees"], tmp_path / k) for k in "ab")
     assert {p.name: p.read_bytes() for p in one.iterdir()} == {p.name: p.read_bytes() for p in two.iterdir()}
 
 
@@ -194,7 +154,11 @@ def test_real_drives_survive_the_round_trip(tmp_path: Path, name: str):
 
 
 def test_reader_and_writer_agree_on_the_files():
-    assert {"imu.csv", "gps.csv", "odometer.csv", "truth.csv", "drive.toml"} == writer.FILES
+    tables = ("imu", "gps", "odometer", "truth")
+    assert {
+        "drive.toml",
+        *(f"{name}.{form}" for name in tables for form in ("csv", "parquet")),
+    } == writer.FILES
 
 
 def test_reading_back_leaves_the_warnings_filters_of_other_threads_alone(tmp_path: Path, monkeypatch):

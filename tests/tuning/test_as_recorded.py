@@ -23,7 +23,7 @@ def test_it_reaches_tune_batch_evaluate_and_run():
         mean = run_filter(drive, p, as_recorded=as_recorded).mean
         assert mean.tobytes() == run_filter(ready, p).mean.tobytes()
         assert batch.scores[0][0].position_rmse == evaluated.mean("tuned", "position_rmse_m")
-        assert problem.replayer.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
+        assert problem.replays.scores([p])[0, 0].position_rmse == batch.scores[0][0].position_rmse
         (drive_found,) = evaluated.drives.values()
         assert drive_found.frozen == (0 if as_recorded else 5)
         found[as_recorded] = batch.costs[0], problem.steps[0]

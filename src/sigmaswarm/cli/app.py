@@ -13,6 +13,7 @@ import sigmaswarm
 from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.completion import completion
+from sigmaswarm.cli.convert import convert
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
@@ -48,7 +49,7 @@ No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm de
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, compare, evaluate, report, study, run, export, split, simulate, record_carla, plot, demo,
+    doctor, tune, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot, demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")

@@ -12,37 +12,79 @@ from typing import TYPE_CHECKING, Any
 from sigmaswarm.files import finite
 
 if TYPE_CHECKING:
+    from distributed import Client
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.errors import SigmaswarmWarning
+    from sigmaswarm.fleets.held import Held
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_known(folder: Path) -> "Drive":
+def read_known(place: "Place") -> "Drive":
     """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
-    from sigmaswarm.drives.reader import read_with_warnings
+    from sigmaswarm.drives.places import read_place
 
-    drive, warned = read_with_warnings(folder)
-    for warning in warned:
-        if not getattr(warning, "code", "").endswith("-gap"):
-            warnings.warn(warning, stacklevel=2)
+    drive, warned = read_place(place)
+    warn_of_reading(warned, gaps=False)
     return drive
 
 
-def read_drives(paths: Sequence[Path], *, trusted: bool = True, gaps: bool = False) -> "list[Drive]":
-    """Read drive folders; a folder of drive folders stands for all of them.
+def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
+    """Tell what was found while a drive was read; ``gaps``: those, too."""
+    for warning in warned:
+        if gaps or not getattr(warning, "code", "").endswith("-gap"):
+            warnings.warn(warning, stacklevel=3)
+
+
+def read_drives(places: "Sequence[Place]") -> "list[Drive]":
+    """Read drives that are known; a folder of drive folders stands for all of them."""
+    from sigmaswarm.drives.places import listed_places
+
+    return [read_known(place) for place in listed_places(places)]
+
+
+@contextmanager
+def cluster_at(address: str | None) -> "Generator[Client | None]":
+    """A client of the cluster at an address, until the block ends; None where none is named."""
+    if address is None:
+        yield None
+        return
+    from sigmaswarm.fleets.connection import connected
+
+    with connected(address) as client:
+        yield client
+
+
+def held_drives(
+    *groups: "Sequence[Place]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
+) -> "list[Held]":
+    """Groups of drives, read where they are held: by a cluster's workers, or here.
 
     Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
     """
     from sigmaswarm.cli.findings import warn_of_serious
-    from sigmaswarm.drives.reader import drive_folders, read_drive
+    from sigmaswarm.drives.places import listed_places, read_place
+    from sigmaswarm.fleets.connection import Cluster
+    from sigmaswarm.fleets.fleet import Fleet, fleet_groups
+    from sigmaswarm.fleets.held import Here
 
-    folders = [folder for given in paths for folder in drive_folders(given)]
-    drives = [(read_drive if gaps else read_known)(folder) for folder in folders]
+    listed = [listed_places(places) for places in groups]
+    if cluster is None:
+        read = [[read_place(place) for place in places] for places in listed]
+        held: list[Held] = [Here([drive for drive, _ in group]) for group in read]
+        warned = [warning for group in read for _, more in group for warning in more]
+    else:
+        with progress_bar("reading", "drives, remaining") as show:
+            held = [*fleet_groups(Cluster(cluster), listed, progress=show)]
+        warned = [warning for fleet in held if isinstance(fleet, Fleet) for warning in fleet.warned]
+    warn_of_reading(warned, gaps=gaps)
     if not trusted:
-        warn_of_serious(drives, folders)
-    return drives
+        for drives, places in zip(held, listed, strict=True):
+            warn_of_serious(drives, places)
+    return held
 
 
 def tuned_as_recorded(tuning: Path) -> bool:

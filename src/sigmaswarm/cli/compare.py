@@ -11,15 +11,16 @@ from sigmaswarm.tuning.options import DEFAULTS, SEEDS, CompareOptions, Scale
 
 @takes(CompareOptions, DEFAULTS)
 def compare(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
     optimizers: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     scales: Annotated[list[Scale] | None, Parameter(consume_multiple=1, negative=())] = None,
     seeds: int = SEEDS,
-    validation: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
+    cluster: str | None = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
     **options: Unpack[CompareOptions],
@@ -39,7 +40,7 @@ def compare(
     Parameters
     ----------
     drives
-        Drive folders to tune on, or folders that hold drive folders.
+        Drive folders to tune on, or folders that hold drive folders; or URLs of such.
     out
         Folder for the tables, the figure and all runs.
     optimizers
@@ -53,32 +54,37 @@ def compare(
     validation
         Drives held back from the search, to see what the results are worth on others.
     workers
-        Threads; all cores by default. The result does not depend on it.
+        Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
+    cluster
+        A Dask cluster whose workers read the drives, hold them and do the work: tcp://host:8786, a scheduler file, or
+        local:4 for so many processes of this machine. Nor does the result depend on it.
     resume
         Go on with a comparison that was interrupted; the result is the same, but for the times.
     json
         Print the table for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
+    from sigmaswarm.cli.common import cluster_at, held_drives, print_json, progress_bar, stdout
+    from sigmaswarm.doctor.suited import equipment
     from sigmaswarm.report.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import with_filter
 
-    read, held_out = read_drives(drives), read_drives(validation or [])
-    said = with_filter({**options}, [*read, *held_out])[1]
     chosen = {"optimizers": optimizers, "scales": scales}
-    with progress_bar("comparing", "tunings, remaining") as show:
-        comparison = sigmaswarm.compare(
-            read,
-            **{name: value for name, value in chosen.items() if value},  # pyright: ignore[reportArgumentType]
-            seeds=seeds,
-            validation=held_out,
-            out=out,
-            resume=resume,
-            workers=workers,
-            progress=show,
-            **options,
-        )
+    with cluster_at(cluster) as client:
+        read, held_out = held_drives(drives, validation or [], cluster=client)
+        said = with_filter({**options}, [*read.of_each(equipment), *held_out.of_each(equipment)])[1]
+        with progress_bar("comparing", "tunings, remaining") as show:
+            comparison = sigmaswarm.compare(
+                read,
+                **{name: value for name, value in chosen.items() if value},  # pyright: ignore[reportArgumentType]
+                seeds=seeds,
+                validation=held_out,
+                out=out,
+                resume=resume,
+                workers=workers,
+                progress=show,
+                **options,
+            )
     written = save_comparison(comparison, out)
     if json:
         print_json({"comparison": comparison.frame.to_dicts(), "written": [str(path) for path in written]})

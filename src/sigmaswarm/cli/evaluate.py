@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     against: Path | None = None,
@@ -23,6 +23,7 @@ def evaluate(
     trust_log: Annotated[bool, Parameter(negative=())] = False,
     smooth: Annotated[bool, Parameter(negative=())] = False,
     swarm: Annotated[bool, Parameter(negative=())] = False,
+    cluster: str | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Compare a tuned filter with manual ones, raw GPS and IMU only.
@@ -45,7 +46,7 @@ def evaluate(
     tuning
         A tuning.toml, or the folder that holds it.
     drives
-        Drive folders, or folders that hold drive folders.
+        Drive folders, or folders that hold drive folders; or URLs of such.
     against
         A filter of your own to compare with, of any model: a file with its parameters in a table [filter], as in a
         tuning.toml.
@@ -64,11 +65,21 @@ def evaluate(
         Also compare the tuned filter in hindsight, each of its estimates with all fixes known, later ones too.
     swarm
         Also compare a swarm of the tuned filter: sixteen side by side, differently tuned, whose mixture drives.
+    cluster
+        A Dask cluster whose workers read the drives and do the work: tcp://host:8786, a scheduler file, or local:4 for
+        so many processes of this machine. The result does not depend on it.
     json
         Print the scores for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_evaluation, print_json, read_drives, stdout, tuned_as_recorded
+    from sigmaswarm.cli.common import (
+        cluster_at,
+        held_drives,
+        print_evaluation,
+        print_json,
+        stdout,
+        tuned_as_recorded,
+    )
     from sigmaswarm.errors import InputError
     from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
@@ -79,18 +90,19 @@ def evaluate(
     own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
-    read = read_drives(drives, trusted=trust_log)
-    result = sigmaswarm.evaluate(
-        read,
-        parameters,
-        against=own,
-        outage_length=outage_length,
-        outage_seed=outage_seed,
-        as_recorded=as_recorded or tuned_as_recorded(tuning),
-        seen=seen_by(file) or None,
-        smooth=smooth,
-        swarm=swarm,
-    )
+    with cluster_at(cluster) as client:
+        (read,) = held_drives(drives, cluster=client, trusted=trust_log)
+        result = sigmaswarm.evaluate(
+            read,
+            parameters,
+            against=own,
+            outage_length=outage_length,
+            outage_seed=outage_seed,
+            as_recorded=as_recorded or tuned_as_recorded(tuning),
+            seen=seen_by(file) or None,
+            smooth=smooth,
+            swarm=swarm,
+        )
     _warn_of_training_drives(result)
     written: list[Path] = []
     if out:

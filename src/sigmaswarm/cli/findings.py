@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 from sigmaswarm.cli.common import stdout
 
 if TYPE_CHECKING:
-    from sigmaswarm import Drive
     from sigmaswarm.doctor.findings import Diagnosis, Finding
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.fleets.held import Held
 
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -33,13 +34,12 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     console.print()
 
 
-def warn_of_serious(drives: "Sequence[Drive]", folders: Sequence[Path]) -> None:
+def warn_of_serious(drives: "Held", places: "Sequence[Place]") -> None:
     """Say in a line of each drive what the doctor finds serious: a filter would learn it."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
-    for drive, folder in zip(drives, folders, strict=True):
-        diagnosis = diagnose(drive)
+    for diagnosis, folder in zip(drives.of_each(diagnose), places, strict=True):
         if diagnosis.serious:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
@@ -49,7 +49,7 @@ def warn_of_serious(drives: "Sequence[Drive]", folders: Sequence[Path]) -> None:
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
-def mending(diagnosis: "Diagnosis", folder: Path) -> tuple[str, Path | None]:
+def mending(diagnosis: "Diagnosis", folder: "Place") -> tuple[str, Path | None]:
     """The command for a drive with serious findings, and the mended copy that it makes.
 
     Where none of them can be mended, the command that says what to do about them, and None.

@@ -32,6 +32,7 @@ def simulate(
     terrain: str = "flat",
     odometer: str | None = None,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
+    cluster: str | None = None,
     resume: _Flag = False,
     json: _Flag = False,
 ) -> None:
@@ -81,14 +82,18 @@ def simulate(
         error and their slip, as odometer.csv. None by default.
     workers
         Threads; all cores by default. The result does not depend on it.
+    cluster
+        A Dask cluster whose workers make the drives, which are written here: tcp://host:8786, a scheduler file, or
+        local:4 for so many processes of this machine. Nor does the result depend on it.
     resume
         Keep the drives that are there and make those that are missing.
     json
         Print what was written for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, progress_bar, stdout
+    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
+    from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import drive_name
 
     maneuvers = list(dict.fromkeys(maneuver or PAPER_MANEUVERS))
@@ -107,17 +112,18 @@ def simulate(
     }
     names = [drive_name(m, e, run) for m in maneuvers for e in environments for run in range(runs)]
     kept = _kept(out, names, resume, options)
-    made = sigmaswarm.simulate_many(
-        maneuvers,
-        environments,
-        runs,
-        workers=workers,
-        use=lambda drive: sigmaswarm.write_drive(drive, out / drive.name),
-        leave_out=kept,
-        **options,
-    )
+    what: dict[str, Any] = {"leave_out": kept, **options}
+
+    def write(drive: sigmaswarm.Drive) -> Path:
+        return sigmaswarm.write_drive(drive, out / drive.name)
+
     written = 0
-    with progress_bar("simulating", "drives, remaining") as show:
+    with cluster_at(cluster) as client, progress_bar("simulating", "drives, remaining") as show:
+        made = (
+            sigmaswarm.simulate_many(maneuvers, environments, runs, workers=workers, use=write, **what)
+            if client is None
+            else map(write, simulated_on(client, maneuvers, environments, runs, **what))
+        )
         for written, _ in enumerate(made, 1):
             show(written, len(names) - len(kept))
     if json:
@@ -138,7 +144,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]
     if not there.is_dir():
         raise InputError(f"{out}: {there} is a file; name another folder")
     found = {name for name in names if (out / name).exists()}
-    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.csv")})
+    drives = sorted(found | {path.parent.name for path in out.glob("*/imu.*")})
     if drives and not resume:
         raise InputError(
             f"{out}: holds {drives[0]} already; name another folder, or keep what is there with --resume"

@@ -16,7 +16,7 @@ def study(
     *,
     out: Path,
     config: Path | None = None,
-    drives: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    drives: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     trials: _Count = None,
     runs: _Count = None,
     particles: _Count = None,
@@ -24,6 +24,7 @@ def study(
     seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
     per_condition: _Flag = False,
     workers: _Count = None,
+    cluster: str | None = None,
     resume: _Flag = False,
     json: _Flag = False,
 ) -> None:
@@ -51,7 +52,7 @@ def study(
     config
         A study.toml to start from; the paper's study by default.
     drives
-        Your own drive folders, with truth, instead of simulated drives.
+        Your own drive folders, with truth, instead of simulated drives; or URLs of such.
     trials
         Repetitions, each with its own split and swarm; 20 by default.
     runs
@@ -65,19 +66,22 @@ def study(
     per_condition
         Tune each condition by itself instead of one filter for all.
     workers
-        Threads; all cores by default. The result does not depend on it.
+        Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
+    cluster
+        A Dask cluster whose workers make or read the drives, hold them and do the work: tcp://host:8786, a scheduler
+        file, or local:4 for so many processes of this machine. Nor does the result depend on it.
     resume
         Go on with a study that was interrupted; what is finished is not done again.
     json
         Print results.json.
     """
-    from sigmaswarm.cli.common import print_json, progress_bar, stdout
+    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
     from sigmaswarm.experiments.study.config import read_config
     from sigmaswarm.experiments.study.run import run_study
     from sigmaswarm.report.study import save_study, study_tables
 
     named: dict[str, Any] = {
-        "drives": None if drives is None else tuple(map(str, drives)),
+        "drives": None if drives is None else tuple(drives),
         "trials": trials,
         "runs": runs,
         "particles": particles,
@@ -88,12 +92,13 @@ def study(
     changes = {name: value for name, value in named.items() if value is not None}
     started = out / "study.toml"
     asked = read_config(config or (started if resume and started.exists() else None), **changes)
-    with progress_bar("study", "generations, remaining") as show:
+    with cluster_at(cluster) as client, progress_bar("study", "generations, remaining") as show:
         done = run_study(
             asked,
             out,
             resume=resume,
             workers=workers,
+            cluster=client,
             progress=lambda told: show(told.done, told.total),
         )
     save_study(done, out)

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 @takes(TuneOptions, DEFAULTS)
 def tune(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
     /,
     *,
     out: Path,
-    validation: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     paper: Annotated[bool, Parameter(negative=())] = False,
     workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
+    cluster: str | None = None,
     resume: Annotated[bool, Parameter(negative=())] = False,
     trust_log: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
@@ -43,11 +44,12 @@ def tune(
         sigmaswarm tune drives/training --out tuned --racing
         sigmaswarm tune drives/training --out tuned --paper
         sigmaswarm tune drives/training --out tuned --resume
+        sigmaswarm tune s3://fleet/training --out tuned --cluster tcp://scheduler:8786
 
     Parameters
     ----------
     drives
-        Drive folders to tune on, or folders that hold drive folders.
+        Drive folders to tune on, or folders that hold drive folders; or URLs of such.
     out
         Folder for tuning.toml, the convergence history and figures.
     validation
@@ -56,6 +58,9 @@ def tune(
         The paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Options that contradict it are refused.
     workers
         Threads; all cores by default. The result does not depend on it.
+    cluster
+        A Dask cluster whose workers read the drives, hold them and do the work: tcp://host:8786, a scheduler file, or
+        local:4 for so many processes of this machine. Nor does the result depend on it.
     resume
         Go on with a tuning that was interrupted; the result is the same as without the interruption.
     trust_log
@@ -64,31 +69,36 @@ def tune(
         Print the result for machines.
     """
     from concurrent.futures import ThreadPoolExecutor
+    from functools import partial
 
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_drives, stdout, tuning_progress
-    from sigmaswarm.drives.prepared import PreparedDrive
+    from sigmaswarm.cli.common import cluster_at, held_drives, print_json, stdout, tuning_progress
+    from sigmaswarm.doctor.suited import equipment
     from sigmaswarm.report.tuning import save_tuning_figures
-    from sigmaswarm.scoring.tracks import compared, picture_of
+    from sigmaswarm.scoring.tracks import pictured
     from sigmaswarm.tuning.defaults import with_filter
 
-    read = read_drives(drives, trusted=trust_log, gaps=True)
-    held_back = read_drives(validation or [], trusted=trust_log, gaps=True)
-    chosen = "" if paper else with_filter({**options}, [*read, *held_back])[1]
-    with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
-        tuning = sigmaswarm.tune(
-            read,
-            validation=held_back,
-            out=out,
-            resume=resume,
-            paper=paper,
-            executor=pool,
-            progress=progress,
-            **options,
+    with cluster_at(cluster) as client:
+        read, held_back = held_drives(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
+        everywhere = [*read.of_each(equipment), *held_back.of_each(equipment)]
+        chosen = "" if paper else with_filter({**options}, everywhere)[1]
+        with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
+            tuning = sigmaswarm.tune(
+                read,
+                validation=held_back,
+                out=out,
+                resume=resume,
+                paper=paper,
+                executor=pool,
+                progress=progress,
+                **options,
+            )
+        shown = partial(
+            pictured, parameters=tuning.parameters, as_recorded=tuning.config.model_dump()["as_recorded"]
         )
-    filters = compared(read[0], tuning.parameters)
-    first = PreparedDrive(read[0], as_recorded=tuning.config.model_dump()["as_recorded"])
-    pictures = save_tuning_figures(tuning, picture_of(first, filters, read[0].name), out)
+        (picture,) = read.subset([0]).of_each(shown)
+        (part,) = read.subset([0]).of_each(_is_part)
+    pictures = save_tuning_figures(tuning, picture, out)
     if json:
         print_json(tuning.to_dict())
         return
@@ -109,24 +119,37 @@ def tune(
         console.print(f"note: {remark}")
     console.print(f"filter:   {out / 'tuning.toml'}")
     console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
-    for line in _next(out, drives, read, alone=not held_back):
+    alone = len(read) == 1 and not len(held_back)
+    for line in _next(out, drives[0], everywhere[0].name, part=part) if alone else [_usual_next(out)]:
         console.print(line)
 
 
-def _next(out: Path, folders: list[Path], drives: "list[Drive]", *, alone: bool) -> list[str]:
-    """What to do next: with one log, cut it in two, for of other drives nothing is known yet."""
-    from sigmaswarm.drives.reader import drive_folders
+def _is_part(drive: "Drive") -> bool:
+    """Whether a drive was cut from another one."""
+    return "cut_from" in drive.metadata
 
-    evaluate = f"next:     sigmaswarm evaluate {quote(str(out))}"
-    if len(drives) > 1 or not alone:
-        return [f"{evaluate} HELD_OUT_DRIVE..."]
-    name, (folder,) = drives[0].name, drive_folders(folders[0])  # what was named may hold the drive
-    if "cut_from" in drives[0].metadata:
+
+def _usual_next(out: Path) -> str:
+    return f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE..."
+
+
+def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
+    """What to do next with one log: cut it in two, for of other drives nothing is known yet."""
+    from sigmaswarm.drives.places import drive_places, is_url
+
+    if is_url(given):
+        return [_usual_next(out)]
+    folder = Path(drive_places(given)[0])  # what was named may hold the drive
+    if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
-        return [f"{evaluate} {quote(str(rest)) if rest.is_dir() else 'HELD_OUT_DRIVE...'}"]
+        return [
+            f"next:     sigmaswarm evaluate {quote(str(out))} {quote(str(rest))}"
+            if rest.is_dir()
+            else _usual_next(out)
+        ]
     train, test = (quote(f"parts/{name}-{part}") for part in ("train", "test"))
     return [
-        f"{evaluate} HELD_OUT_DRIVE...",
+        _usual_next(out),
         f"one log?  this filter has seen all of it: sigmaswarm split {quote(str(folder))} --out parts",
         f"          then tune on {train}, and evaluate on {test}",
     ]

@@ -38,7 +38,57 @@ class Suited:
         return f"--model {self.model} --use {' '.join(self.use)}"
 
 
-def suited(drives: Sequence[Drive]) -> Suited:
+@dataclass(frozen=True)
+class Equipment:
+    """What a log has: all that decides which filters and objectives it allows.
+
+    Attributes
+    ----------
+    name : str
+    truth : bool
+        Whether it is there, with at least one row.
+    interval : float
+        s, the usual one between two IMU samples.
+    axes : tuple of str
+        Of the IMU, those that are there.
+    attitude : bool
+        See `has_attitude`.
+    odometer, accuracy, velocity : bool
+        Whether it has the wheels' speed, and the receiver's stated deviations, and its speed and course.
+    spread : (float, float) or None
+        See `stated_spread`.
+    """
+
+    name: str
+    truth: bool
+    interval: float
+    axes: tuple[str, ...]
+    attitude: bool
+    odometer: bool
+    accuracy: bool
+    velocity: bool
+    spread: tuple[float, float] | None
+
+
+def equipment(drive: Drive | Equipment) -> Equipment:
+    """What a drive has; itself where that is known already."""
+    if isinstance(drive, Equipment):
+        return drive
+    gps, imu = drive.gps, drive.imu
+    return Equipment(
+        name=drive.name,
+        truth=bool(drive.truth),
+        interval=drive.nominal_interval,
+        axes=tuple(axis for axis in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, axis) is not None),
+        attitude=has_attitude(drive),
+        odometer=drive.odometer is not None,
+        accuracy=gps.std_x is not None and gps.std_y is not None,
+        velocity=gps.speed is not None and gps.course is not None,
+        spread=stated_spread(drive),
+    )
+
+
+def suited(drives: Sequence[Drive | Equipment]) -> Suited:
     """The filter for cars that suits logs by what all of them have; nothing is run, and no score is looked at.
 
     - **tilted12** where every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and
@@ -53,12 +103,13 @@ def suited(drives: Sequence[Drive]) -> Suited:
     chose 18 to 24% worse than the best in the mean, and 61 to 122% at worst; one good model for all was 4 to 12%
     worse. The figures stand in docs/results.md, "What tune takes by itself".
     """
-    six = bool(drives) and all(map(has_attitude, drives))
-    wheels = bool(drives) and all(d.odometer is not None for d in drives)
-    spreads = [spread for d in drives if (spread := stated_spread(d))]
-    stated = bool(drives) and len(spreads) == len(drives)
+    found = [equipment(drive) for drive in drives]
+    six = bool(found) and all(one.attitude for one in found)
+    wheels = bool(found) and all(one.odometer for one in found)
+    spreads = [one.spread for one in found if one.spread]
+    stated = bool(found) and len(spreads) == len(found)
     use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if stated else ()))
-    all_there = all(axis is not None for d in drives for axis in (d.imu.az, d.imu.gx, d.imu.gy))
+    all_there = all(len(one.axes) == 6 for one in found)
     missing = "az, gx or gy of the IMU look wrong" if all_there else "an IMU without az, gx and gy"
     reasons = ["six IMU axes" if six else missing]
     if wheels:

@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -227,15 +229,49 @@ def _agreed(a: Whole, b: Whole, i: Whole, j: Whole, values: Whole) -> float | No
     return offset / MICRO
 
 
-def save_landmarks(seen: Sequence[Landmarks], path: Path) -> None:
-    """Keep the landmarks of drives as one file."""
-    named = np.array([(marks.name, marks.sha256) for marks in seen], dtype=np.str_).reshape(-1, 2)
-    arrays: dict[str, NDArray[np.generic]] = {"names": named}
-    for k, marks in enumerate(seen):
-        arrays[f"{k}-about"] = np.array([*marks.span, marks.geographic, marks.width])
-        arrays[f"{k}-fixes"], arrays[f"{k}-rates"] = marks.fixes, marks.rates
-    with whole_file(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+def save_landmarks(
+    seen: Sequence[Landmarks], path: Path, names: Sequence[tuple[str, str]] | None = None
+) -> None:
+    """Keep the landmarks of drives as one file; with names and fingerprints known they are looked at one by one."""
+    if names is None:
+        names = [(marks.name, marks.sha256) for marks in seen]
+    with (
+        whole_file(path) as file,
+        ZipFile(file, "w", ZIP_DEFLATED) as archive,
+    ):  # as `np.savez_compressed` writes it
+
+        def put(name: str, array: NDArray[np.generic]) -> None:
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+
+        put("names", np.array(names, dtype=np.str_).reshape(-1, 2))
+        for k, marks in enumerate(seen):
+            put(f"{k}-about", np.array([*marks.span, marks.geographic, marks.width]))
+            put(f"{k}-fixes", marks.fixes)
+            put(f"{k}-rates", marks.rates)
+
+
+@dataclass(frozen=True)
+class SavedLandmarks(Sequence[Landmarks]):
+    """Landmarks that stay in the file that `save_landmarks` wrote, until one is looked at."""
+
+    path: Path
+    names: tuple[tuple[str, str], ...]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, k: int) -> Landmarks: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Landmarks]: ...
+    def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        name, sha256 = self.names[k]
+        k %= len(self)
+        with np.load(self.path, allow_pickle=False) as file:
+            return _loaded(name, sha256, file[f"{k}-about"], file[f"{k}-fixes"], file[f"{k}-rates"])
 
 
 def load_landmarks(path: Path) -> list[Landmarks] | None:

@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 from sigmaswarm.drives.checks import remarks_of, shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
-from sigmaswarm.drives.sheet import Sheet
+from sigmaswarm.drives.sheet import CSV, FORMS, Sheet
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
 from sigmaswarm.wording import names_shown, quoted, shown
@@ -36,22 +36,37 @@ _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
 
 def drive_folders(path: Path) -> list[Path]:
     """A drive folder itself, or all drive folders inside a folder, in the order of their names."""
-    if not path.is_dir() or (path / "imu.csv").exists() or (path / "gps.csv").exists():
+    if not path.is_dir() or has_table(path, "imu") or has_table(path, "gps"):
         return [path]  # read_drive says what is wrong with it, if anything
-    inside = sorted(folder for folder in path.iterdir() if (folder / "imu.csv").exists())
+    inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
         raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
     return inside
 
 
+def has_table(folder: Path, name: str) -> bool:
+    """Whether a folder holds a drive's table, ``imu`` for example, in any form."""
+    return any((folder / f"{name}{form}").exists() for form in FORMS)
+
+
+def _table(folder: Path, name: str) -> Path:
+    """The file of a drive's table; the CSV file where there is none."""
+    there = [folder / f"{name}{form}" for form in FORMS if (folder / f"{name}{form}").exists()]
+    if len(there) > 1:
+        raise DriveError(f"{folder} holds both {there[0].name} and {there[1].name}; delete one of them")
+    return there[0] if there else folder / f"{name}{CSV}"
+
+
 def read_drive(path: str | Path) -> Drive:
     """Read and validate a drive: a folder with imu.csv, gps.csv, drive.toml, perhaps odometer.csv, truth.csv.
+
+    Each of the tables may be a Parquet file instead, with the same columns: imu.parquet.
 
     Parameters
     ----------
     path : str or Path
-        The folder. Where drive.toml gives no ``name``, the folder's name serves; where it gives no ``frame``,
-        the columns of gps.csv decide.
+        The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Where drive.toml gives no ``name``, the
+        folder's name serves; where it gives no ``frame``, the columns of gps.csv decide.
 
     Returns
     -------
@@ -72,7 +87,9 @@ def read_drive(path: str | Path) -> Drive:
     DriveWarning
         Gaps, and values that look like other units or axes.
     """
-    drive, warned = read_with_warnings(Path(path))
+    from sigmaswarm.drives.places import read_place  # which needs this file
+
+    drive, warned = read_place(path)
     for warning in warned:
         warnings.warn(warning, stacklevel=2)
     return drive
@@ -83,34 +100,44 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
-    inside = [f.name for f in folder.iterdir() if (f / "imu.csv").exists()]
-    if inside and not (folder / "imu.csv").exists():
+    inside = [f.name for f in folder.iterdir() if has_table(f, "imu")]
+    if inside and not has_table(folder, "imu"):
         raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
     ignored: list[str] = []
     about = _read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
 
-    imu = Sheet.read(folder / "imu.csv").columns(*_IMU, ignored)
-    sheet = Sheet.read(folder / "gps.csv")
-    frame = _frame(about.pop("frame", None), folder, sheet.cells.columns)
+    files = {name: _table(folder, name) for name in ("imu", "gps", "truth", "odometer")}
+    imu = Sheet.read(files["imu"]).columns(*_IMU, ignored)
+    sheet = Sheet.read(files["gps"])
+    frame = _frame(about.pop("frame", None), files["gps"], sheet.cells.columns)
     gps = sheet.columns(*_GPS[frame], ignored)
     origin = about.pop("origin", None)
     if frame == "wgs84":
         origin = _place_on_plane(gps, origin)
     truth = None
-    if (folder / "truth.csv").exists():
-        truth = Truth(**Sheet.read(folder / "truth.csv").columns(*_TRUTH, ignored))
+    if files["truth"].exists():
+        truth = Truth(**Sheet.read(files["truth"]).columns(*_TRUTH, ignored))
 
     odometer = None
-    if (folder / "odometer.csv").exists():
-        odometer = Odometer(**Sheet.read(folder / "odometer.csv").columns(*_ODOMETER, ignored))
+    if files["odometer"].exists():
+        odometer = Odometer(**Sheet.read(files["odometer"]).columns(*_ODOMETER, ignored))
 
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
     if shortage := shortage_of(drive):
-        raise DriveError(f"{folder}/{shortage}")
+        raise DriveError(f"{folder}/{_as_filed(shortage, files)}")
     warned = [SigmaswarmWarning(message) for message in ignored]
-    warned += [DriveWarning(f"{folder}/{remark}", remark.code) for remark in remarks_of(drive)]
+    warned += [
+        DriveWarning(f"{folder}/{_as_filed(str(remark), files)}", remark.code) for remark in remarks_of(drive)
+    ]
     return drive, warned
+
+
+def _as_filed(said: str, files: dict[str, Path]) -> str:
+    """A sentence on a drive's tables with the names that they have in its folder."""
+    for name, file in files.items():
+        said = said.replace(f"{name}{CSV}", file.name)
+    return said
 
 
 def _read_description(path: Path) -> dict[str, Any]:
@@ -178,23 +205,22 @@ def _origin(value: Any, path: Path) -> Place:
     )
 
 
-def _frame(stated: Any, folder: Path, columns: Sequence[str]) -> Frame:
-    """The frame of the fixes, as stated or else as the columns of gps.csv say; both must agree."""
+def _frame(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
+    """The frame of the fixes, as stated or else as the columns of their file say; both must agree."""
+    description = gps.parent / "drive.toml"
     if stated not in (None, *_POSITIONS):
-        raise DriveError(
-            f'{folder / "drive.toml"}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"'
-        )
+        raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')
     present = [frame for frame, pair in _POSITIONS.items() if set(pair) <= set(columns)]
     if not present:
         raise DriveError(
-            f"{folder / 'gps.csv'}, row 1: has neither columns x, y nor lat, lon, only {names_shown(columns)}; "
-            "name the positions x, y (m east, north) or lat, lon (deg)"
+            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
+            f"{names_shown(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
         )
     frame = cast("Frame", stated or present[0])
     if frame not in present:
         x, y = _POSITIONS[frame]
         raise DriveError(
-            f'{folder / "drive.toml"}: frame = "{frame}", but gps.csv lacks columns {x}, {y}; '
+            f'{description}: frame = "{frame}", but {gps.name} lacks columns {x}, {y}; '
             f'write frame = "{present[0]}", as its columns say'
         )
     return frame

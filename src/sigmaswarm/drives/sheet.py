@@ -1,4 +1,4 @@
-"""One CSV file of a drive: its cells as text, then as numbers, and where exactly something is wrong."""
+"""One table of a drive, CSV or Parquet: its cells, then as numbers, and where exactly something is wrong."""
 
 import csv
 import mmap
@@ -29,6 +29,9 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 }
 """Lowest and highest value allowed in a column, and the remedy."""
 
+CSV, PARQUET = FORMS = ".csv", ".parquet"
+"""What the tables of a drive's folder may be written in."""
+
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
 """What polars raises on damaged tables: on some bytes its own assertions fail."""
 
@@ -40,10 +43,10 @@ def one_file(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A CSV file's cells, and the file's line (n,) that each row stands on.
+    """A table's cells, and what each row (n,) is called: the line of a CSV file, the place in a Parquet file, from 1.
 
-    Cells are numbers where all of them can be read as such, which takes a fifth of the memory; otherwise text (None
-    where empty), which tells what is wrong.
+    Cells of a CSV file are numbers where all of them can be read as such, which takes a fifth of the memory; otherwise
+    text (None where empty), which tells what is wrong. Those of a Parquet file are what the file says they are.
     """
 
     path: Path
@@ -52,12 +55,15 @@ class Sheet:
 
     @classmethod
     def read(cls, path: Path) -> "Sheet":
-        """Read a file whose rows all have as many cells as its header; blank lines don't count."""
+        """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
         if not path.is_file():
             raise DriveError(
-                f"{path} is missing; a drive needs it, with a header line and one row per sample"
+                f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
             )
         require_threads()
+        if path.suffix == PARQUET:
+            cells = _parquet(path)
+            return cls(path, cells, np.arange(1, len(cells) + 1))
         cells = _plain_numbers(path)
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
@@ -93,7 +99,7 @@ class Sheet:
         try:
             found = self._known_columns(required, optional, told)
         except DriveError:
-            if self.cells.dtypes[0] == pl.String:
+            if self.path.suffix == PARQUET or self.cells.dtypes[0] == pl.String:
                 raise
             return self._text(self.path).columns(required, optional, remarks)
         remarks += told
@@ -108,11 +114,11 @@ class Sheet:
             if name not in names:
                 if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
                     raise DriveError(
-                        f"{self.path}, row 1: {quoted(names[0])} is one cell; separate cells by commas, and write "
+                        f"{self._header}: {quoted(names[0])} is one cell; separate cells by commas, and write "
                         "decimals with a dot"
                     )
                 raise DriveError(
-                    f"{self.path}, row 1: no column {name}, only {names_shown(names)}; add or rename it"
+                    f"{self._header}: no column {name}, only {names_shown(names)}; add or rename it"
                 )
         if unknown := [name for name in names if name not in known]:
             self._require_one_line(unknown)
@@ -121,6 +127,11 @@ class Sheet:
         numbers = {name: self._numbers(name) for name in known if name in names}
         self._require_increasing(numbers["t"])
         return {"time" if name == "t" else name: values for name, values in numbers.items()}
+
+    @property
+    def _header(self) -> str:
+        """Where the names of the columns stand."""
+        return f"{self.path}" if self.path.suffix == PARQUET else f"{self.path}, row 1"
 
     def _require_one_line(self, columns: Sequence[str]) -> None:
         """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
@@ -133,15 +144,18 @@ class Sheet:
     def _numbers(self, column: str) -> Array:
         """A column (n,) as finite numbers within its range."""
         text = self.cells[column]
-        if text.dtype == pl.String:
+        if text.dtype == pl.String and self.path.suffix != PARQUET:
             text = text.str.strip_chars()
+        elif not text.dtype.is_numeric():
+            raise DriveError(
+                f"{self.path}, column {column}: holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            )
         values = text.cast(pl.Float64, strict=False)
         if values.null_count() or not values.is_finite().all():
             i = int(values.is_finite().fill_null(False).arg_min() or 0)
-            if not text[i]:
-                raise _shape_fault(
-                    self.path, self._fault(i, column, "is empty", "fill it in or delete the row")
-                )
+            if text[i] is None or text[i] == "":
+                empty = self._fault(i, column, "is empty", "fill it in or delete the row")
+                raise empty if self.path.suffix == PARQUET else _shape_fault(self.path, empty)
             raise self._fault(
                 i, column, "is not a finite number", "write digits with a dot, or delete the row"
             )
@@ -159,9 +173,21 @@ class Sheet:
             raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
-        value = self.cells[column][i] or ""
+        cell = self.cells[column][i]
+        value = "" if cell is None else str(cell)
         where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
+
+
+def _parquet(path: Path) -> pl.DataFrame:
+    """The columns of a Parquet file."""
+    try:
+        cells = pl.read_parquet(**one_file(path), hive_partitioning=False)
+    except (*BROKEN, OSError):
+        raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
+    if cells.is_empty():
+        raise DriveError(f"{path} holds no rows; it needs one row per sample")
+    return cells
 
 
 def _plain_numbers(path: Path) -> pl.DataFrame | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -9,15 +10,17 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import DriveError, InputError
 
+T = TypeVar("T")
+
 
 def split_drives(
-    drives: Sequence[Drive], train_fraction: float = 0.7, *, rng: np.random.Generator
-) -> tuple[list[Drive], list[Drive]]:
+    drives: Sequence[T], train_fraction: float = 0.7, *, rng: np.random.Generator
+) -> tuple[list[T], list[T]]:
     """Draw whole drives for training and leave the rest for testing, each part in the given order.
 
     Parameters
     ----------
-    drives : sequence of Drive
+    drives : sequence of Drive, or of what stands for drives, as their paths
         At least two, so that each part gets one.
     train_fraction : float
         Of the number of drives, in (0, 1).

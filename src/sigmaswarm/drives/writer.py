@@ -1,23 +1,29 @@
 """Writing a drive's folder, whole or not at all."""
 
+from collections.abc import Callable
 from dataclasses import fields
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import polars as pl
 import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.reader import read_with_warnings
+from sigmaswarm.drives.sheet import FORMS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 from sigmaswarm.forking import require_threads
 
-FILES = frozenset({"imu.csv", "gps.csv", "odometer.csv", "truth.csv", "drive.toml"})
+Form = Literal["csv", "parquet"]
+FILES = frozenset(
+    {"drive.toml", *(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)}
+)
 """All that a drive's folder may hold for ``write_drive`` to replace it."""
 
 
-def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> Path:
+def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
     """Write a drive as a folder that ``read_drive`` reads back to the same bits.
 
     The same drive gives the same bytes. The folder is written beside its place, read back there and then renamed, so
@@ -32,6 +38,8 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
         The folder to make, with its parents.
     overwrite : bool
         Replace a drive that is there already.
+    form : {"csv", "parquet"}
+        Of the tables: Parquet is smaller and far quicker to read, and holds the same bits.
 
     Returns
     -------
@@ -46,12 +54,12 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False) -> P
     require_threads()
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
-    texts = _texts(drive, folder)
+    contents = _contents(drive, folder, form)
     make_folder(folder.parent, "name another folder")
     with whole_folder(folder, replace=overwrite) as new:
         new.mkdir()
-        for file, text in texts.items():
-            (new / file).write_bytes(text.encode())
+        for file, content in contents.items():
+            (new / file).write_bytes(content)
         _require_readable(new, folder)
     return folder
 
@@ -84,8 +92,8 @@ def require_replaceable(
         )
 
 
-def _texts(drive: Drive, folder: Path) -> dict[str, str]:
-    """The text of each file of the drive's folder, by the file's name."""
+def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
+    """What each file of the drive's folder holds, by the file's name."""
     wgs84 = drive.frame == "wgs84"
     if wgs84 and (drive.gps.lat is None or drive.gps.lon is None or drive.origin is None):
         raise DriveError(
@@ -105,16 +113,27 @@ def _texts(drive: Drive, folder: Path) -> dict[str, str]:
         ) from None
     tables = {"imu": drive.imu, "gps": drive.gps, "odometer": drive.odometer, "truth": drive.truth}
     unwritten = {"gps": {"x", "y"}} if wgs84 else {}
-    texts = {
-        f"{k}.csv": _csv(table, unwritten.get(k, set())) for k, table in tables.items() if table is not None
-    }
-    return {"drive.toml": description, **texts}
+    frames = {k: _frame(table, unwritten.get(k, set())) for k, table in tables.items() if table is not None}
+    return {"drive.toml": description.encode(), **{f"{k}.{form}": _FORMS[form](f) for k, f in frames.items()}}
 
 
-def _csv(table: Imu | Gps | Odometer | Truth, unwritten: set[str]) -> str:
-    """A table's columns that are there, with the fewest digits that keep every bit."""
+def _frame(table: Imu | Gps | Odometer | Truth, unwritten: set[str]) -> pl.DataFrame:
+    """A table's columns that are there."""
     names = sorted((f.name for f in fields(table)), key="gz".__eq__)  # stable: the format has gz last
     columns = {name: getattr(table, name) for name in names if name not in unwritten}
-    return pl.DataFrame(
-        {"t" if k == "time" else k: v for k, v in columns.items() if v is not None}
-    ).write_csv()
+    return pl.DataFrame({"t" if k == "time" else k: v for k, v in columns.items() if v is not None})
+
+
+def _csv(frame: pl.DataFrame) -> bytes:
+    """With the fewest digits that keep every bit."""
+    return frame.write_csv().encode()
+
+
+def _parquet(frame: pl.DataFrame) -> bytes:
+    """As 64-bit floats, compressed."""
+    file = BytesIO()
+    frame.write_parquet(file, compression="zstd", statistics=False)
+    return file.getvalue()
+
+
+_FORMS: dict[Form, Callable[[pl.DataFrame], bytes]] = {"csv": _csv, "parquet": _parquet}

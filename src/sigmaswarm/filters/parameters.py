@@ -184,7 +184,9 @@ class FilterParameters:
         """
         path = Path(path)
         if path.is_dir():
-            if (path / "imu.csv").exists() and not (path / "tuning.toml").exists():
+            from sigmaswarm.drives.reader import has_table  # heavy, and seldom needed
+
+            if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
                     f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
                 )

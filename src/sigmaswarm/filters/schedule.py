@@ -1,5 +1,8 @@
 """Which measurement a filter absorbs at the end of which step, and where it starts: the same for every form of it."""
 
+from collections.abc import Collection
+from dataclasses import fields
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -91,10 +94,17 @@ def require_axes(drive: Drive, model: ModelName) -> None:
     InputError
         Naming the drive, the axes and the remedy.
     """
-    lacking = [axis for axis in MODELS[model].imu if getattr(drive.imu, axis) is None]
+    require_named_axes(
+        drive.name, [f.name for f in fields(drive.imu) if getattr(drive.imu, f.name) is not None], model
+    )
+
+
+def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> None:
+    """The same of a drive of which only the name and the axes are known."""
+    lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
-            f"{drive.name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
+            f"{name}: its imu.csv has no {', '.join(lacking)}, which {model} needs; "
             "take planar8, which needs ax, ay and gz only"
         )
 

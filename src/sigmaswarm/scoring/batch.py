@@ -2,11 +2,12 @@
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
 from sigmaswarm.filters.student import INNOVATION_DOF
+from sigmaswarm.fleets.held import Held, Here
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
@@ -45,6 +47,57 @@ class Scores:
         """The score of one set on one drive."""
         numbers = {name: float(getattr(self, name)[at]) for name in _NUMBERS}
         return Score(**numbers, failed=bool(self.failed[at]))
+
+    def stacked(self) -> Array:
+        """All scores as one array, shape (n_scores, n_sets, n_drives), to travel."""
+        return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
+
+    @classmethod
+    def unstacked(cls, stacked: Array) -> "Scores":
+        """What `stacked` made."""
+        *numbers, failed = (np.asfortranarray(one) for one in stacked)
+        return cls(*numbers, failed=failed.astype(np.bool_))
+
+
+@dataclass(frozen=True)
+class Passes:
+    """How often a drive is run, and what it is taken for: see `Replayer` and `PreparedDrive`."""
+
+    outages: bool = False
+    forecasts: bool = False
+    outage_seed: int = 0
+    as_recorded: bool = False
+
+
+class Replays(Protocol):
+    """Drives made ready, wherever they are held, to be replayed by any number of parameter sets."""
+
+    @property
+    def held(self) -> Held:
+        """The drives."""
+        ...
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
+        ...
+
+    def subset(self, drives: Sequence[int]) -> "Replays":
+        """Those of some of the drives, by index."""
+        ...
+
+    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
+        """Scores of all sets on all drives; the result has the same bits wherever the drives are held."""
+        ...
+
+    def measured(
+        self,
+        take: Callable[[Scores], Array],
+        parameter_sets: Sequence[FilterParameters],
+        executor: Executor | None = None,
+    ) -> Array:
+        """What a function of a module takes of the scores, number by number, shape (n_sets, n_drives)."""
+        ...
 
 
 class Replayer:
@@ -87,10 +140,26 @@ class Replayer:
         if forecasts:
             self._passes["forecasts"] = tuple(forecast_replay(one, seed=outage_seed) for one in ready)
 
+    @classmethod
+    def together(cls, parts: Sequence["Replayer"]) -> "Replayer":
+        """The drives of several, which have the same passes, without making anything ready again."""
+        whole = copy(parts[0])
+        whole.__dict__.pop("_steps", None)
+        whole.drives = tuple(drive for part in parts for drive in part.drives)
+        whole.initial = tuple(initial for part in parts for initial in part.initial)
+        names = parts[0]._passes
+        whole._passes = {name: tuple(r for part in parts for r in part._passes[name]) for name in names}
+        return whole
+
+    @property
+    def held(self) -> Here:
+        """The drives."""
+        return Here(self.drives)
+
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""
         part = copy(self)
-        part.__dict__.pop("steps", None)
+        part.__dict__.pop("_steps", None)
         part.drives = tuple(self.drives[i] for i in drives)
         part.initial = tuple(self.initial[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
@@ -106,9 +175,13 @@ class Replayer:
         """How many fixes are hidden to be forecast on each drive; empty without forecasts."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
-    @cached_property
+    @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
+        return self._steps
+
+    @cached_property
+    def _steps(self) -> NDArray[np.int64]:
         each = [[len(replay.timeline.dt) for replay in replays] for replays in self._passes.values()]
         return np.sum(np.array(each, dtype=np.int64), axis=0)
 
@@ -118,6 +191,15 @@ class Replayer:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
         return scores_of(self._passes, self._run(parameter_sets, executor))
+
+    def measured(
+        self,
+        take: Callable[[Scores], Array],
+        parameter_sets: Sequence[FilterParameters],
+        executor: Executor | None = None,
+    ) -> Array:
+        """What a function takes of the scores, shape (n_sets, n_drives)."""
+        return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""

@@ -10,10 +10,10 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
-from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
-from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
@@ -22,6 +22,7 @@ from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.swarm.run import SwarmRun
+from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
@@ -45,6 +46,10 @@ from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     import pandas as pd
+    from distributed import Client
+
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.fleets.held import Held
 
 METHODS = {
     "tuned": "tuned filter",
@@ -199,6 +204,15 @@ class Evaluated:
     frozen: int = 0
     drifts: Mapping[str, DriftRecord] = field(default_factory=dict[str, DriftRecord])
     seen: Overlap | None = None
+
+    def called(self, name: str) -> "Evaluated":
+        """The same under another name, where two drives have one."""
+        tracks, picture = self.tracks, self.picture
+        return replace(
+            self,
+            tracks=tracks and replace(tracks, name=name),
+            picture=picture and replace(picture, whole=replace(picture.whole, name=name)),
+        )
 
     @property
     def record(self) -> DriveRecord:
@@ -356,7 +370,7 @@ class Evaluation:
 
 
 def evaluate(
-    drives: Sequence[Drive] | Drive,
+    drives: "Sequence[Drive | Place] | Drive | Place | Held",
     parameters: FilterParameters,
     *,
     against: FilterParameters | None = None,
@@ -366,6 +380,7 @@ def evaluate(
     seen: Sequence[Landmarks] | None = None,
     smooth: bool = False,
     swarm: bool = False,
+    cluster: "Client | None" = None,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
 
@@ -393,6 +408,9 @@ def evaluate(
         behind it.
     swarm : bool
         Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveSwarm`.
+    cluster : distributed.Client, optional
+        Of a Dask cluster, whose workers read the drives, then also given as paths and URLs, and do the work. The
+        result's bits do not depend on it.
 
     Raises
     ------
@@ -403,25 +421,50 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    drives = listed(drives)
-    if not drives:
+    (held,) = held_drives(drives, cluster=cluster)
+    if not len(held):
         raise InputError("no drives were given; name at least one drive folder")
+    own = {} if against is None else {OWN: against}
+    also: dict[str, Callable[[Replay], Run]] = {}
+    if smooth:
+        also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
+    if swarm:
+        also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
+    one = partial(
+        _one,
+        parameters=parameters,
+        own=own,
+        length=outage_length,
+        seed=outage_seed,
+        as_recorded=as_recorded,
+        marked=seen is not None,
+        also=also,
+    )
     found: dict[str, Evaluated] = {}
-    for drive in drives:
-        name = _unique(drive.name, found)
-        ready = prepared(drive, as_recorded=as_recorded)
-        known = None if seen is None else known_overlap(landmarks(drive), seen)
-        filters = compared(drive, parameters) | ({} if against is None else {OWN: against})
-        also: dict[str, Callable[[Replay], Run]] = {}
-        if smooth:
-            also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
-        if swarm:
-            also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
-        found[name] = replace(_evaluated(ready, filters, also, name, outage_length, outage_seed), seen=known)
-    there = [OWN] if against is not None else []
-    there += [method for method, asked in ((SMOOTHED, smooth), (SWARM, swarm)) if asked]
-    names = method_names(parameters.kind, parameters.model, also=there)
+    for drive, each, marks in held.one_by_one(one):
+        name = _unique(drive, found)
+        known = None if seen is None or marks is None else known_overlap(marks, seen)
+        found[name] = replace(each if name == drive else each.called(name), seen=known)
+    names = method_names(parameters.kind, parameters.model, also=(*own, *also))
     return Evaluation(found, names, outage_length, outage_seed)
+
+
+def _one(
+    drive: Drive,
+    parameters: FilterParameters,
+    own: Mapping[str, FilterParameters],
+    length: float,
+    seed: int,
+    *,
+    as_recorded: bool,
+    marked: bool,
+    also: Runs,
+) -> tuple[str, Evaluated, Landmarks | None]:
+    """A drive's name, what is said of it, and where it is asked for, what it is recognized by."""
+    marks = landmarks(drive) if marked else None
+    filters = compared(drive, parameters) | dict(own)
+    ready = PreparedDrive(drive, as_recorded=as_recorded)
+    return drive.name, _evaluated(ready, filters, also, drive.name, length, seed), marks
 
 
 def _evaluated(

@@ -220,6 +220,12 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
     return _tracked(ready, filters, Tracker(ready, picture=True)).picture(name)
 
 
+def pictured(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> Picture:
+    """What a printed picture shows of a drive by a tuned filter and the manual ones."""
+    ready = PreparedDrive(drive, as_recorded=as_recorded)
+    return picture_of(ready, compared(drive, parameters), drive.name)
+
+
 def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], tracker: Tracker) -> Tracker:
     replay = replay_of(ready)
     for series, parameters in filters.items():

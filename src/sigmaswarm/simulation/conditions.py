@@ -3,17 +3,40 @@
 import os
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.errors import InputError
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.fleets.connection import Cluster
 from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
 from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
 
+if TYPE_CHECKING:
+    from distributed import Client
+
 PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 """The paper's five."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A drive that a worker of a cluster is to make: a `fleets.sources.Source`."""
+
+    maneuver: str
+    environment: str
+    run: int
+    options: dict[str, Any]
+
+    def read(self) -> tuple[Drive, list[SigmaswarmWarning]]:
+        """Make it."""
+        return simulate(self.maneuver, self.environment, run=self.run, **self.options), []
+
+    def size(self) -> float:
+        """Of three minutes at 100 Hz; most are shorter."""
+        return 6e6
 
 
 def simulate_many(
@@ -24,6 +47,7 @@ def simulate_many(
     executor: Executor | None = None,
     workers: int | None = None,
     use: Callable[[Drive], Any] | None = None,
+    ahead: int = 16,
     leave_out: Container[str] = (),
     **options: Any,
 ) -> Iterator[Any]:
@@ -42,6 +66,8 @@ def simulate_many(
     use : callable, optional
         Called with each drive where it was made, for example to write it; its result is yielded instead of
         the drive.
+    ahead : int
+        Drives that may be made before they are asked for: at least as many as work is done side by side.
     leave_out : container of str
         Names of drives not to make, such as those that an interrupted call has left.
     **options
@@ -69,10 +95,30 @@ def simulate_many(
     names = [name for name in names if drive_name(*name) not in leave_out]
     pool = executor if executor is not None else ThreadPoolExecutor(workers or os.cpu_count())
     try:
-        yield from _in_order(pool, one, names)
+        yield from _in_order(pool, one, names, ahead)
     finally:
         if executor is None:
             pool.shutdown(cancel_futures=True)
+
+
+def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
+    """`simulate_many` by the workers of a Dask cluster; drives come here in their order.
+
+    A worker that dies costs what it was about to make, which Dask has made elsewhere.
+
+    Raises
+    ------
+    ClusterError
+        If a worker has other versions, or the scheduler is gone.
+    """
+    cluster = Cluster(client)
+    cluster.check()
+    threads = sum(worker.threads for worker in cluster.workers().values())
+    try:
+        with client.get_executor(pure=False) as pool:
+            yield from simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
+    except (OSError, CancelledError):
+        raise cluster.gone() from None
 
 
 def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
@@ -87,7 +133,7 @@ def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, dur
 
 
 def _in_order(
-    pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int = 16
+    pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int
 ) -> Iterator[Any]:
     """Results in the order of the names, with at most `ahead` drives waiting, so that memory stays small."""
     waiting: deque[Future[Any]] = deque()

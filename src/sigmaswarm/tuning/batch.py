@@ -3,15 +3,18 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Array, Drive, listed
-from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.fleets.held import Held, Here
+from sigmaswarm.scoring.batch import Passes, Replayer, Replays
+from sigmaswarm.scoring.fleet import replays_on
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
 from sigmaswarm.tuning.objectives import Objective, objective_named
@@ -75,8 +78,7 @@ def run_batch(
     drives = listed(drives)
     goal = objective_named(objective)
     check_drives(drives, goal)
-    ready = [PreparedDrive(drive, as_recorded=as_recorded) for drive in drives]
-    replayer = replayer_for(goal, ready, outage_seed)
+    replayer = replays_for(goal, Here(drives), outage_seed, as_recorded=as_recorded)
     if executor is None:
         with ThreadPoolExecutor() as pool:
             scores = replayer.scores(parameter_sets, pool)
@@ -87,11 +89,11 @@ def run_batch(
     return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
 
-def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
+def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> None:
     """Raise `InputError` where the objective can't be computed on the drives."""
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
-    missing = [drive.name for drive in drives if drive.truth is None]
+    missing = [drive.name for drive in map(equipment, drives) if not drive.truth]
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
@@ -99,25 +101,33 @@ def check_drives(drives: Sequence[Drive], objective: Objective) -> None:
         )
 
 
-def replayer_for(objective: Objective, ready: Sequence[PreparedDrive], seed: int) -> Replayer:
-    """The drives, made ready for the passes that an objective needs.
+def replays_for(objective: Objective, held: Held, seed: int, *, as_recorded: bool) -> Replays:
+    """The drives, made ready where they are for the passes that an objective needs.
+
+    Raises
+    ------
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    InputError
+        As `require_fit`.
+    """
+    passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
+    return replays_on(held, passes, partial(require_fit, objective=objective.name, seed=seed))
+
+
+def require_fit(replayer: Replayer, objective: str, seed: int) -> None:
+    """Refuse drives on which an objective can't be computed.
 
     Raises
     ------
     InputError
-        If an objective can't be computed on a drive: its truth lies outside the time in which a filter runs, or it
-        is too short to hide fixes.
+        If its truth lies outside the time in which a filter runs, or it is too short to hide fixes.
     """
-    replayer = Replayer(
-        ready,
-        outages=objective.needs_outages,
-        forecasts=objective.needs_forecasts,
-        outage_seed=seed,
-    )
+    needs_truth = objective_named(objective).needs_truth
     for drive, initial, moments in zip(
         replayer.drives, replayer.initial, replayer.truth_moments, strict=True
     ):
-        if objective.needs_truth and drive.truth is not None and not moments:
+        if needs_truth and drive.truth is not None and not moments:
             raise InputError(
                 f"{drive.name}: truth covers t = {drive.truth.time[0]:g} to {drive.truth.time[-1]:g} s, but a filter "
                 f"runs from {initial.time:g} to {drive.imu.time[-1]:g} s; put truth and sensors on one clock"
@@ -129,10 +139,9 @@ def replayer_for(objective: Objective, ready: Sequence[PreparedDrive], seed: int
             if len(forecast_windows(drive, initial, seed=seed)):
                 raise InputError(
                     f"{drive.name}: {span} no fix falls into the windows of 3 to 5 s whose fixes "
-                    f"{objective.name} hides and forecasts; {remedy}"
+                    f"{objective} hides and forecasts; {remedy}"
                 )
             raise InputError(
-                f"{drive.name}: {span} there is no room to hide fixes for 3 to 5 s, which {objective.name} needs; "
+                f"{drive.name}: {span} there is no room to hide fixes for 3 to 5 s, which {objective} needs; "
                 f"take longer drives or innovation-nll"
             )
-    return replayer

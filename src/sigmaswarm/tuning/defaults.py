@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from sigmaswarm.doctor.suited import suited
+from sigmaswarm.doctor.suited import Equipment, suited
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
@@ -19,7 +19,7 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """The same for models of the user's own, which have these two only."""
 
 
-def with_filter(asked: dict[str, Any], drives: Sequence[Drive]) -> tuple[dict[str, Any], str]:
+def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Equipment]) -> tuple[dict[str, Any], str]:
     """The options of a tuning with a model and what it uses, and what was chosen and why, in a line.
 
     What the user gave stays. Where neither ``model`` nor ``use`` is given, both are those of `suited`. With ``use``
@@ -30,7 +30,7 @@ def with_filter(asked: dict[str, Any], drives: Sequence[Drive]) -> tuple[dict[st
     ----------
     asked : dict
         `TuneOptions` that the user gave.
-    drives : sequence of Drive
+    drives : sequence of Drive or Equipment
         All that the filter has to run on.
 
     Returns
@@ -66,7 +66,7 @@ def _goes(option: str, asked: dict[str, Any], model: str) -> bool:
     return kind is None or clash(kind, [option]) is None
 
 
-def objective_for(data: Sequence[Drive | Log], asked: str) -> str:
+def objective_for(data: Sequence[Drive | Equipment | Log], asked: str) -> str:
     """The objective that is asked for; for ``auto`` the one that suits the data."""
     if asked != "auto":
         return asked

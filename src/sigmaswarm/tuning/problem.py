@@ -1,24 +1,25 @@
 """What a tuning minimizes: a filter's cost on data, over a box."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from functools import cached_property, partial
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
-from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import require_axes
-from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.tuning.batch import check_drives, replayer_for
+from sigmaswarm.filters.schedule import require_named_axes
+from sigmaswarm.fleets.held import Held, Here
+from sigmaswarm.scoring.batch import Replays, Scores
+from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
@@ -93,7 +94,7 @@ class Problem(Landscape, Protocol[P]):
         """How much worse costs are than another: 0.01 is 1%."""
         ...
 
-    def on(self, data: Sequence[Any]) -> "Problem[P]":
+    def on(self, data: Any) -> "Problem[P]":
         """The same filters and objective on other data."""
         ...
 
@@ -109,14 +110,14 @@ class CarProblem:
         May be that of other drives, whose IMU Q refers to.
     data : list of dict
         Name, length and fingerprint of each drive.
-    replayer : Replayer
-        The drives, made ready for the objective.
+    replays : Replays
+        The drives, made ready for the objective where they are held.
     """
 
     config: TuneConfig
     space: SearchSpace
     data: list[dict[str, Any]]
-    replayer: Replayer
+    replays: Replays
 
     @cached_property
     def objective(self) -> Objective:
@@ -126,21 +127,22 @@ class CarProblem:
     @cached_property
     def _receiver_std(self) -> Array:
         """Of each drive, shape (m, 2), m."""
-        return np.array([receiver_std(drive) for drive in self.replayer.drives])
+        return np.array(self.replays.held.of_each(receiver_std))
 
     @property
-    def seen(self) -> tuple[Landmarks, ...]:
-        """What each drive is recognized by."""
-        return self._landmarks
+    def seen(self) -> Sequence[Landmarks]:
+        """What each drive is recognized by; on a cluster looked up when it is asked for, since it is much of many."""
+        held = self.replays.held
+        return self._landmarks if isinstance(held, Here) else LandmarksOf(held)
 
     @cached_property
     def _landmarks(self) -> tuple[Landmarks, ...]:
-        return tuple(landmarks(drive) for drive in self.replayer.drives)
+        return tuple(self.replays.held.of_each(landmarks))
 
     @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, shape (m,)."""
-        return self.replayer.steps
+        return self.replays.steps
 
     def parameters(self, point: Array) -> FilterParameters:
         """The filter at a point, shape (d,), in search coordinates."""
@@ -148,14 +150,20 @@ class CarProblem:
 
     @cached_property
     def _fix_noise(self) -> list[FixNoise]:
-        return [fix_noise(drive) for drive in self.replayer.drives]
+        return self.replays.held.of_each(fix_noise)
+
+    @cached_property
+    def equipment(self) -> list[Equipment]:
+        """What each drive has."""
+        return self.replays.held.of_each(equipment)
 
     def doubts(self, point: Array) -> list[str]:
         """What plays no part, what is left free, and, where no truth was looked at, whether R can be."""
         parameters = self.parameters(point)
-        found = said_of_accuracy(parameters, self._fix_noise)
-        found += said_of_scale(self.objective.name, parameters, self.replayer)
-        known = all(drive.truth is not None for drive in self.replayer.drives)
+        # a look at the fixes' noise takes as long as reading a drive: not where nothing can be said of it
+        found = [] if parameters.accuracy_scale is None else said_of_accuracy(parameters, self._fix_noise)
+        found += said_of_scale(self.objective.name, parameters, self.replays)
+        known = all(drive.truth for drive in self.equipment)
         if not (known and self.objective.needs_truth):
             found += self._held(point) or said_of_noise(parameters, self._fix_noise)
         return found
@@ -167,19 +175,21 @@ class CarProblem:
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        known = zip(self.replayer.drives, costs, r, self._fix_noise, strict=True)
-        held = (said_of_prior(drive, noise, near) for drive, cost, near, noise in known if cost > HELD)
+        known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
+        held = (
+            said_of_prior(one.name, std, noise, near) for one, std, noise, near, cost in known if cost > HELD
+        )
         return next(filter(None, held), [])
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.replayer.drives)), executor))
+        return self.mean(self.each(points, range(len(self.replays.held)), executor))
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
-        replayer = self.replayer.subset(drives)
+        replays = self.replays.subset(drives)
         parameter_sets = self.space.decode(points)
-        costs = self.objective.each(replayer.scores(parameter_sets, executor))
+        costs = replays.measured(partial(costs_of_each, self.config.objective), parameter_sets, executor)
         if self.config.prior:
             costs += self.config.prior * prior_costs(parameter_sets, self._receiver_std[list(drives)])
         return costs
@@ -197,13 +207,45 @@ class CarProblem:
         """How much worse costs are than another: 0.01 is 1%."""
         return self.objective.rise(costs, best)
 
-    def on(self, data: Sequence[Drive]) -> "CarProblem":
+    def on(self, data: Sequence[Drive] | Held) -> "CarProblem":
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
 
-def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace | None = None) -> CarProblem:
-    """A filter for cars on drives; in the ``space`` of other drives, where given, whose IMU Q refers to.
+@dataclass(frozen=True, eq=False)
+class LandmarksOf(Sequence[Landmarks]):
+    """What drives are recognized by that are held elsewhere."""
+
+    held: Held
+
+    def __len__(self) -> int:
+        return len(self.held)
+
+    @overload
+    def __getitem__(self, k: int) -> Landmarks: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Landmarks]: ...
+    def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
+        places = range(len(self))[k]
+        if isinstance(places, int):
+            return self.held.subset([places]).of_each(landmarks)[0]
+        return self.held.subset(places).of_each(landmarks)
+
+    def __iter__(self) -> Iterator[Landmarks]:
+        return self.held.one_by_one(landmarks)
+
+
+def costs_of_each(objective: str, scores: Scores) -> Array:
+    """The costs of an objective on each drive, shape (n_sets, n_drives); travels by its name."""
+    return objective_named(objective).each(scores)
+
+
+def car_problem(
+    drives: Sequence[Drive] | Held, config: TuneConfig, space: SearchSpace | None = None
+) -> CarProblem:
+    """A filter for cars on drives, wherever they are held.
+
+    ``space``, where given, is that of other drives, whose IMU Q refers to.
 
     Raises
     ------
@@ -218,13 +260,14 @@ def car_problem(drives: Sequence[Drive], config: TuneConfig, space: SearchSpace 
             f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
             "innovation-nll or innovation-t"
         )
-    check_drives(drives, objective)
-    _check_columns(drives, config)
-    ready = [PreparedDrive(drive, as_recorded=config.as_recorded) for drive in drives]
-    replayer = replayer_for(objective, ready, config.outage_seed)
-    data = [described(drive) for drive in drives]
+    held = Here(drives) if isinstance(drives, Sequence) else drives
+    have = held.of_each(equipment)
+    check_drives(have, objective)
+    _check_columns(have, config)
+    replays = replays_for(objective, held, config.outage_seed, as_recorded=config.as_recorded)
+    data = held.of_each(described)
     run_kernel(config.model)  # written out here, before threads start that would all wait for it
-    return CarProblem(config, space or car_space(config, usual_interval(drives)), data, replayer)
+    return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
 
 
 def car_space(config: TuneConfig, interval: float) -> SearchSpace:
@@ -232,20 +275,20 @@ def car_space(config: TuneConfig, interval: float) -> SearchSpace:
     return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
 
 
-def usual_interval(drives: Sequence[Drive]) -> float:
+def usual_interval(drives: Sequence[Drive | Equipment]) -> float:
     """The drives' usual time between two IMU samples, s."""
-    return float(np.median([drive.nominal_interval for drive in drives]))
+    return float(np.median([equipment(drive).interval for drive in drives]))
 
 
-def _check_columns(drives: Sequence[Drive], config: TuneConfig) -> None:
-    silent = [d.name for d in drives if d.gps.std_x is None or d.gps.std_y is None]
+def _check_columns(drives: Sequence[Equipment], config: TuneConfig) -> None:
+    silent = [drive.name for drive in drives if not drive.accuracy]
     if "accuracy" in config.use and silent:
         raise InputError(
             f"{silent[0]}: its gps.csv has no std_x and std_y, which --use accuracy needs; leave accuracy out"
         )
     for drive in drives:
-        require_axes(drive, config.model)
-    lacking = [d.name for d in drives if d.gps.speed is None or d.gps.course is None]
+        require_named_axes(drive.name, drive.axes, config.model)
+    lacking = [drive.name for drive in drives if not drive.velocity]
     if "velocity" in config.use and lacking:
         raise InputError(
             f"{lacking[0]}: its gps.csv has no speed and course, which --use velocity needs; leave velocity out"

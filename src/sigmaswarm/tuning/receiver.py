@@ -7,12 +7,11 @@ import numpy as np
 
 from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.noise import stated_std
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import UNSTATED_GPS_STD
-from sigmaswarm.tuning.prior import receiver_std
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
@@ -79,21 +78,24 @@ def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> l
     return [f"{said}; errors that last look like none in forecasts, and {REMEDY}"]
 
 
-def said_of_prior(drive: Drive, noise: FixNoise, r: float) -> list[str]:
-    """What held R, whose deviation is ``r`` (m), near what is known of a drive's receiver; empty where nothing did."""
-    std = float(np.mean(receiver_std(drive)))
+def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list[str]:
+    """What held R, whose deviation is ``r`` (m), near what is known of a drive's receiver; empty where nothing did.
+
+    ``receiver``: `receiver_std` of the drive of that name, shape (2,), m.
+    """
+    std = float(np.mean(receiver))
     if r * FAR_BELOW < std:
         return []
-    if stated_std(drive):
+    if np.isfinite(noise.stated):
         lasting = "; its fixes scatter less, so their errors last, and no log without truth can tell how far off they "
         more = f"{lasting}are together" if std > LASTS * noise.scatter else ""
-        return [f"{drive.name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
+        return [f"{name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
     if std == UNSTATED_GPS_STD:
         return [
-            f"{drive.name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
+            f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
             f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
         ]
-    return [f"{drive.name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
+    return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
 
 
 def said_of_accuracy(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:

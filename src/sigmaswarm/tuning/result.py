@@ -1,5 +1,6 @@
 """`Tuning`: what a tuning found, and how it is kept."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
@@ -71,7 +72,7 @@ class Tuning(Generic[P]):
     config : TuneConfig, or ModelTuneConfig for a model of your own
     data : list of dict
         Name, length and fingerprint of each drive.
-    seen : tuple of Landmarks
+    seen : sequence of Landmarks
         What each drive is recognized by, whole or in parts: for `evaluate`.
     doubts : tuple of str
         What the drives say against the filter, and the objective does not see.
@@ -92,7 +93,7 @@ class Tuning(Generic[P]):
     best_trial: int
     config: SearchConfig
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    seen: tuple[Landmarks, ...] = ()
+    seen: Sequence[Landmarks] = ()
     doubts: tuple[str, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None

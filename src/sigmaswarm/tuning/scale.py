@@ -8,7 +8,7 @@ points' spread, and with it the mean, follows the scale. What the factor does to
 """
 
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.batch import Replays
 
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not look at a covariance."""
@@ -19,7 +19,7 @@ NEAR = 0.2
 """Share by which mean NIS may miss 2 after the factor."""
 
 
-def said_of_scale(objective: str, parameters: FilterParameters, replayer: Replayer) -> list[str]:
+def said_of_scale(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
     """A sentence where the objective leaves the covariance's scale free, with the factor that makes NIS right.
 
     The factor is offered for planar8 and tilted12, where it leaves the positions as they are; see
@@ -27,12 +27,12 @@ def said_of_scale(objective: str, parameters: FilterParameters, replayer: Replay
     """
     if objective not in SCALE_FREE:
         return []
-    before = replayer.scores([parameters])
+    before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
     said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is right; "
     remedy = REMEDY.format(objective=objective)
     if parameters.model != "planar5" and nis > 0:
-        after = replayer.scores([parameters.scaled(nis / 2)])
+        after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= NEAR:
             return [

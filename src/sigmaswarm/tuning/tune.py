@@ -4,18 +4,22 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
+from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive, listed
-from sigmaswarm.drives.overlap import SEEN_FILE, overlap_of, save_landmarks
+from sigmaswarm.drives.overlap import SEEN_FILE, SavedLandmarks, overlap_of, save_landmarks
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.fleets.gathering import held_drives
+from sigmaswarm.fleets.held import Held
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import objective_for, with_filter
@@ -23,26 +27,33 @@ from sigmaswarm.tuning.margin import MARGIN, with_margin
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
-from sigmaswarm.tuning.problem import Problem, car_problem
+from sigmaswarm.tuning.problem import CarProblem, Problem, car_problem
 from sigmaswarm.tuning.result import Tuning, Validation
 from sigmaswarm.tuning.search import Progress, Search, Trial
 from sigmaswarm.tuning.sensitivity import sensitivities
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from sigmaswarm.drives.places import Place
+
+TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 C = TypeVar("C", bound=SearchConfig)
 P = TypeVar("P")
 
 
 @overload
 def tune(
-    drives: Sequence[Drive] | Drive,
+    drives: "Sequence[Drive | Place] | Drive | Place | Held",
     *,
-    validation: Sequence[Drive] | Drive = ...,
+    validation: "Sequence[Drive | Place] | Drive | Place | Held" = ...,
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
     executor: Executor | None = None,
+    cluster: "Client | None" = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Unpack[TuneOptions],
 ) -> Tuning[FilterParameters]: ...
@@ -60,13 +71,14 @@ def tune(
     **config: Unpack[SearchOptions],
 ) -> Tuning[dict[str, float]]: ...
 def tune(
-    drives: Sequence[Drive] | Sequence[Log] | Drive | Log,
+    drives: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held",
     *,
-    validation: Sequence[Drive] | Sequence[Log] | Drive | Log = (),
+    validation: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held" = (),
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
     executor: Executor | None = None,
+    cluster: "Client | None" = None,
     progress: Callable[[Progress], None] | None = None,
     **config: Any,
 ) -> Tuning[Any]:
@@ -75,7 +87,8 @@ def tune(
     Parameters
     ----------
     drives : Drive or sequence of Drive; Log or sequence of Log
-        The training drives, or the logs of a model of your own. Keep others back for `evaluate`.
+        The training drives, or the logs of a model of your own. Keep others back for `evaluate`. With a ``cluster``
+        also paths and URLs of drives, which its workers read, so that this process never holds them.
     validation : Drive or sequence of Drive
         Drives that the search does not see. What the objective says on them stands in the result; nothing is chosen
         by it.
@@ -88,6 +101,8 @@ def tune(
         it are refused.
     executor : concurrent.futures.Executor, optional
         Shares the work; threads on all cores by default. The result's bits do not depend on it.
+    cluster : distributed.Client, optional
+        Of a Dask cluster, whose workers hold the drives and do the work; nor do the bits depend on it.
     progress : callable, optional
         Called with a `Progress` after every generation.
     **config
@@ -103,22 +118,35 @@ def tune(
         parameter set gave a finite cost.
     AlignmentError
         If a drive never moves far enough to start a filter.
+    ClusterError
+        If the cluster can't do the work: its scheduler is gone, a worker has other versions, the drives don't fit.
     """
-    data, others = listed(drives), listed(validation)
-    problem, settings = _problem(data, others, papers_config(config) if paper else config)
-    held_back = problem.on(others) if others else None
+    asked = papers_config(config) if paper else config
+    if isinstance(asked.get("model"), Model):
+        if cluster is not None:
+            raise InputError(
+                "cluster: a model of your own is tuned in processes of this machine; leave it out"
+            )
+        problem, others, settings = _own_problem(listed(drives), listed(validation), asked)
+    else:
+        data, others = held_drives(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
+        problem, settings = _car_problem(data, others, asked)
+    held_back = problem.on(others) if len(others) else None
     if held_back:
         check_apart(problem, held_back)
     with ExitStack() as stack:
-        folder = None
+        folder = seen = None
         if out is not None:  # made only once nothing is left that the user could have got wrong
             folder = tuning_folder(
                 stack.enter_context(held_folder(Path(out))), problem, settings, resume=resume
             )
             if problem.seen:
-                save_landmarks(problem.seen, folder.path / SEEN_FILE)
+                names = tuple((entry["name"], entry["sha256"]) for entry in problem.data)
+                save_landmarks(problem.seen, folder.path / SEEN_FILE, names)
+                seen = SavedLandmarks(folder.path / SEEN_FILE, names)
         pool = executor or stack.enter_context(ThreadPoolExecutor())
-        return tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
+        tuning = tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
+    return tuning if seen is None or isinstance(problem.seen, tuple) else replace(tuning, seen=seen)
 
 
 def tuning_folder(path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool) -> ResultFolder:
@@ -145,21 +173,22 @@ def tune_problem(
     return tuning
 
 
-def _problem(
+def _own_problem(
     data: Sequence[Any], others: Sequence[Any], config: dict[str, Any]
-) -> tuple[Problem[Any], SearchConfig]:
-    """What is minimized: for a model of the user's own on logs, or for a car's on drives."""
-    model = config.get("model")
-    wanted = Log if isinstance(model, Model) else Drive
-    stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, wanted)]
+) -> tuple[Problem[Any], Sequence[Any], SearchConfig]:
+    """What is minimized for a model of the user's own, on logs; the logs held back; and the settings."""
+    model: Model = config["model"]
+    stray = [type(thing).__name__ for thing in (*data, *others) if not isinstance(thing, Log)]
     if stray:
         raise InputError(f"got a {stray[0]}; tune takes Drives, or Logs together with model=Model(...)")
-    if isinstance(model, Model):
-        settings = _settled(
-            validated_config(ModelTuneConfig, config | {"model": model.identity()}), [*data, *others]
-        )
-        return ModelProblem(data, model, settings), settings
-    everywhere = [*data, *others]
+    asked = validated_config(ModelTuneConfig, config | {"model": model.identity()})
+    settings = _settled(asked, [*data, *others])
+    return ModelProblem(data, model, settings), others, settings
+
+
+def _car_problem(data: Held, others: Held, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
+    """What is minimized for a car's filter, on drives."""
+    everywhere = [*data.of_each(equipment), *others.of_each(equipment)]
     asked, _ = with_filter(config, everywhere)
     settings = _settled(validated_config(TuneConfig, asked), everywhere)
     problem = car_problem(data, settings)
@@ -174,7 +203,7 @@ def _problem(
     return problem, settings
 
 
-def _settled(config: C, data: Sequence[Drive | Log]) -> C:
+def _settled(config: C, data: Sequence[Equipment | Log]) -> C:
     """The configuration with what its defaults stand for on this data."""
     return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective)}))
 
@@ -197,7 +226,7 @@ def check_apart(problem: Problem[Any], held_back: Problem[Any]) -> None:
     both = [entry["name"] for entry in held_back.data if entry["sha256"] in seen]
     if both:
         raise InputError(f"{both[0]} is among the training drives, too; hold others back for validation")
-    known = problem.seen
+    known = tuple(problem.seen) if len(held_back.seen) else ()
     for drive in held_back.seen:
         if found := overlap_of(drive, known):
             raise InputError(
@@ -236,7 +265,7 @@ def _chosen(
         best_trial=best,
         config=config,
         data=problem.data,
-        seen=tuple(problem.seen),
+        seen=problem.seen,
         doubts=tuple(problem.doubts(point)),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,

@@ -15,16 +15,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.doctor.suited import equipment
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.compare.contenders import Contender, budget, contenders
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.files import held_folder, write_whole
+from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
@@ -33,17 +35,24 @@ from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import check_apart, tune_problem, tuning_folder
 from sigmaswarm.versions import versions
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from sigmaswarm.drives.places import Place
+    from sigmaswarm.fleets.held import Held
+
 
 def compare(
-    drives: Sequence[Drive] | Drive,
+    drives: "Sequence[Drive | Place] | Drive | Place | Held",
     *,
     optimizers: Sequence[str] = ("pso", "ga", "ga-pso", "de", "cma-es", "random"),
     scales: Sequence[str] = ("log10",),
     seeds: int = SEEDS,
-    validation: Sequence[Drive] | Drive = (),
+    validation: "Sequence[Drive | Place] | Drive | Place | Held" = (),
     out: str | Path | None = None,
     resume: bool = False,
     workers: int | None = None,
+    cluster: "Client | None" = None,
     progress: Callable[[int, int], None] | None = None,
     **config: Unpack[CompareOptions],
 ) -> Comparison:
@@ -68,6 +77,9 @@ def compare(
         Go on with what ``out`` holds; the result is the same as without the interruption, but for the times.
     workers : int, optional
         Threads; as many as cores by default. The result does not depend on it.
+    cluster : distributed.Client, optional
+        Of a Dask cluster, whose workers read the drives, then also given as paths and URLs, and do the work;
+        ``workers`` is then how many tunings run side by side. The result does not depend on it.
     progress : callable, optional
         Called with the number of runs done, and of all, after every run.
     **config
@@ -78,7 +90,6 @@ def compare(
     InputError
         If an option, optimizer, drive or folder can't be used.
     """
-    drives, held_out = listed(drives), listed(validation)
     if seeds < 1:
         raise InputError(f"seeds = {seeds}: at least 1 is needed")
     for name in ("seed", "optimizer", "scale"):
@@ -87,13 +98,15 @@ def compare(
     for name in ("prior", "margin"):
         if name in config:
             raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
-    everywhere = [*drives, *held_out]
+    training, held_out = held_drives(drives, validation, cluster=cluster)
+    trained, tested = training.of_each(equipment), held_out.of_each(equipment)
+    everywhere = [*trained, *tested]
     objective = objective_for(everywhere, config.get("objective", "auto"))
     asked_filter, _ = with_filter({**config}, everywhere)
     plain = {"prior": 0.0, "margin": 0.0}
     rivals = contenders(optimizers, scales, {**asked_filter, **plain, "objective": objective})
-    problem = car_problem(drives, rivals[0].config)
-    beside = problem.on(held_out) if held_out else None
+    problem = car_problem(training, rivals[0].config)
+    beside = problem.on(held_out) if len(held_out) else None
     if beside:
         check_apart(problem, beside)
     if problem.objective.warning:
@@ -120,8 +133,8 @@ def compare(
         runs={r.label: tuple(outcomes[_Run(r, seed)] for seed in range(seeds)) for r in rivals},
         budget=budget(rivals[0].config),
         steps_per_set=asked["steps_per_set"],
-        drives=tuple(drive.name for drive in drives),
-        test=tuple(drive.name for drive in held_out),
+        drives=tuple(drive.name for drive in trained),
+        test=tuple(drive.name for drive in tested),
     )
 
 
@@ -141,7 +154,7 @@ def _asked(
 
 def _searched(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
     """What each contender minimizes: on drives that all of them share, in the box of its own scale."""
-    interval = usual_interval(problem.replayer.drives)
+    interval = usual_interval(problem.equipment)
     spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
     return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 
@@ -194,7 +207,7 @@ def _outcome(tuning: Tuning, held_out: CarProblem | None) -> Outcome:
     """A tuning's costs, and its scores on drives that it never saw."""
     cost = rmse = heading = None
     if held_out:
-        scores = held_out.replayer.scores([tuning.parameters])
+        scores = held_out.replays.scores([tuning.parameters])
         cost = float(held_out.objective.costs(scores, tuning.config.worst)[0])
         rmse, heading = _mean(scores.position_rmse[0]), _mean(np.degrees(scores.heading_rmse[0]))
     evaluations, steps, best = _history(tuning)

@@ -1,24 +1,38 @@
 """The design of a study: its drives in conditions, a split for each trial, and the list of its tunings."""
 
 import hashlib
+import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.drives.overlap import landmarks, overlap_of
+from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
+from sigmaswarm.drives.places import listed_places
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.reader import drive_folders, read_drive
+from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, TUNED_METHODS, ProtocolName, StudyConfig
-from sigmaswarm.simulation.conditions import simulate_many
+from sigmaswarm.fleets.connection import Cluster
+from sigmaswarm.fleets.fleet import Fleet, sources_of, told_of_each
+from sigmaswarm.fleets.held import Here
+from sigmaswarm.fleets.sources import Source
+from sigmaswarm.scoring.batch import Passes, Replayer, Replays
+from sigmaswarm.scoring.fleet import FleetReplays, of_each_prepared
+from sigmaswarm.simulation.conditions import Simulated, simulate_many
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +41,22 @@ class Design:
 
     Attributes
     ----------
-    drives : tuple of Drive
-        Each with truth and a name of its own.
+    drives : tuple of Drive or Equipment
+        Each with truth and a name of its own; of those that a cluster's workers hold, what they have.
     conditions : tuple of (maneuver, environment)
         Of each drive.
     strata : tuple of str
         Of each drive: the group within which it is split.
     config : StudyConfig
+    fleet : Fleet or None
+        The workers' drives.
     """
 
-    drives: tuple[Drive, ...]
+    drives: tuple[Drive | Equipment, ...]
     conditions: tuple[tuple[str, str], ...]
     strata: tuple[str, ...]
     config: StudyConfig
+    fleet: Fleet | None = None
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -49,7 +66,25 @@ class Design:
     @cached_property
     def prepared(self) -> tuple[PreparedDrive, ...]:
         """The drives made ready for filters, each once; as recorded, for the paper knows of no other rule."""
-        return tuple(PreparedDrive(drive, as_recorded=True) for drive in self.drives)
+        return tuple(
+            PreparedDrive(drive, as_recorded=True) for drive in self.drives if isinstance(drive, Drive)
+        )
+
+    def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
+        """What a function of a module says of drives made ready, by index, or of all: where they are held."""
+        chosen = range(len(self.drives)) if drives is None else drives
+        if self.fleet is None:
+            return [function(self.prepared[i]) for i in chosen]
+        return told_of_each(self.fleet.subset(chosen).ask(of_each_prepared, function, True))
+
+    def replays(self, *, outages: bool) -> Replays:
+        """All drives, to be replayed where they are held."""
+        seed = self.config.seed
+        if self.fleet is None:
+            return Replayer(self.prepared, outages=outages, outage_seed=seed)
+        return FleetReplays(
+            self.fleet, Passes(outages=outages, outage_seed=seed, as_recorded=True), _as_it_is
+        )
 
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""
@@ -66,9 +101,7 @@ class Design:
             own = self.members(stratum)
             key = (trial, zlib.crc32(stratum.encode()))
             rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=key))
-            chosen, _ = split_drives([self.drives[i] for i in own], self.config.train_fraction, rng=rng)
-            names = {drive.name for drive in chosen}
-            train += [i for i in own if self.drives[i].name in names]
+            train += split_drives(own, self.config.train_fraction, rng=rng)[0]
         return sorted(train), sorted(set(range(len(self.drives))) - set(train))
 
     @property
@@ -82,7 +115,7 @@ class Design:
 
     def fingerprint(self) -> str:
         """A hash of all drives' names and numbers."""
-        each = (f"{drive.name} {fingerprint(drive)}\n" for drive in self.drives)
+        each = (f"{name} {sha256}\n" for name, sha256 in self.of_each(_identity))
         return hashlib.sha256("".join(each).encode()).hexdigest()
 
 
@@ -106,16 +139,25 @@ def kind(protocol: str, method: str, group: str) -> str:
     return f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
 
 
-def make_design(config: StudyConfig, executor: Executor | None = None) -> Design:
-    """Simulate or read a study's drives.
+def make_design(
+    config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
+) -> Design:
+    """Simulate or read a study's drives, here or on the workers of a cluster.
 
     Raises
     ------
     InputError
         If the drives are too few, lack truth, or can't be read or made.
     """
-    if config.drives:
-        drives = [read_drive(path) for given in config.drives for path in drive_folders(Path(given))]
+    fleet: Fleet | None = None
+    drives: list[Drive] | list[Equipment]
+    if cluster is not None:
+        fleet = Fleet.read(Cluster(cluster), _sources(config))
+        for warning in fleet.warned:
+            warnings.warn(warning, stacklevel=2)
+        drives = fleet.of_each(equipment)
+    elif config.drives:
+        drives = [read_drive(place) for place in listed_places(config.drives)]
     else:
         drives = list(
             simulate_many(
@@ -129,20 +171,37 @@ def make_design(config: StudyConfig, executor: Executor | None = None) -> Design
             )
         )
     _check(drives, config)
+    held = Here([d for d in drives if isinstance(d, Drive)]) if fleet is None else fleet
     if config.drives:  # of those that are simulated no two are the same
-        _check_apart(drives)
-    conditions = tuple(_condition(drive) for drive in drives)
+        _check_apart(held.of_each(landmarks))
+    conditions = tuple(held.of_each(_condition))
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
     # Where a condition has one drive only, conditions can't be split by themselves.
-    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config)
+    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, fleet)
 
 
-def _check_apart(drives: Sequence[Drive]) -> None:
+def _sources(config: StudyConfig) -> list[Source]:
+    """Where a cluster's workers get the drives."""
+    if config.drives:
+        return sources_of(listed_places(config.drives))
+    options = {"imu": config.imu, "gps": config.gps, "seed": config.seed}
+    names = ((m, e, run) for m in config.maneuvers for e in config.environments for run in range(config.runs))
+    return [Simulated(*name, options) for name in names]
+
+
+def _as_it_is(_: Replayer) -> None:
+    """Whatever was made ready serves a study."""
+
+
+def _identity(ready: PreparedDrive) -> tuple[str, str]:
+    return ready.drive.name, fingerprint(ready.drive)
+
+
+def _check_apart(marks: Sequence[Landmarks]) -> None:
     """Refuse drives that share a part: it would be in training and test drives."""
-    marks = [landmarks(drive) for drive in drives]
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
             raise InputError(
@@ -157,12 +216,12 @@ def _condition(drive: Drive) -> tuple[str, str]:
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
-def _check(drives: Sequence[Drive], config: StudyConfig) -> None:
+def _check(drives: Sequence[Drive | Equipment], config: StudyConfig) -> None:
     if len(drives) < 2:
         raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; give more")
     names: set[str] = set()
     for drive in drives:
-        if drive.truth is None:
+        if not drive.truth:
             raise InputError(
                 f"{drive.name}: has no truth, which a study scores against; "
                 "tune on it with `sigmaswarm tune --objective innovation-nll`"

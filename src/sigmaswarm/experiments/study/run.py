@@ -17,7 +17,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,13 +34,15 @@ from sigmaswarm.experiments.study.timings import Stopwatch, write_timings
 from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
 from sigmaswarm.tuning.search import Search, Trial
 from sigmaswarm.tuning.space import SearchSpace
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ def run_study(
     resume: bool = False,
     executor: Executor | None = None,
     workers: int | None = None,
+    cluster: "Client | None" = None,
     progress: Callable[[StudyProgress], None] | None = None,
 ) -> Study:
     """Run a study, or go on with one, and write its results.
@@ -126,6 +129,9 @@ def run_study(
         Runs the tunings side by side; a pool of threads of its own by default.
     workers : int, optional
         Threads of that pool; as many as the machine has cores by default. The result does not depend on it.
+    cluster : distributed.Client, optional
+        Of a Dask cluster, whose workers make or read the drives, hold them, and do the work; the threads here only
+        ask. Nor does the result depend on it.
     progress : callable, optional
         Called with a `StudyProgress` after every generation of every tuning.
 
@@ -140,7 +146,7 @@ def run_study(
     with held_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
         pool = executor or stack.enter_context(ThreadPoolExecutor(workers))
-        design = make_design(config, pool)
+        design = make_design(config, pool, cluster)
         spaces = _spaces(design)
         trials = _tune_all(design, spaces, folder, pool, progress)
         watch.lap("tuning")
@@ -210,7 +216,7 @@ def _tune_all(
     progress: Callable[[StudyProgress], None] | None,
 ) -> dict[Task, Trial]:
     """Every tuning of the study, on the drives of its group that its trial trains on."""
-    replayer = Replayer(design.prepared, outages=False)
+    replayer = design.replays(outages=False)
     folders = _result_folders(design, out)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
 

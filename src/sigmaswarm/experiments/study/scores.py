@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, datasheet
-from sigmaswarm.scoring.batch import Replayer, Scores
+from sigmaswarm.scoring.batch import Replays, Scores
 from sigmaswarm.scoring.evaluation import score_imu_only
 from sigmaswarm.scoring.score import Score, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH
@@ -103,7 +104,7 @@ def score_all(
     design: Design, parameters: Mapping[Task, FilterParameters], executor: Executor | None = None
 ) -> ScoreTable:
     """Score every method on the drives that each trial held back."""
-    replayer = Replayer(design.prepared, outages=True, outage_seed=design.config.seed)
+    replayer = design.replays(outages=True)
     trials = design.config.trials
     tested = np.zeros((trials, len(design.drives)), dtype=np.bool_)
     for trial in range(trials):
@@ -121,7 +122,7 @@ def score_all(
 
 
 def _tuned(
-    parameters: Mapping[Task, FilterParameters], design: Design, replayer: Replayer, executor: Executor | None
+    parameters: Mapping[Task, FilterParameters], design: Design, replayer: Replays, executor: Executor | None
 ) -> dict[str, Array]:
     """Scores of one tuned method, shape (trials, drives): on each drive the filter of its own group."""
     found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in STUDY_MEASURES}
@@ -134,19 +135,23 @@ def _tuned(
     return found
 
 
-def _untuned(method: str, design: Design, replayer: Replayer, executor: Executor | None) -> dict[str, Array]:
+def _untuned(method: str, design: Design, replayer: Replays, executor: Executor | None) -> dict[str, Array]:
     """Scores of an untuned method on all drives, shape (drives,)."""
     if method in ("imu-only", "raw-gps"):
         score = _imu_only if method == "imu-only" else _raw_gps
-        return _of_scores([score(ready, design.config.seed) for ready in design.prepared])
+        return _of_scores(design.of_each(partial(score, seed=design.config.seed)))
     by_set: dict[FilterParameters, list[int]] = {}
-    for i, drive in enumerate(design.drives):
-        by_set.setdefault(manual(method, drive), []).append(i)
+    for i, parameters in enumerate(design.of_each(partial(_manual, method=method))):
+        by_set.setdefault(parameters, []).append(i)
     found = {m: np.full(len(design.drives), np.nan) for m in STUDY_MEASURES}
     for parameters, members in by_set.items():
         for measure, values in _measured(replayer.subset(members).scores([parameters], executor)).items():
             found[measure][members] = values[0]
     return found
+
+
+def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
+    return manual(method, ready.drive)
 
 
 def _measured(scores: Scores) -> dict[str, Array]:
@@ -162,7 +167,8 @@ def _of_scores(scores: list[Score]) -> dict[str, Array]:
     }
 
 
-def _raw_gps(ready: PreparedDrive, _: int) -> Score:
+def _raw_gps(ready: PreparedDrive, seed: int) -> Score:
+    del seed  # there is nothing to hide
     return replace(score_raw_gps(ready.drive, ready.initial), fix_rmse=0.0)  # what equation 4 compares with
 
 

@@ -48,9 +48,13 @@ def write_timings(out: Path, design: Design, watch: Stopwatch) -> dict[str, dict
         runs = list(json.loads(file.read_text())["runs"])
     except (OSError, ValueError, KeyError, TypeError):
         runs: list[Any] = []
-    live = {name: _live_times(design.prepared[0], kind, n) for name, (kind, n) in LIVE.items()}
+    (live,) = design.of_each(_all_live_times, [0])
     write_json(file, {"runs": [*runs, watch.laps], "live_filter": live})
     return live
+
+
+def _all_live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
+    return {name: _live_times(ready, kind, n) for name, (kind, n) in LIVE.items()}
 
 
 def _live_times(ready: PreparedDrive, kind: FilterKind, n_states: int) -> dict[str, float]:

@@ -1,7 +1,9 @@
 """Tracks of a study: a few drives that its best trial held back, by the filters that this trial tuned."""
 
 from collections.abc import Mapping
+from functools import partial
 
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import ALL, MAIN, ProtocolName
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.scores import manual
@@ -30,17 +32,24 @@ def follow(
     tracks: list[Tracks] = []
     pictures: list[Picture] = []
     for i in shown_drives(design, trial):
-        ready = design.prepared[i]
-        replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=not pictures)
         tuned = {f"{p}-{m}": parameters[Task(p, m, design.group_of(i), trial)] for p, m in FOLLOWED}
-        by_hand = {method: manual(method, ready.drive) for method in MANUAL}
-        for series, one in (tuned | by_hand).items():
-            tracker.record(series, replay, one)
-        tracker.keep_estimate("imu_only", run_imu_only(ready))
-        tracks.append(tracker.tracks(ready.drive.name))
-        if not pictures:
-            pictures.append(tracker.picture(ready.drive.name))
+        ((found, picture),) = design.of_each(partial(_followed, tuned=tuned, drawn=not pictures), [i])
+        tracks.append(found)
+        pictures += [picture] if picture else []
     return tracks, pictures[0]
+
+
+def _followed(
+    ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
+) -> tuple[Tracks, Picture | None]:
+    """Tracks of one drive, and what a printed picture shows of it, if it is to be ``drawn``."""
+    name = ready.drive.name
+    replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=drawn)
+    by_hand = {method: manual(method, ready.drive) for method in MANUAL}
+    for series, one in {**tuned, **by_hand}.items():
+        tracker.record(series, replay, one)
+    tracker.keep_estimate("imu_only", run_imu_only(ready))
+    return tracker.tracks(name), tracker.picture(name) if drawn else None
 
 
 def shown_drives(design: Design, trial: int) -> list[int]:

@@ -1,0 +1,106 @@
+"""A Dask scheduler and workers as processes of their own on 127.0.0.1, each ended by its own id."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+WORKER = """
+import sys
+from distributed.cli.dask_worker import main
+main(sys.argv[1:], standalone_mode=True)
+"""
+OTHER_VERSION = "import sigmaswarm.versions; sigmaswarm.versions.__version__ = '0.0.1'\n" + WORKER
+
+
+class Processes:
+    """A scheduler, and workers that can be killed and that can come, in a folder for their files and logs."""
+
+    def __init__(self, folder: Path, workers: int = 2, *, threads: int = 1, memory: str = "0") -> None:
+        self.folder, self._threads, self._memory = folder, threads, memory
+        folder.mkdir(parents=True, exist_ok=True)
+        self._started: dict[str, subprocess.Popen[bytes]] = {}
+        self.file = folder / "scheduler.json"
+        command = ["-c", "from distributed.cli.dask_scheduler import main; main()"]
+        options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(self.file)]
+        options += ["--idle-timeout", "3600"]  # should nobody be left to end it
+        self._start("scheduler", [*command, *options])
+        self._wait(self.file.exists)
+        for _ in range(workers):
+            self.add()
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        for name in reversed(list(self._started)):
+            self.kill(name)
+
+    @property
+    def address(self) -> str:
+        """The scheduler's."""
+        import json
+
+        return str(json.loads(self.file.read_text())["address"])
+
+    @property
+    def workers(self) -> list[str]:
+        """Names of those that were started and not killed."""
+        return [name for name in self._started if name != "scheduler"]
+
+    def add(self, program: str = WORKER, *options: str) -> str:
+        """Start a worker, without a nanny; its name."""
+        name = f"worker-{len(list(self.folder.glob('worker-*.log')))}"
+        usual = [
+            "--no-nanny",
+            "--nthreads",
+            str(self._threads),
+            "--memory-limit",
+            self._memory,
+            "--no-dashboard",
+        ]
+        usual += ["--death-timeout", "60"]
+        place = ["--host", "127.0.0.1", "--name", name, "--local-directory", str(self.folder / "scratch")]
+        self._start(name, ["-c", program, str(self.address), *usual, *place, *options])
+        return name
+
+    def kill(self, name: str) -> None:
+        """End one process at once, by its own id."""
+        process = self._started.pop(name)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+
+    def memory(self, name: str) -> int:
+        """Bytes that a process has in memory, at most so far."""
+        status = Path(f"/proc/{self._started[name].pid}/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024
+
+    def processor(self, name: str) -> float:
+        """Seconds of a processor that a process has used so far."""
+        fields = Path(f"/proc/{self._started[name].pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def log(self) -> str:
+        """What all of them wrote."""
+        return "".join(file.read_text() for file in sorted(self.folder.glob("*.log")))
+
+    def _start(self, name: str, arguments: Sequence[str]) -> None:
+        one_thread = {"OMP_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}
+        with (self.folder / f"{name}.log").open("wb") as log:
+            self._started[name] = subprocess.Popen(
+                [sys.executable, *arguments], stdout=log, stderr=log, env=os.environ | one_thread
+            )
+
+    @staticmethod
+    def _wait(done, seconds: float = 60.0) -> None:
+        until = time.monotonic() + seconds
+        while not done():
+            if time.monotonic() > until:
+                raise TimeoutError("the scheduler did not start")
+            time.sleep(0.05)

@@ -1,0 +1,252 @@
+"""A Dask cluster of processes of their own: the same bytes as on threads, and what goes wrong told in one line."""
+
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dask_processes import OTHER_VERSION, Processes
+from sigmaswarm import (
+    FilterParameters,
+    StudyConfig,
+    compare,
+    evaluate,
+    read_drive,
+    simulate,
+    tune,
+    write_drive,
+)
+from sigmaswarm.cli import main
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.design import make_design
+from sigmaswarm.experiments.study.scores import score_all
+from sigmaswarm.fleets.connection import Cluster, ClusterError, connected
+from sigmaswarm.fleets.fleet import Fleet
+from sigmaswarm.fleets.sources import At
+from sigmaswarm.scoring.batch import Passes
+from sigmaswarm.scoring.fleet import replays_on
+from sigmaswarm.simulation.conditions import simulated_on
+from sigmaswarm.tuning.batch import require_fit
+from support import assert_same
+
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
+
+FILTER = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0), nominal_interval=0.01)
+SMALL = {"particles": 6, "generations": 3, "model": "planar5", "objective": "truth-rmse + 0.2 nees"}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four short drives; one of them in Parquet."""
+    place = tmp_path_factory.mktemp("fleet")
+    drives = [simulate("turns", run=run, gps="white-1m") for run in range(4)]
+    return [write_drive(d, place / d.name, form="parquet" if k == 1 else "csv") for k, d in enumerate(drives)]
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+    with Processes(tmp_path_factory.mktemp("dask")) as running:
+        yield running
+
+
+@pytest.fixture
+def client(processes: Processes):
+    with connected(processes.address) as client:
+        client.wait_for_workers(2, timeout=60)
+        yield client
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
+
+
+@pytest.fixture(scope="module")
+def on_threads(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What a tuning on threads leaves, with two drives held back."""
+    out = tmp_path_factory.mktemp("threads") / "out"
+    drives = [read_drive(folder) for folder in folders]
+    tune(drives[:3], validation=drives[3:], out=out, **SMALL)
+    return tree(out)
+
+
+def test_a_tuning_ends_in_the_bytes_of_one_on_threads(client, folders, on_threads, tmp_path):
+    given = [read_drive(folders[0]), *folders[1:3]]  # drives and places may stand side by side
+    tune(given, validation=folders[3], out=tmp_path / "out", cluster=client, **SMALL)
+    assert tree(tmp_path / "out") == on_threads
+
+
+def test_a_race_and_an_evaluation_are_those_of_threads(client, folders):
+    drives = [read_drive(folder) for folder in folders]
+    asked = SMALL | {"racing": True}
+    here, there = tune(drives, **asked), tune(folders, cluster=client, **asked)
+    assert (here.cost, here.steps) == (there.cost, there.steps)
+    assert here.parameters == there.parameters
+    same = [drives[0], drives[0], drives[2]]  # two of one name
+    told = [evaluate(same, FILTER, seen=here.seen, cluster=c) for c in (None, client)]
+    assert told[0].to_dict() == told[1].to_dict()
+    assert told[0].asked == told[1].asked
+
+
+def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_threads, tmp_path):
+    with Processes(tmp_path / "dask") as running, connected(running.address) as client:
+        client.wait_for_workers(2, timeout=60)
+
+        def disturb(progress) -> None:
+            if progress.generation == 1:
+                running.kill("worker-0")
+            if progress.generation == 2:
+                running.kill("worker-1")  # nobody is left, and one comes while the tuning waits
+                threading.Timer(1.0, running.add).start()
+
+        with pytest.warns(match="no worker is left at tcp://127.0.0.1:.*: waiting for one to come"):
+            asked = {"validation": folders[3:], "out": tmp_path / "out", "progress": disturb}
+            tune(folders[:3], cluster=client, **asked, **SMALL)
+        assert tree(tmp_path / "out") == on_threads
+
+        # With the scheduler gone it ends in one line, and goes on elsewhere.
+        def end(progress) -> None:
+            if progress.generation == 2:
+                running.kill("scheduler")
+
+        began = time.monotonic()
+        with pytest.raises(
+            ClusterError, match=r"^the scheduler at tcp://.* is gone; .* go on with --resume"
+        ) as caught:
+            tune(
+                folders[:3],
+                validation=folders[3:],
+                out=tmp_path / "two",
+                progress=end,
+                cluster=client,
+                **SMALL,
+            )
+        assert "\n" not in str(caught.value)
+        assert time.monotonic() - began < 60
+    drives = [read_drive(folder) for folder in folders]
+    tune(drives[:3], validation=drives[3:], out=tmp_path / "two", resume=True, **SMALL)
+    assert tree(tmp_path / "two") == on_threads
+
+
+def test_a_newcomer_takes_its_share(processes, client, folders):
+    fleet = Fleet.read(Cluster(client), map(At, folders))
+    replays = replays_on(fleet, Passes(), partial(require_fit, objective="truth-rmse", seed=0))
+    before = replays.scores([FILTER]).position_rmse
+    name = processes.add()
+    try:
+        client.wait_for_workers(3, timeout=60)
+        fleet.yard._looked = -np.inf
+        assert (replays.scores([FILTER]).position_rmse == before).all()
+        held = {host.worker.name: len(host.held) for host in fleet.yard.hosts.values()}
+        assert set(held) == {"worker-0", "worker-1", name}
+        assert min(held.values()) == 1
+        assert sum(held.values()) == 4
+    finally:
+        processes.kill(name)
+
+
+def test_a_study_asks_the_workers_for_what_it_asks_here(client):
+    config = StudyConfig(maneuvers=("turns", "brake"), environments=("clear",), runs=2, trials=2)
+    here, there = make_design(config), make_design(config, cluster=client)
+    assert (here.conditions, here.strata) == (there.conditions, there.strata)
+    assert here.fingerprint() == there.fingerprint()
+    assert [here.split(k) for k in range(2)] == [there.split(k) for k in range(2)]
+    a, b = score_all(here, {}), score_all(there, {})
+    assert a.to_frame().equals(b.to_frame())
+
+
+def test_compare_and_simulate_are_those_of_threads(client, folders):
+    drives = [read_drive(folder) for folder in folders]
+    few = {"particles": 4, "generations": 2, "model": "planar5", "optimizers": ("de", "pso"), "seeds": 1}
+    here = compare(drives[:2], validation=drives[2:], **few)
+    there = compare(folders[:2], validation=folders[2:], cluster=client, **few)
+    assert here.runs_frame.equals(there.runs_frame)
+    made = list(simulated_on(client, ["turns"], ["clear"], 2, gps="white-1m"))
+    for one, other in zip(made, drives, strict=False):
+        assert_same(one, other)
+
+
+@pytest.mark.filterwarnings("ignore:Cyclopts application")
+def test_the_command_tells_a_cluster_that_is_not_there_in_one_line(folders, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sigmaswarm.fleets.connection.CONNECT", 1.0)
+    there = ["--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:1"]
+    monkeypatch.setattr("sys.argv", ["sigmaswarm", "tune", str(folders[0]), *there])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sigmaswarm: --cluster tcp://127.0.0.1:1: no scheduler answers there")
+
+
+def test_all_drives_that_cannot_be_read_are_named_first(client, folders, tmp_path):
+    broken = write_drive(read_drive(folders[0]), tmp_path / "broken")
+    (broken / "gps.csv").write_text("t,x,y\n1,2\n")
+    with pytest.raises(InputError) as caught:
+        tune([folders[0], broken, tmp_path / "missing"], out=tmp_path / "out", cluster=client, **SMALL)
+    said = str(caught.value)
+    assert said.startswith("2 drives can't be used: (1) ")
+    assert f"{broken}/gps.csv, row 2: '1,2' has 2 cells, the header 3" in said
+    assert f"{tmp_path}/missing does not exist" in said
+    assert "\n" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_drives_that_do_not_fit_say_how_much_is_needed(client, folders, monkeypatch):
+    monkeypatch.setattr(At, "size", lambda self: 3e9)
+    monkeypatch.setattr("sigmaswarm.fleets.connection._room", lambda limit: 1e9)
+    with pytest.raises(
+        ClusterError, match=r"the drives need about 6 GB of .* memory, and 2 of them have 2 GB"
+    ):
+        tune(folders[:2], cluster=client, **SMALL)
+
+
+def test_a_worker_with_another_version_is_refused(processes, folders):
+    name = processes.add(OTHER_VERSION)
+    try:
+        with connected(str(processes.file)) as client:
+            client.wait_for_workers(3, timeout=60)
+            with pytest.raises(
+                ClusterError, match=r"^worker tcp://127.*: has sigmaswarm 0\.0\.1, this machine "
+            ):
+                tune(folders, cluster=client, **SMALL)
+    finally:
+        processes.kill(name)
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp://127.0.0.1:1", "no scheduler answers there"),
+        ("nowhere.json", "is no address like tcp://host:8786, no scheduler file"),
+        ("local:none", "say how many processes, for example local:4"),
+    ],
+)
+def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
+    monkeypatch.setattr("sigmaswarm.fleets.connection.CONNECT", 1.0)
+    with pytest.raises((InputError, ClusterError)) as caught, connected(address):
+        pass
+    assert str(caught.value).startswith(f"--cluster {address}: ")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cluster_and_an_executor_are_too_many(client, folders):
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool, pytest.raises(InputError, match="both an executor and a cluster"):
+        tune(folders, cluster=client, executor=pool, **SMALL)
+
+
+def test_nothing_was_warned_of(processes):
+    assert "WARNING" not in processes.log()
+    assert "Traceback" not in processes.log()
+
+
+def test_what_workers_cannot_import_is_one_line(client, folders):
+    fleet = Fleet.read(Cluster(client), map(At, folders[:1]))
+    with pytest.raises(ClusterError, match=r"^worker tcp://.* can't be asked .*ModuleNotFoundError"):
+        fleet.of_each(tree)  # of a module that no worker has
