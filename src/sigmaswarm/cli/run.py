@@ -1,6 +1,6 @@
 """`sigmaswarm run`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -107,6 +107,8 @@ def run(
     began = time_origin_of(read)
     as_recorded = as_recorded or tuned_as_recorded(tuning)
     replay = replay_of(read, as_recorded=as_recorded)
+    if swarm:
+        _check_swarm_files(out, (truth, before))
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []
@@ -149,12 +151,27 @@ def run(
             )
 
 
+def _swarm_files(out: Path) -> tuple[Path, Path]:
+    """Beside the estimates: what the swarm said of itself, and the filter that it settled on."""
+    return out.with_name(f"{out.stem}.swarm.csv"), out.with_name(f"{out.stem}.swarm.toml")
+
+
+def _check_swarm_files(out: Path, others: Sequence[Path | None]) -> None:
+    """Refuse, before any work, what could not be written or would hide another file."""
+    from sigmaswarm.errors import InputError
+
+    for file in _swarm_files(out):
+        if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
+            what = "is a folder" if file.is_dir() else "is also asked for by another option"
+            raise InputError(f"{file}: the swarm writes it beside {out}, and it {what}; take another --out")
+
+
 def _save_swarm(run: "SwarmRun", out: Path) -> dict[str, Any]:
     """Write what a swarm said of itself, and what it settled on, beside the estimates; for machines, what and where."""
     from sigmaswarm.files import write_whole
 
     log, spread = run.log, run.swarm.spread
-    log_file, filter_file = (out.with_name(f"{out.stem}.swarm.{ending}") for ending in ("csv", "toml"))
+    log_file, filter_file = _swarm_files(out)
     write_whole(log_file, log.to_frame().write_csv())
     spread.parameters(log.settled).save(filter_file)
     said = [*spread.said(log.settled)]

@@ -44,8 +44,6 @@ SPEED_STD = 10.0
 """m/s per axis: what is known of the velocity while there is nothing but fixes."""
 _KEPT = MAX_DURATION + 1.0
 """s of samples and fixes that a live filter keeps for it."""
-_MOST_SAMPLES = 40_000
-"""That many of them, at 1 kHz; so many are there only while no fix comes."""
 _MOST_FIXES = 1000
 """That many of them; more come only while the IMU is silent."""
 
@@ -226,19 +224,23 @@ class Lately:
 
     def __init__(self, lever: Sequence[float]) -> None:
         self._lever = tuple(lever)
-        self._samples = deque[tuple[float, ...]](maxlen=_MOST_SAMPLES)
-        self._fixes = deque[tuple[float, ...]]()
-        self.sample = self._samples.append
-        """``((time, ax, ay, gz))``: an IMU sample, after all before it."""
+        self._samples, self._fixes = deque[tuple[float, ...]](), deque[tuple[float, ...]]()
+
+    def sample(self, sample: tuple[float, float, float, float]) -> None:
+        """An IMU sample, after all before it: time, ax, ay, gz."""
+        samples = self._samples
+        samples.append(sample)
+        if samples[0][0] < sample[0] - _KEPT:
+            self._forget()
 
     def _forget(self) -> None:
-        """Samples from too long ago; not at each sample, which costs as much as the filter."""
-        while len(self._samples) > 1 and self._samples[1][0] < self._samples[-1][0] - _KEPT:
-            self._samples.popleft()  # one from before a gap stays
+        """The samples from too long ago; one from before a gap stays."""
+        samples, oldest = self._samples, self._samples[-1][0] - _KEPT
+        while len(samples) > 1 and samples[1][0] < oldest:
+            samples.popleft()
 
     def fix(self, time: float, x: float, y: float, var_x: float, var_y: float) -> None:
         """A fix and its stated variance, in whatever order; it has to be finite."""
-        self._forget()
         self._fixes.append((time, x, y, var_x, var_y))
         if len(self._fixes) > 1 and self._fixes[-2][0] > time:
             self._fixes = deque(sorted(self._fixes, key=itemgetter(0)))
@@ -268,9 +270,9 @@ class Lately:
 
     @property
     def alignments(self) -> Alignments:
-        """Of the fixes of these seconds."""
-        self._forget()
-        imu = Imu(*np.array(self._samples).T)
+        """Of the fixes of these seconds, and what samples there are that are numbers."""
+        samples = np.array(self._samples)
+        imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
         now = self._samples[-1][0]
         gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)
         return Alignments(Drive("live", imu, gps, metadata={"gps_lever_arm_m": self._lever}))

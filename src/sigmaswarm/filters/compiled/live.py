@@ -47,10 +47,10 @@ STOP = slice(N_FILTER + 6, N_FILTER + 6 + N_STOP)  # what is remembered of a sto
 N_BELIEF = STOP.stop
 # Behind it, what no late fix takes back. An interval of 0: the filter does not take that constraint.
 N_SAMPLE = 1 + len(AXES)
-NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL = range(
-    N_BELIEF, N_BELIEF + 6
+NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, BELIEVES_TIMES = range(
+    N_BELIEF, N_BELIEF + 7
 )
-LEVER = slice(N_BELIEF + 6, N_BELIEF + 9)
+LEVER = slice(N_BELIEF + 7, N_BELIEF + 10)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
 LAST_SAMPLE = SAMPLE.start  # its time
 FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, HAS_VELOCITY, KIND = range(9)
@@ -218,7 +218,7 @@ def _stands(v, fixes, end, now, means):
 @_plain
 def _lies_ahead(v, t):
     """Whether a time is so far ahead of the filter's that one stamp alone is not believed."""
-    return t - v[TIME] > LEAP
+    return t - v[TIME] > LEAP and v[BELIEVES_TIMES] == 0.0
 
 
 @_plain

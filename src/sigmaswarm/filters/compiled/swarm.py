@@ -31,7 +31,7 @@ from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.schedule import FIX
-from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE
+from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, LARGEST_TAIL
 
 EVIDENCE_LASTS = 60.0
 """s in which evidence fades to 1/e."""
@@ -107,19 +107,27 @@ def weigh(v):
 
 
 @njit(**OPTIONS)
+def _foretold(w, lane):
+    """Whether a lane said anything of the fix."""
+    return math.isfinite(w[R.NU1, lane] + w[R.NU2, lane] + w[R.V11, lane] + w[R.V12, lane] + w[R.V22, lane])
+
+
+@njit(**OPTIONS)
 def _note_fix(v, w, now):
     """What a fix says of each lane: see the module. Before that: how the mixture had foretold it."""
     x, y, total = 0.0, 0.0, 0.0
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
-        if share > 0.0:
+        if share > 0.0 and _foretold(w, lane):
             x += share * w[R.NU1, lane]
             y += share * w[R.NU2, lane]
             total += share
     xx, xy, yy = 0.0, 0.0, 0.0
+    x, y = (x / total, y / total) if total > 0.0 else (math.nan, math.nan)
     for lane in range(LANES):
         share = v[_AT_WEIGHT + lane]
-        if share > 0.0:
+        if share > 0.0 and _foretold(w, lane):
+            share /= total
             dx, dy = w[R.NU1, lane] - x, w[R.NU2, lane] - y
             xx += share * (w[R.V11, lane] + dx * dx)
             xy += share * (w[R.V12, lane] + dx * dy)
@@ -134,10 +142,10 @@ def _note_fix(v, w, now):
         s11, s12, s22 = w[R.V11, lane], w[R.V12, lane], w[R.V22, lane]
         det = s11 * s22 - s12 * s12
         nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
-        sound = w[R.OK, lane] == 1.0 and det > 0.0 and nis >= 0.0
         loss = math.inf
-        if sound:
-            loss = 0.5 * math.log(det) + 0.5 * (INNOVATION_DOF + 2.0) * math.log(1.0 + nis / INNOVATION_SCALE)
+        if w[R.OK, lane] == 1.0 and 0.0 < det < math.inf and nis >= 0.0:
+            tail = min(1.0 + nis / INNOVATION_SCALE, LARGEST_TAIL)
+            loss = 0.5 * math.log(det) + 0.5 * (INNOVATION_DOF + 2.0) * math.log(tail)
         v[_AT_EVIDENCE + lane] = fades * v[_AT_EVIDENCE + lane] - loss
 
 

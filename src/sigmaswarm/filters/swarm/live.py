@@ -5,6 +5,7 @@ so far back that no late fix reaches it; from there the samples are taken again 
 and fixes give the same bits, whether they come in time or late, live or from a file.
 """
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, state_rows
@@ -63,8 +65,10 @@ class Mixture:
     def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
         """Of the state rows (k, s, LANES) and the weights (k, LANES) of a swarm; NaN where all weights are 0."""
         mean, covariance = believed(states, model)  # (k, LANES, n), (k, LANES, n, n)
-        weights = weights.copy()
-        weights[weights.sum(axis=1) == 0.0] = np.nan
+        sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
+        weights = np.where(sound, weights, 0.0)
+        total = weights.sum(axis=1, keepdims=True)
+        weights = np.divide(weights, total, out=np.full_like(weights, np.nan), where=total > 0.0)
         leads = np.argmax(weights, axis=1)
         from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
         from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
@@ -88,11 +92,28 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A search under way: its result lands with the first sample from a time on; it replayed up to a step."""
+    """A search under way: its result lands with the first sample from a time on; it replayed up to a step.
+
+    A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
+    """
 
     lands: float
     taped: int
+    arguments: tuple[Any, ...]
+    process: int
     found: "Future[Found | None]"
+
+    @classmethod
+    def begun(cls, lands: float, taped: int, *arguments: Any) -> "_Pending":
+        """Search beside the samples."""
+        return cls(lands, taped, arguments, os.getpid(), _searcher().submit(search, *arguments))
+
+    def result(self) -> Found | None:
+        """What was found, waited for if need be."""
+        return self.found.result() if self.process == os.getpid() else search(*self.arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Pending.begun, (self.lands, self.taped, *self.arguments)
 
 
 class LiveSwarm(LiveFilter):
@@ -104,8 +125,8 @@ class LiveSwarm(LiveFilter):
     the last minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or
     the sky closes; on the car that a filter was tuned for it drives no better than the filter.
 
-    It takes and gives what a `LiveFilter` does, and is used in the same way. A copy by `pickle` goes on with the same
-    bits.
+    It takes and gives what a `LiveFilter` does, and is used in the same way, but has no hindsight. A copy by `pickle`
+    goes on with the same bits. A fix from before a moment at which lanes started anew comes too late for all of them.
 
     Parameters
     ----------
@@ -115,6 +136,8 @@ class LiveSwarm(LiveFilter):
         Of its chance: the lanes' first offsets, and the search.
     searches : bool
         Look for better filters on the way; False: the sixteen stay as they are.
+    believe_times : bool
+        Take each time as it is, however far ahead: of a recording, whose samples are known to be in order.
 
     Attributes
     ----------
@@ -140,6 +163,7 @@ class LiveSwarm(LiveFilter):
         as_recorded: bool = False,
         seed: int = 0,
         searches: bool = True,
+        believe_times: bool = False,
     ) -> None:
         super().__init__(
             parameters,
@@ -159,7 +183,8 @@ class LiveSwarm(LiveFilter):
             self._memory.arrays.history
         )  # records of the history: as many samples back nothing changes
         self._memory = self._with_lanes(nominal_interval)
-        self._start_lanes(initial, range(LANES))
+        self._belief[live.BELIEVES_TIMES] = believe_times
+        self._start_lanes(initial, slice(None))
         self._together = Recovery() if recover else None
         self._snapshots = [self._snapshot(self._numbers, initial.time)]
         self._pending: _Pending | None = None
@@ -171,7 +196,7 @@ class LiveSwarm(LiveFilter):
     def _with_lanes(self, nominal_interval: float) -> Memory:
         of_one = self._memory.arrays
         longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
-        tape = int(1.25 * (longest / nominal_interval + len(of_one.fixes) / 10)) + self._settled
+        tape = int(2.5 * longest / nominal_interval) + self._settled  # fixes come as often as samples at most
         wider = np.zeros(live.BEHIND + TAPE + tape * N_TAPE)
         wider[: live.N_ALL] = of_one.belief
         wider[live.BEHIND + swarm.TAPE_LENGTH] = tape
@@ -186,13 +211,14 @@ class LiveSwarm(LiveFilter):
         """What is behind the belief."""
         return self._belief[live.BEHIND :]
 
-    def _start_lanes(self, start: InitialState, lanes: Sequence[int]) -> None:
+    def _start_lanes(self, start: InitialState, lanes: slice) -> None:
         """Some lanes as at a start, and the evidence of all gone."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         rows = self._rows_of(self._numbers)
         rows[:, lanes] = start_rows([start], [self._interval], Chunk(sets))[0][:, lanes]
-        rows[CONSTANT_ROWS] = self.spread.grown(self._own_constants, self.offsets)
-        self._numbers[swarm.EVIDENCE] = 0.0
+        rows[CONSTANT_ROWS, lanes] = self.spread.grown(self._own_constants, self.offsets[lanes])
+        sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
+        self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
         self._numbers[swarm.AGAINST] = self.spread.against(self.offsets)
         self._numbers[swarm.FIXED_AT] = start.time
         swarm.weigh(self._belief)
@@ -217,7 +243,7 @@ class LiveSwarm(LiveFilter):
         now = float(self._belief[live.TIME])
         pending, self._pending = self._pending, None
         if pending is not None:
-            found = pending.found.result()
+            found = pending.result()
             if found is not None:
                 self._replace(found, pending.taped)
         elif self._searches:
@@ -247,32 +273,28 @@ class LiveSwarm(LiveFilter):
         _, record, numbers = mark
         here = self._snapshot(numbers, float(record[live.TIME]))
         self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
-        begins = self._snapshots[0]
+        if not numbers[swarm.WEIGHT].any():  # all have failed
+            return None
         if np.hypot(here.lane[R.U], here.lane[R.V]) <= FASTER:
             return None
-        taped = self._tape(begins.taped, here.taped)
-        if taped is None:
-            return None
+        begins = next(s for s in self._snapshots if self._is_taped(s.taped))
         self._n_begun += 1
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
-        steps = Steps(self._model, taped, self._belief[live.LEVER].copy())
-        rng = np.random.default_rng([self._seed, self._n_begun])
-        arguments = (
-            self.spread,
-            steps,
-            begins.lane,
-            self.offsets[leads],
-            self._population,
-            self._interval,
-            rng,
+        lever = self._belief[live.LEVER].copy()
+        steps = Steps(self._model, self._tape(begins.taped, here.taped), lever)
+        chance = self._seed, self._n_begun
+        return _Pending.begun(
+            *(now + SEARCH_TAKES, here.taped, self.spread, steps, begins.lane, self.offsets[leads].copy()),
+            *(self._population, self._interval, chance),
         )
-        return _Pending(now + SEARCH_TAKES, here.taped, _searcher().submit(search, *arguments))
 
-    def _tape(self, first: int, last: int) -> Array | None:
-        """Steps from number ``first`` to before ``last``, (k, N_TAPE); None where the tape no longer has them."""
+    def _is_taped(self, first: int) -> bool:
+        """Whether the tape has the steps from number ``first`` on."""
+        return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
+
+    def _tape(self, first: int, last: int) -> Array:
+        """Steps from number ``first`` to before ``last``, (k, N_TAPE)."""
         length = int(self._numbers[swarm.TAPE_LENGTH])
-        if first < int(self._numbers[swarm.TAPED]) - length:
-            return None
         tape = self._numbers[TAPE:].reshape(length, N_TAPE)
         return tape[np.arange(first, last) % length]
 
@@ -282,9 +304,9 @@ class LiveSwarm(LiveFilter):
         if mark is None:
             return
         place, record, numbers = mark
-        since = self._tape(replayed, int(numbers[swarm.TAPED]))
-        if since is None:
+        if not (numbers[swarm.WEIGHT].any() and self._is_taped(replayed)):
             return
+        since = self._tape(replayed, int(numbers[swarm.TAPED]))
         rng = np.random.default_rng([self._seed, self._n_begun, 1])
         rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
         evidence = numbers[swarm.EVIDENCE]
@@ -298,7 +320,8 @@ class LiveSwarm(LiveFilter):
             offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
             states.append(rows[:, parent].copy())
             known.append(float(evidence[parent]))
-        failed = [lane for lane in range(1, LANES) if weight[lane] == 0.0 and lane not in worst]
+        lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
+        failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
         for lane in failed:  # it goes on from where the best one is, with its own offsets
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, its, state, told_by in zip(worst, offsets, states, known, strict=True):
@@ -329,13 +352,16 @@ class LiveSwarm(LiveFilter):
         if start is None and due and not self.weights.any():  # all failed
             start = self._seen(now, fix, *self._believed_together()).start
         if start is not None:
-            self._start_lanes(start, range(1, LANES))
+            self._start_lanes(start, slice(1, None))
             self._begin_history()
         self._holds = self._holds or together.lost
 
     def _start_anew(self, start: InitialState) -> None:
         super()._start_anew(start)
         self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
+        evidence = self._numbers[swarm.EVIDENCE]
+        if not np.isfinite(evidence[0]):  # it had failed: it counts again, as little as any
+            evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
         self._begin_history()
 
     def _begin_history(self) -> None:
@@ -370,7 +396,7 @@ class LiveSwarm(LiveFilter):
     @property
     def moved(self) -> Array:
         """How far the swarm is from its tuning, (d,): the weighted mean of its offsets."""
-        return self.weights @ self.offsets
+        return self.weights @ self.offsets * self.spread.lasting
 
     @property
     def settled(self) -> FilterParameters:
@@ -409,24 +435,22 @@ class LiveSwarm(LiveFilter):
         mixed = Mixture.of(states[np.newaxis], weights[np.newaxis], self._model)
         return mixed.mean[0], mixed.covariance[0]
 
-    def __getstate__(self) -> dict[str, Any]:
-        """For a copy: what is searched for is found first."""
-        state = self.__dict__.copy()
-        if self._pending is not None:
-            known: Future[Found | None] = Future()
-            known.set_result(self._pending.found.result())
-            state["_pending"] = self._pending.lands, self._pending.taped, known.result()
-        return state
+    @property
+    def smoothed(self) -> LiveState:
+        """A swarm has none.
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if isinstance(self._pending, tuple):
-            found: Future[Found | None] = Future()
-            found.set_result(self._pending[2])
-            self._pending = _Pending(self._pending[0], self._pending[1], found)
+        Raises
+        ------
+        InputError
+        """
+        raise InputError("a swarm has no smoothed state; take a LiveFilter with lag=2.0, say")
 
 
 @cache
 def _searcher() -> ThreadPoolExecutor:
     """One thread for the searches of all swarms of a process."""
     return ThreadPoolExecutor(1, thread_name_prefix="swarm")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_searcher.cache_clear)  # a forked process has no such thread

@@ -1,7 +1,9 @@
 """A swarm over a whole drive: the drive's samples and fixes, one by one, through a `LiveSwarm`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from heapq import merge
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,6 @@ from sigmaswarm.filters.recording import Innovations, Piece, failure_at
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
-from sigmaswarm.filters.swarm.spread import GROUPS
 from sigmaswarm.geodesy import wrap_angle
 
 SETTLED_OVER = 60.0
@@ -42,12 +43,15 @@ class SwarmLog:
     weights : (k, LANES)
     moved : (k, d)
         How far the mixture was from the tuning: decades, m for the rear axle.
+    groups : mapping of str to list of int
+        See `Spread.groups`.
     """
 
     names: tuple[str, ...]
     time: Array
     weights: Array
     moved: Array
+    groups: Mapping[str, list[int]]
 
     @property
     def effective(self) -> Array:
@@ -62,8 +66,8 @@ class SwarmLog:
 
     @property
     def shares(self) -> dict[str, Array]:
-        """What each of `spread.GROUPS` of lanes counted, (k,)."""
-        return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in GROUPS.items()}
+        """What each of the groups of lanes counted, (k,)."""
+        return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
 
     def to_frame(self) -> pl.DataFrame:
         """As swarm.csv has it: t, the lane that leads, effective, each offset, each lane's weight."""
@@ -114,10 +118,11 @@ class SwarmRun:
             searches=searches,
             recover=recover,
             as_recorded=as_recorded,
+            believe_times=True,
         )
         self.failure: str | None = None
         self._log: list[tuple[float, Array, Array]] = []
-        self._innovations: list[Array] = []
+        self._innovations: list[tuple[float, ...]] = []
 
     @property
     def restarts(self) -> list[float]:
@@ -126,14 +131,14 @@ class SwarmRun:
 
     def __iter__(self) -> Iterator[Piece]:
         line, drive, swarm = self._line, self._line.drive, self.swarm
-        time = drive.imu.time.tolist()
-        imu = np.column_stack([getattr(drive.imu, axis) for axis in MODELS[self._model].imu]).tolist()
+        last = len(drive.imu) - 1
+        imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in MODELS[self._model].imu)]
         begins = int(np.searchsorted(drive.imu.time, self.initial.time, side="right"))
         events = _events(drive)
         event = next(events, None)
         states, weights, lost = [], [], []
         at, told, fixed = 0, -np.inf, 0
-        for k, (t, sample) in enumerate(zip(time, imu, strict=True)):
+        for k, (t, *sample) in enumerate(_rows(imu)):
             while event is not None and event[0] <= t:
                 if event[1] is None:
                     swarm.update_odometer(event[0], event[2])
@@ -146,7 +151,7 @@ class SwarmRun:
             if swarm.n_fixes != fixed:
                 fixed = swarm.n_fixes
                 nu, s = swarm.innovation
-                self._innovations.append(np.array([t, *nu, s[0, 0], s[0, 1], s[1, 1]]))
+                self._innovations.append((t, *nu.tolist(), s[0, 0], s[0, 1], s[1, 1]))
             if t >= told + TOLD_EVERY:
                 told = t
                 self._log.append((t, swarm.weights, swarm.moved))
@@ -154,7 +159,7 @@ class SwarmRun:
             states.append(state)
             weights.append(weight)
             lost.append(swarm.lost)
-            if len(states) == _AT_ONCE or k == len(time) - 1:
+            if len(states) == _AT_ONCE or k == last:
                 yield self._piece(line.imu_time[at : at + len(states)], states, weights, lost)
                 at += len(states)
                 states, weights, lost = [], [], []
@@ -171,32 +176,37 @@ class SwarmRun:
     def log(self) -> SwarmLog:
         """See `SwarmLog`; of the pieces so far."""
         time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
-        return SwarmLog(self.swarm.spread.names, time, weights, moved)
+        return SwarmLog(self.swarm.spread.names, time, weights, moved, self.swarm.spread.groups)
 
     @property
     def innovations(self) -> Innovations:
-        """Of the mixture, of the pieces so far."""
+        """Of the mixture, of the pieces so far: of the last fix before each sample, at the sample's time."""
         rows = np.array(self._innovations).reshape(-1, 6)
         return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
 
 
+def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
+    """The rows of columns, as Python's numbers, of which only some are there at a time."""
+    for first in range(0, len(columns[0]), _AT_ONCE):
+        yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
+
+
 def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
     """Fixes (time, position, (velocity, std)) and readings of the odometer (time, None, speed), by time."""
-    gps = drive.gps
-    velocity = None
+    gps, wheels = drive.gps, drive.odometer
+    has_velocity = gps.speed is not None and gps.course is not None
+    has_std = gps.std_x is not None and gps.std_y is not None
+    columns = [gps.time, gps.x, gps.y]
     if gps.speed is not None and gps.course is not None:
-        velocity = np.column_stack([gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]).tolist()
-    std = None if gps.std_x is None or gps.std_y is None else np.column_stack([gps.std_x, gps.std_y]).tolist()
-    found: list[tuple[float, Any, Any]] = [
-        (t, (x, y), (velocity and velocity[i], std and std[i]))
-        for i, (t, x, y) in enumerate(zip(gps.time.tolist(), gps.x.tolist(), gps.y.tolist(), strict=True))
-    ]
-    if drive.odometer is not None:
-        found += [
-            (t, None, v)
-            for t, v in zip(drive.odometer.time.tolist(), drive.odometer.speed.tolist(), strict=True)
-        ]
-    return iter(sorted(found, key=lambda event: event[0]))
+        columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
+    if gps.std_x is not None and gps.std_y is not None:
+        columns += [gps.std_x, gps.std_y]
+    fixes = (
+        (t, (x, y), (more[:2] if has_velocity else None, more[-2:] if has_std else None))
+        for t, x, y, *more in _rows(columns)
+    )
+    readings = ((t, None, v) for t, v in _rows([wheels.time, wheels.speed])) if wheels else ()
+    return merge(fixes, readings, key=itemgetter(0))
 
 
 def swarm_estimates(run: SwarmRun) -> Iterator[Estimate]:

@@ -4,6 +4,7 @@ R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11
 on from search to search: what was good a while ago is where the next one begins.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,7 +133,7 @@ def search(
     leader: Array,
     population: Array,
     nominal_interval: float,
-    rng: np.random.Generator,
+    seed: Sequence[int],
 ) -> Found | None:
     """Look for better offsets over some steps; None where they tell nothing.
 
@@ -146,8 +147,10 @@ def search(
         The offsets of the lane that leads; they take the place of the worst of the population.
     population : (LANES, d)
     nominal_interval : s
-    rng : numpy.random.Generator
+    seed : sequence of int
+        Of its chance.
     """
+    rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_FIXES:
         return None
     own = pack_constants((spread.tuning,), nominal_interval)[:, :1]

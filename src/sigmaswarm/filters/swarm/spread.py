@@ -29,14 +29,6 @@ R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
 FIXED = ({}, {START: 2.0}, {START: 4.0}, {R: -1.0}, {R: -2.5}, {R: 1.0}, {R: 2.0})
 """The first lanes, which are never replaced: the tuning itself; other biases; other receivers."""
 
-GROUPS = {
-    "the tuning": [0],
-    "other biases": [lane for lane, by in enumerate(FIXED) if START in by],
-    "other receivers": [lane for lane, by in enumerate(FIXED) if R in by],
-    "found on the way": [*range(len(FIXED), LANES)],
-}
-"""Lanes, and what people call them."""
-
 _MEASURED = {
     "velocity": ("velocity_noise", "R_VELOCITY"),
     "lateral": ("lateral_noise", "R_LATERAL"),
@@ -102,8 +94,25 @@ class Spread:
             start = self.names.index(START)
             offsets[:, start] = np.abs(offsets[:, start])
         for lane, fixed in enumerate(FIXED):
+            if fixed and not set(fixed) & set(self.names):
+                continue  # a model without biases
             offsets[lane] = [fixed.get(name, 0.0) for name in self.names]
         return offsets
+
+    @cached_property
+    def groups(self) -> dict[str, list[int]]:
+        """Lanes, and what people call them."""
+        biased = [lane for lane, by in enumerate(FIXED) if START in by]
+        receivers = [lane for lane, by in enumerate(FIXED) if R in by]
+        others = [*range(len(FIXED), LANES)]
+        if START not in self.names:
+            return {"the tuning": [0], "other receivers": receivers, "found on the way": [*biased, *others]}
+        return {
+            "the tuning": [0],
+            "other biases": biased,
+            "other receivers": receivers,
+            "found on the way": others,
+        }
 
     def against(self, offsets: Array) -> Array:
         """What is held against lanes, (m,): half the squares of their offsets (m, d) in standard deviations."""
@@ -138,19 +147,24 @@ class Spread:
         return found
 
     def said(self, moved: Array) -> tuple[str, ...]:
-        """A sentence for each offset (d,) that is too large for the vehicle that the filter was tuned for."""
-        told: list[str] = []
-        for name, by in zip(self.names, moved.tolist(), strict=True):
-            times = f"{10.0**by:.2g} times the tuning's"
+        """A sentence for each offset (d,) that is too large for the vehicle that the filter was tuned for.
+
+        What all variances have in common is said once, and of others only what differs from that.
+        """
+        told, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
+        common = by[SCALE]
+        if abs(common) > FAR:
+            told.append(_MEANS[SCALE].format(times=_times(common)))
+        for name, offset in by.items():
             if name == AXLE:
-                if abs(by) > FAR_AXLE:
-                    told.append(f"the rear axle lies {abs(by):.1f} m farther {'back' if by > 0 else 'ahead'}")
-            elif name != START and abs(by) > FAR:
-                told.append(
-                    _MEANS.get(name, "the noise of {name} is {times}: another IMU?").format(
-                        name=name.removeprefix("q_"), times=times
-                    )
-                )
+                if abs(offset) > FAR_AXLE:
+                    where = "back" if offset > 0 else "ahead"
+                    told.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
+            elif name not in (START, SCALE):
+                is_its_own = abs(offset) > FAR or abs(common) <= FAR
+                if is_its_own and abs(offset + common) > FAR:
+                    sentence = _MEANS.get(name, "the noise of {name} is {times}: another IMU?")
+                    told.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
         return tuple(told)
 
     def parameters(self, offsets: Array) -> FilterParameters:
@@ -172,3 +186,7 @@ class Spread:
             rear_axle=p.rear_axle + by.get(AXLE, 0.0),
             **changed,
         )
+
+
+def _times(decades: float) -> str:
+    return f"{10.0**decades:.2g} times the tuning's"
