@@ -9,6 +9,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
+from sigmaswarm.filters.swarm.live import LiveSwarm
 
 MODELS = ("tilted12", "planar8", "planar5")  # the longest first
 
@@ -25,8 +26,12 @@ def hindsight(model: str) -> None:
     smooth(equipped(), parameters(model))
 
 
+def many(model: str) -> None:
+    LiveSwarm(parameters(model), initial_state(equipped()), nominal_interval=0.01)
+
+
 def main() -> None:
-    ways: list[Callable[[str], None]] = [live, run, partial(live, lag=1.0), hindsight]
+    ways: list[Callable[[str], None]] = [live, run, partial(live, lag=1.0), hindsight, many]
     with ProcessPoolExecutor() as pool:
         for done in [pool.submit(way, model) for model in MODELS for way in ways]:
             done.result()
