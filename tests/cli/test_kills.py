@@ -90,6 +90,7 @@ def put_old(name: str, found: dict[str, bytes], drive: Path) -> dict[str, bytes]
         shutil.copytree(drive, "out/d")
     elif name not in FOLDERS:
         for file in found:
+            Path("out", file).parent.mkdir(exist_ok=True)
             Path("out", file).write_text("old")
     return tree(Path("out"))
 
