@@ -8,10 +8,12 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from sigmaswarm.drives.places import drive_places, read_place, size_of
+from sigmaswarm.cli.convert import convert
+from sigmaswarm.drives.places import drive_places, read_place, sizes_of, without_secrets
 from sigmaswarm.drives.reader import drive_folders, read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.fleets.sources import At
 from support import assert_same, drive_variants, make_drive
 
 
@@ -101,13 +103,30 @@ def test_a_url_is_read_as_a_folder_is(tmp_path: Path, folder: Path):
     url = f"file://{tmp_path}"
     assert drive_places(url) == [f"{url}/good"]
     assert drive_places(f"{url}/good") == [f"{url}/good"]
-    assert size_of(f"{url}/good") == size_of(folder) > 0
+    assert sizes_of(f"{url}/good") == sizes_of(folder)
+    assert At(f"{url}/good").size() == At(folder).size() > 0
     drive, warned = read_place(f"{url}/good")
     assert_same(drive, read_drive(folder))
     assert not warned
     cell("imu.parquet", 12, "ax", float("nan"))(folder)
     with pytest.raises(DriveError, match=f"^{url}/good/imu.parquet, row 12, column ax"):
         read_drive(f"{url}/good")
+
+
+def test_what_may_be_a_secret_is_not_said():
+    assert without_secrets("sftp://bob:pass@host/a/b") == "sftp://***@host/a/b"
+    assert without_secrets("https://host/a?signature=1") == "https://host/a"
+    assert without_secrets("s3://bucket/a") == "s3://bucket/a"
+    with pytest.raises(InputError, match=r"^https://host/monday\?\.\.\.: a drive has several files"):
+        read_drive("https://host/monday?signature=secret")
+
+
+def test_convert_does_not_write_into_a_drive(tmp_path: Path, folder: Path):
+    other = write_drive(make_drive(duration=20.0), tmp_path / "other")
+    with pytest.raises(InputError, match="other: is a drive; name, last, the folder"):
+        convert(str(folder), str(other))
+    convert(str(folder), str(tmp_path / "out"), to="csv")
+    assert [f.name for f in (tmp_path / "out").iterdir()] == [read_drive(folder).name]
 
 
 def test_what_a_url_refuses_is_one_line():

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -24,8 +25,8 @@ from sigmaswarm.cli import main
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.experiments.study.scores import score_all
-from sigmaswarm.fleets.connection import Cluster, ClusterError, connected
-from sigmaswarm.fleets.fleet import Fleet
+from sigmaswarm.fleets.connection import Cluster, ClusterError, Worker, connected
+from sigmaswarm.fleets.fleet import Fleet, _Host, _Yard, sources_of
 from sigmaswarm.fleets.sources import At
 from sigmaswarm.scoring.batch import Passes
 from sigmaswarm.scoring.fleet import replays_on
@@ -221,6 +222,8 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
     ("address", "said"),
     [
         ("tcp://127.0.0.1:1", "no scheduler answers there"),
+        ("tcp://127.0.0.1", "write it as tcp://host:8786"),
+        ("tls://127.0.0.1:8786", "make a Client in Python"),
         ("nowhere.json", "is no address like tcp://host:8786, no scheduler file"),
         ("local:none", "say how many processes, for example local:4"),
     ],
@@ -232,6 +235,50 @@ def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
     assert str(caught.value).startswith(f"--cluster {address}: ")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_scheduler_file_that_is_none_is_one_line(tmp_path: Path):
+    file = tmp_path / "scheduler.json"
+    for content in ("{}", "no json", "[1]"):
+        file.write_text(content)
+        with pytest.raises(InputError, match="is no scheduler file"), connected(str(file)):
+            pass
+
+
+def test_workers_that_all_go_at_once_are_waited_for():
+    """By a scheduler that takes them away: as many as there are is no reason to end."""
+
+    class Gone(Exception):
+        pass
+
+    class Scheduler:
+        address, asked = "tcp://here:1", 0
+
+        def workers(self):
+            self.asked += 1
+            if self.asked > 1:
+                raise Gone
+            return {}
+
+        def unlike(self, addresses):
+            return {}
+
+        client = type("Client", (), {"as_current": lambda self: nullcontext()})()
+
+    yard = _Yard(Scheduler(), [], None)
+    yard.told[0] = None
+    for k in range(20):
+        worker = Worker(f"tcp://worker:{k}", f"worker-{k}", 1, 1e9)
+        yard.hosts[worker.address] = _Host(worker, None, None)
+    with pytest.raises(Gone), pytest.warns(match="no worker is left at tcp://here:1: waiting"):
+        yard._look()
+
+
+def test_a_path_goes_out_whole(folders, monkeypatch):
+    monkeypatch.chdir(folders[0].parent)
+    (source,) = sources_of([folders[0].name])
+    monkeypatch.chdir("/")
+    assert source.read()[0].name == read_drive(folders[0]).name
 
 
 def test_a_cluster_and_an_executor_are_too_many(client, folders):

@@ -33,7 +33,7 @@ def convert(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.drives.places import is_url, listed_places
+    from sigmaswarm.drives.places import TABLES, is_url, listed_places
     from sigmaswarm.errors import InputError
 
     if len(drives) < 2:
@@ -42,6 +42,8 @@ def convert(
     if is_url(last):
         raise InputError(f"{last}: drives are written to folders; name one")
     out, written = Path(last), dict[str, Path]()
+    if any((out / table).exists() for table in TABLES):
+        raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
     for place in listed_places(given):
         drive = read_known(place)
         if drive.name in written:

@@ -4,6 +4,7 @@ A drive behind a URL is fetched into a folder that is removed again, and read th
 checks. Messages name the URL.
 """
 
+import re
 import shutil
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager, suppress
@@ -51,21 +52,27 @@ def drive_places(place: Place) -> list[Place]:
         ]
         if not found:
             raise DriveError(
-                f"{url}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
+                f"{without_secrets(url)}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
             )
         return [f"{url}/{name}" for name in found]
 
 
-def size_of(place: Place) -> int:
-    """Bytes of a drive's tables where it lies; 0 where that can't be said, which reading will tell."""
+def sizes_of(place: Place) -> dict[str, int]:
+    """Bytes of a drive's tables where it lies, by their names; none where that can't be said: reading will tell."""
     with suppress(Exception):
         if not is_url(place):
-            return sum(f.stat().st_size for f in Path(place).iterdir() if f.name in TABLES)
+            return {f.name: f.stat().st_size for f in Path(place).iterdir() if f.name in TABLES}
         system, path = _opened(str(place))
-        return sum(
-            system.size(f"{path}/{name}") or 0 for name in TABLES if _is_there(system, f"{path}/{name}")
-        )
-    return 0
+        listed = {
+            str(e["name"]).rpartition("/")[2]: int(e["size"] or 0) for e in system.ls(path, detail=True)
+        }
+        return {name: listed[name] for name in TABLES if name in listed}
+    return {}
+
+
+def without_secrets(url: str) -> str:
+    """A URL as messages name it: without what may be a secret."""
+    return re.sub(r"(?<=://)[^/@]*@", "***@", url).partition("?")[0]
 
 
 def read_place(place: Place) -> tuple[Drive, list[SigmaswarmWarning]]:
@@ -73,6 +80,10 @@ def read_place(place: Place) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not is_url(place):
         return read_with_warnings(Path(place))
     url = str(place).rstrip("/")
+    if "?" in url:
+        raise InputError(
+            f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; give their folder"
+        )
     with TemporaryDirectory(prefix="sigmaswarm-") as scratch:
         folder = Path(scratch) / (url.rpartition("/")[2] or "drive")
         with _told(url):
@@ -80,9 +91,9 @@ def read_place(place: Place) -> tuple[Drive, list[SigmaswarmWarning]]:
         try:
             drive, warned = read_with_warnings(folder)
         except DriveError as error:
-            raise type(error)(str(error).replace(str(folder), url)) from None
+            raise type(error)(str(error).replace(str(folder), without_secrets(url))) from None
     for one in warned:
-        one.args = (str(one).replace(str(folder), url),)
+        one.args = (str(one).replace(str(folder), without_secrets(url)),)
     return drive, warned
 
 
@@ -102,7 +113,9 @@ def _opened(url: str) -> tuple[Any, str]:
     try:
         import fsspec
     except ImportError:
-        raise InputError(f"{url}: reading URLs needs fsspec; run: pip install fsspec") from None
+        raise InputError(
+            f"{without_secrets(url)}: reading URLs needs fsspec; run: pip install fsspec"
+        ) from None
     system, path = fsspec.core.url_to_fs(url)
     return system, str(path).rstrip("/")
 
@@ -124,11 +137,13 @@ def _told(url: str) -> Generator[None]:
     except (InputError, MemoryError):
         raise
     except FileNotFoundError:
-        raise DriveError(f"{url} does not exist, or can't be seen from here; name a drive's folder") from None
-    except Exception as error:  # each protocol's library has errors of its own
-        said = shown(f"{type(error).__name__}: {error}", 200)
         raise DriveError(
-            f"{url}: can't be read ({said}); look at the address and your right to read it"
+            f"{without_secrets(url)} does not exist, or can't be seen from here; name a drive's folder"
+        ) from None
+    except Exception as error:  # each protocol's library has errors of its own
+        why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)
+        raise DriveError(
+            f"{without_secrets(url)}: can't be read ({why}); look at the address and your right to read it"
         ) from None
 
 

@@ -1,7 +1,9 @@
 """A Dask cluster: reached by an address, its workers checked, and what goes wrong with it told in one line."""
 
 import asyncio
+import json
 import logging
+import re
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -169,9 +171,7 @@ def connected(address: str) -> Generator["Client"]:
     try:
         import distributed
     except ImportError:
-        raise InputError(
-            f"--cluster {address} needs Dask; run: pip install dask distributed fsspec"
-        ) from None
+        raise InputError(f"--cluster {address} needs Dask; run: pip install 'sigmaswarm[cluster]'") from None
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what goes wrong is told in one line, here
     kind, _, count = address.partition(":")
@@ -188,10 +188,15 @@ def connected(address: str) -> Generator["Client"]:
                 f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not "
                 "local:N"
             )
-        where = {"scheduler_file": address}
+        where = {"address": _address_in(Path(address))}
+    elif not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
+        raise InputError(
+            f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates make a Client in "
+            "Python, and give it as cluster="
+        )
     try:
         client = distributed.Client(**where, timeout=CONNECT, set_as_default=False, name="sigmaswarm")
-    except (OSError, ValueError) as error:
+    except Exception as error:  # of sockets, addresses, protocols
         said = " ".join(str(error).split())[:150]
         raise ClusterError(
             f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "
@@ -201,6 +206,16 @@ def connected(address: str) -> Generator["Client"]:
         yield client
     finally:
         _closed(client)
+
+
+def _address_in(file: Path) -> str:
+    """What a scheduler file says."""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"--cluster {file}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
+        ) from None
 
 
 @contextmanager

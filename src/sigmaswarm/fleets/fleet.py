@@ -19,9 +19,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar
 
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.places import is_url
 from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 from sigmaswarm.fleets.connection import Cluster, ClusterError, Worker
 from sigmaswarm.fleets.holder import Asked, Elsewhere, Holder, Loaded, Raised, Refused, Unknown, of_each
@@ -93,10 +95,11 @@ class _Yard:
         """Forget a worker, and what it held."""
         with self._lock:
             if self.hosts.get(host.worker.address) is host:
+                allowed = ALLOWED * len(self.hosts)
                 del self.hosts[host.worker.address]
                 self._deaths += 1
                 self._looked = -LOOK
-                if self._deaths > ALLOWED * (len(self.hosts) + 1):
+                if self._deaths > allowed:
                     raise ClusterError(
                         f"{self._deaths} workers died one after the other over these drives, which need "
                         f"{_gb(sum(self.sizes))} in all; give the workers more memory, or start more of them"
@@ -111,7 +114,9 @@ class _Yard:
         while True:
             there = self.cluster.workers()
             for address in [a for a in self.hosts if a not in there]:
-                self.lost(self.hosts[address])
+                del self.hosts[
+                    address
+                ]  # taken away, it may be all at once; that is no fault of what they held
             new = [w for a, w in there.items() if a not in self.hosts and a not in self._refused]
             self._adopt(new)
             self._looked = time.monotonic()
@@ -222,6 +227,7 @@ class _Yard:
                 )
             except _Lost:  # the caller sees what is missing
                 break
+            self.answered()
             for i, one in found.items():
                 if isinstance(one, Refused):
                     refused.append((i, one.error))
@@ -423,5 +429,11 @@ def fleet_groups(
 
 
 def sources_of(drives: Iterable[Any]) -> list[Source]:
-    """Where the workers get drives from that were given as drives, paths or URLs."""
-    return [Given(drive) if isinstance(drive, Drive) else At(drive) for drive in drives]
+    """Where the workers get drives from that were given as drives, paths or URLs.
+
+    A worker may stand in another folder, so a path goes out as a whole one.
+    """
+    return [
+        Given(one) if isinstance(one, Drive) else At(one if is_url(one) else Path(one).absolute())
+        for one in drives
+    ]

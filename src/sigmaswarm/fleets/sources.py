@@ -1,11 +1,10 @@
 """Where a worker gets a drive from: read where it lies, made by the simulator, or handed over by the client."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.places import Place, is_url, read_place, size_of
+from sigmaswarm.drives.places import Place, read_place, sizes_of
 from sigmaswarm.errors import SigmaswarmWarning
 
 PER_HELD_BYTE, PER_CSV_BYTE, PER_PARQUET_BYTE = 3.3, 1.7, 8.0
@@ -36,8 +35,8 @@ class At:
 
     def size(self) -> float:
         """By the size of its files."""
-        compact = not is_url(self.place) and any("parquet" in f.suffix for f in _files(self.place))
-        return size_of(self.place) * (PER_PARQUET_BYTE if compact else PER_CSV_BYTE)
+        each = sizes_of(self.place).items()
+        return sum(n * (PER_PARQUET_BYTE if name.endswith(".parquet") else PER_CSV_BYTE) for name, n in each)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +52,6 @@ class Given:
     def size(self) -> float:
         """By its numbers."""
         return need_of(self.drive)
-
-
-def _files(place: Place) -> list[Path]:
-    try:
-        return list(Path(place).iterdir())
-    except OSError:
-        return []
 
 
 def need_of(drive: Drive) -> float:

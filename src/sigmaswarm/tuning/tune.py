@@ -146,7 +146,11 @@ def tune(
                 seen = SavedLandmarks(folder.path / SEEN_FILE, names)
         pool = executor or stack.enter_context(ThreadPoolExecutor())
         tuning = tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
-    return tuning if seen is None or isinstance(problem.seen, tuple) else replace(tuning, seen=seen)
+    if isinstance(problem.seen, tuple):
+        return tuning
+    return replace(
+        tuning, seen=tuple(problem.seen) if seen is None else seen
+    )  # the cluster may end before it
 
 
 def tuning_folder(path: Path, problem: Problem[Any], config: SearchConfig, *, resume: bool) -> ResultFolder:
