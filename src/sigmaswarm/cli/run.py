@@ -86,9 +86,9 @@ def run(
         write_fixes,
         write_pieces,
     )
-    from sigmaswarm.filters.run import estimates, replay_of
+    from sigmaswarm.filters.run import estimates, estimates_of, replay_of
     from sigmaswarm.filters.smoothing import smoothed_estimates
-    from sigmaswarm.filters.swarm.run import SwarmRun, swarm_estimates
+    from sigmaswarm.filters.swarm.run import SwarmRun
 
     if smooth and swarm:
         raise InputError("--smooth and --swarm exclude each other: a swarm has no hindsight; leave one out")
@@ -114,7 +114,7 @@ def run(
     restarts: list[float] = []
     swarming = SwarmRun(replay, parameters, recover=True, as_recorded=as_recorded) if swarm else None
     if swarming is not None:
-        found = swarm_estimates(swarming)
+        found = estimates_of(swarming, swarming.initial)
     else:
         found = (smoothed_estimates if smooth else estimates)(replay, parameters)
     pieces = _watched(found, restarts)

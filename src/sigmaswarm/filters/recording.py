@@ -1,6 +1,6 @@
 """One filter over one replay, handed out piece by piece: what it takes to hold does not grow with the drive."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Self
 
@@ -44,6 +44,12 @@ class Piece:
     covariance: Array
     sound: NDArray[np.bool_]
     lost: NDArray[np.bool_]
+
+
+def joined(pieces: Iterable[Piece]) -> Piece:
+    """All pieces as one."""
+    parts = list(pieces)
+    return Piece(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Piece)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +129,7 @@ class Recording:
 
     def whole(self) -> Piece:
         """All pieces as one."""
-        pieces = list(self)
-        return Piece(*(np.concatenate([getattr(p, f.name) for p in pieces]) for f in fields(Piece)))
+        return joined(self)
 
     def finished(self) -> Self:
         """The same, after the last piece; for who needs no estimates."""

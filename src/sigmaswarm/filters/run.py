@@ -23,6 +23,8 @@ from sigmaswarm.geodesy import wrap_angle
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sigmaswarm.filters.swarm.run import SwarmRun
+
 Array = NDArray[np.float64]
 
 
@@ -194,16 +196,24 @@ def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate
     SigmaswarmError
         Where the filter fails.
     """
-    recording = Recording(replay, parameters, recover=True)
+    return estimates_of(Recording(replay, parameters, recover=True), replay.initial)
+
+
+def estimates_of(run: "Recording | SwarmRun", initial: InitialState) -> Iterator[Estimate]:
+    """What a run believes, piece by piece, as it goes on.
+
+    Raises
+    ------
+    SigmaswarmError
+        Where it fails.
+    """
     told = 0
-    for piece in recording:
-        if recording.failure:
-            raise SigmaswarmError(recording.failure)
-        restarts = tuple(recording.restarts[told:])
-        told = len(recording.restarts)
-        yield Estimate(
-            piece.time, piece.mean, piece.covariance, replay.initial, restarts=restarts, lost=piece.lost
-        )
+    for piece in run:
+        if run.failure:
+            raise SigmaswarmError(run.failure)
+        restarts = tuple(run.restarts[told:])
+        told = len(run.restarts)
+        yield Estimate(piece.time, piece.mean, piece.covariance, initial, restarts=restarts, lost=piece.lost)
 
 
 def run_textbook(

@@ -10,7 +10,7 @@ at the marks alone. A third pass, forward from mark to mark, hands the estimates
 
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import believed
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at
+from sigmaswarm.filters.recording import SAMPLES, Piece, Recording, failure_at, joined
 from sigmaswarm.filters.recovery import Recovery
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, replay_of
@@ -67,8 +67,7 @@ def smooth(
         If ``initial`` is not given and the drive never moves far enough.
     """
     smoothing = Smoothing(replay_of(drive, initial, as_recorded=as_recorded), parameters, recover=recover)
-    pieces = list(smoothing)
-    whole = Piece(*(np.concatenate([getattr(p, f.name) for p in pieces]) for f in fields(Piece)))
+    whole = joined(smoothing)
     return Estimate(
         whole.time,
         whole.mean,

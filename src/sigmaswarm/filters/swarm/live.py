@@ -92,28 +92,27 @@ class _Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A search under way: its result lands with the first sample from a time on; it replayed up to a step.
+    """A search under way; it replays the steps on tape up to number ``taped``.
 
     A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
     """
 
-    lands: float
     taped: int
     arguments: tuple[Any, ...]
     process: int
     found: "Future[Found | None]"
 
     @classmethod
-    def begun(cls, lands: float, taped: int, *arguments: Any) -> "_Pending":
+    def begun(cls, taped: int, *arguments: Any) -> "_Pending":
         """Search beside the samples."""
-        return cls(lands, taped, arguments, os.getpid(), _searcher().submit(search, *arguments))
+        return cls(taped, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
     def result(self) -> Found | None:
         """What was found, waited for if need be."""
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Pending.begun, (self.lands, self.taped, *self.arguments)
+        return _Pending.begun, (self.taped, *self.arguments)
 
 
 class LiveSwarm(LiveFilter):
@@ -179,9 +178,7 @@ class LiveSwarm(LiveFilter):
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets.copy()
         self._model: ModelName = parameters.model
-        self._settled = len(
-            self._memory.arrays.history
-        )  # records of the history: as many samples back nothing changes
+        self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
         self._memory = self._with_lanes(nominal_interval)
         self._belief[live.BELIEVES_TIMES] = believe_times
         self._start_lanes(initial, slice(None))
@@ -247,7 +244,7 @@ class LiveSwarm(LiveFilter):
             if found is not None:
                 self._replace(found, pending.taped)
         elif self._searches:
-            self._pending = self._begin(now)
+            self._pending = self._begin()
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
 
     def _settled_mark(self) -> tuple[int, Array, Array] | None:
@@ -266,7 +263,7 @@ class LiveSwarm(LiveFilter):
         leads = int(np.argmax(numbers[swarm.WEIGHT]))
         return _Snapshot(int(numbers[swarm.TAPED]), time, self._rows_of(numbers)[:, leads].copy())
 
-    def _begin(self, now: float) -> _Pending | None:
+    def _begin(self) -> _Pending | None:
         mark = self._settled_mark()
         if mark is None:
             return None
@@ -284,7 +281,7 @@ class LiveSwarm(LiveFilter):
         steps = Steps(self._model, self._tape(begins.taped, here.taped), lever)
         chance = self._seed, self._n_begun
         return _Pending.begun(
-            *(now + SEARCH_TAKES, here.taped, self.spread, steps, begins.lane, self.offsets[leads].copy()),
+            *(here.taped, self.spread, steps, begins.lane, self.offsets[leads].copy()),
             *(self._population, self._interval, chance),
         )
 

@@ -1,7 +1,7 @@
 """A swarm over a whole drive: the drive's samples and fixes, one by one, through a `LiveSwarm`."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from heapq import merge
 from operator import itemgetter
 from typing import Any
@@ -12,12 +12,11 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import Chunk
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Piece, failure_at
+from sigmaswarm.filters.recording import Innovations, Piece, failure_at, joined
 from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
@@ -209,25 +208,6 @@ def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
     return merge(fixes, readings, key=itemgetter(0))
 
 
-def swarm_estimates(run: SwarmRun) -> Iterator[Estimate]:
-    """What `run_swarm` gives, piece by piece.
-
-    Raises
-    ------
-    SigmaswarmError
-        Where no lane is left.
-    """
-    told = 0
-    for piece in run:
-        if run.failure:
-            raise SigmaswarmError(run.failure)
-        restarts = tuple(run.restarts[told:])
-        told = len(run.restarts)
-        yield Estimate(
-            piece.time, piece.mean, piece.covariance, run.initial, restarts=restarts, lost=piece.lost
-        )
-
-
 def run_swarm(
     drive: Drive | PreparedDrive,
     parameters: FilterParameters,
@@ -260,8 +240,7 @@ def run_swarm(
         recover=recover,
         as_recorded=as_recorded,
     )
-    pieces = list(run)
-    whole = Piece(*(np.concatenate([getattr(p, f.name) for p in pieces]) for f in fields(Piece)))
+    whole = joined(run)
     return Estimate(
         whole.time,
         whole.mean,
