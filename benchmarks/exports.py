@@ -23,7 +23,7 @@ from exported import build, distance, replay, run_script, tuned, twin
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate
 from sigmaswarm.filters.models import MODELS
 
-KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
+KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 REAL = ("kitti-09-30-0033", "colorado-1", "dresden")
 TIMER = r"""
 #define _POSIX_C_SOURCE 199309L

@@ -13,6 +13,7 @@ FILTERS = {
     "planar5 ekf": ("planar5", "ekf", ()),
     "planar5 adaptive-ukf": ("planar5", "adaptive-ukf", ()),
     "planar5 strong-tracking-ukf": ("planar5", "strong-tracking-ukf", ()),
+    "planar5 fuzzy-ukf": ("planar5", "fuzzy-ukf", ()),
     "planar8 ukf": ("planar8", "ukf", ()),
     "planar8 ukf, lateral": ("planar8", "ukf", ("lateral",)),
     "planar8 ukf, lateral and standstill": ("planar8", "ukf", ("lateral", "standstill")),

@@ -10,7 +10,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from support import make_drive
 
-KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
+KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 OPTIONS = {
     "plain": {},
     "velocity": {"velocity_noise": 0.1},
@@ -28,13 +28,15 @@ WEIGHED = {
 }
 """Options that weigh fixes, which do not go with every kind."""
 WEIGHED_CASES = [(kind, option) for kind in ("ukf", "ekf") for option in WEIGHED]
-WEIGHED_CASES += [("strong-tracking-ukf", "accuracy")]
+WEIGHED_CASES += [("strong-tracking-ukf", "accuracy"), ("fuzzy-ukf", "accuracy")]
 
 
 def parameters(model: str, **more) -> FilterParameters:
     more = {"kind": MODELS[model].kinds[0], **more}
     if more.get("kind") == "strong-tracking-ukf":
         more = {"forgetting": 0.5, **more}  # so that it has something to do on a drive that is as modelled
+    if more.get("kind") == "fuzzy-ukf":
+        more = {"forgetting": 0.7, "fuzzy_gains": (5.0, 20.0), **more}
     q = (1e-4, 2e-4, 1e-3, 2e-3, 1e-6, 1e-8, 2e-8, 1e-10, 1e-7, 2e-7, 1e-11, 2e-11)[
         : len(MODELS[model].states)
     ]

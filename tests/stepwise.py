@@ -78,14 +78,15 @@ class CompiledCars:
     """The compiled filter, one per parameter set; ``rows`` (s, N_ROWS) is all that they are and remember.
 
     A filter that remembers nothing but its state takes its steps with the kernel that a tuning runs. That one can't be
-    started in the midst of a memory; so an adaptive or strong tracking filter takes them with the live filter's kernel.
+    started in the midst of a memory; so one that adapts itself takes them with the live filter's kernel.
     """
 
     def __init__(self, timeline: Timeline, initial: InitialState, sets: Sequence[FilterParameters]) -> None:
         assert len(sets) % layout.LANES == 0
         self.line, self.n, self.model = timeline, sets[0].n_states, sets[0].model
         self.remembers = (
-            sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf") or sets[0].robust_dof is not None
+            sets[0].kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
+            or sets[0].robust_dof is not None
         )
         self.parts = [slice(a, a + layout.LANES) for a in range(0, len(sets), layout.LANES)]
         self.rows = np.zeros((len(sets), layout.N_ROWS))
@@ -233,6 +234,8 @@ def restart(oracle: ExtendedCar, compiled: CompiledCars, since: float) -> None:
         noise, recent = compiled.noise.astype(extended), compiled.rows[:, R.RECENT].astype(extended)
         oracle.q, oracle.r = noise[:, :n], noise[:, n:]
         oracle.recent = np.where(recent < 0, np.nan, recent)
+        fuzzy = compiled.rows[:, [R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]].T.astype(extended)
+        oracle.quick, oracle.slow, oracle.times_r, oracle.times_q = fuzzy
     oracle.rejected = compiled.rows[:, R.REJECTED].astype(int) if compiled.remembers else 0 * oracle.rejected
     oracle.outliers = compiled.rows[:, R.OUTLIERS].astype(int)
     oracle.span = compiled.rows[:, R.SPAN].astype(extended)
@@ -257,7 +260,7 @@ def errors_of(compiled: CompiledCars, oracle: ExtendedCar, absorbed: bool) -> di
             assert decided.all(), "the gates disagree"
             decided = (compiled.rows[:, R.OUTLIERS] == oracle.outliers) | ~np.isfinite(errors["turn"])
             assert decided.all(), "the weights disagree"
-        if oracle.kind == "adaptive-ukf":
+        if oracle.kind in ("adaptive-ukf", "fuzzy-ukf"):
             noise = np.concatenate([oracle.q, oracle.r], axis=1)
             errors["noise"] = np.max(np.abs(compiled.noise - noise) / noise, axis=1).astype(float)
         if oracle.robust:

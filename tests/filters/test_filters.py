@@ -9,6 +9,7 @@ from filterpy.kalman import ExtendedKalmanFilter as FilterPyEkf
 
 from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
 from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
@@ -16,6 +17,8 @@ from sigmaswarm.filters.models import gps_position, planar5, planar8
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter, run_textbook
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter
+from sigmaswarm.filters.textbook.adaptive import FuzzyNoise
+from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.tuning.batch import run_batch
 from support import DRIVES, make_drive, needs_shared
@@ -129,6 +132,73 @@ def test_strong_tracking_follows_what_its_noise_does_not_allow():
     assert errors["ukf"] > 20
     assert errors["strong-tracking-ukf"] < 3
     assert errors["adaptive-ukf"] < errors["ukf"] * 0.7
+
+
+FUZZY = FilterParameters(
+    0.5, 2.0, 1.0, (1e-5, 1e-5, 1e-5, 1e-5, 1e-8), (0.25, 0.25), kind="fuzzy-ukf", forgetting=0.8
+)
+
+
+def test_a_fuzzy_filter_whose_rules_say_nothing_is_the_unscented_one():
+    drive, silent = make_drive(duration=30, gps_std=2.0, seed=1), replace(FUZZY, fuzzy_gains=(1.0, 1.0))
+    plain, fuzzy = run_filter(drive, replace(silent, kind="ukf")), run_filter(drive, silent)
+    assert fuzzy.mean.tobytes() == plain.mean.tobytes()
+    assert fuzzy.covariance.tobytes() == plain.covariance.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "trend", "times_r", "times_q"),
+    [
+        (1.0, 1.0, 1.0, 1.0),  # as expected
+        (1e-9, 1.0, 1 / 4, 1 / 9),  # small
+        (9.0, 9.0, 4.0, 9.0),  # large, and lasting
+        (9.0, 1.0, 4.0, 1.0),  # large, and rising
+        (9.0, 1e9, 4.0, 9.0),  # large, and falling
+        (1.5, 1.5, 1 + 3 * 0.4, 1 + 8 * 0.4),  # 0.2 / 0.5 of the way to large
+        (9.0, 6.0, 4.0, 9 - 8 * 0.4),  # 0.2 / 0.5 of the way to rising
+    ],
+)
+def test_fuzzy_rules_say_what_their_table_says(ratio: float, trend: float, times_r: float, times_q: float):
+    noise = FuzzyNoise(np.ones(5), np.ones(2), 0.9, (0.5, 0.5), (4.0, 9.0), quick=ratio, slow=trend)
+    assert noise.factors() == pytest.approx((times_r, times_q), rel=1e-6)
+
+
+def factors(drive: Drive, p: FilterParameters) -> tuple[np.ndarray, np.ndarray]:
+    """By how much a fuzzy filter has multiplied R and Q after each step."""
+    car = TextbookCar(build_timeline(drive, initial_state(drive).time), p, initial_state(drive))
+    assert car.fuzzy is not None
+    found = []
+    for i in range(len(car.timeline.dt)):
+        car.step(i)
+        found.append((car.fuzzy.times_r, car.fuzzy.times_q))
+    r, q = np.array(found).T
+    return r, q
+
+
+def test_fuzzy_rules_doubt_an_outlier_and_then_what_lasts():
+    drive = make_drive(duration=40, gps_std=0.5, seed=3)
+    x, after = drive.gps.x.copy(), drive.gps.time[100]
+    x[100] += 6.0
+    p = replace(FUZZY, forgetting=0.9, fuzzy_widths=(0.3, 0.15), fuzzy_gains=(10.0, 10.0))
+    r, q = factors(replace(drive, gps=replace(drive.gps, x=x)), p)
+    at = np.searchsorted(build_timeline(drive, initial_state(drive).time).end, after)
+    assert r[at] > 1.5 * r[at - 1]
+    assert q[at] < 1.5  # rising: a fix is wrong sooner than the car
+    biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 1.0))
+    r, q = factors(biased, p)
+    assert np.mean(q[at:]) > 2
+
+
+def test_a_fuzzy_filter_follows_what_its_noise_does_not_allow():
+    drive = make_drive(duration=60, gps_std=0.5, seed=1)
+    biased = replace(drive, imu=replace(drive.imu, ax=drive.imu.ax + 0.5))
+    truth, errors = biased.truth, {}
+    assert truth is not None
+    for kind in ("ukf", "fuzzy-ukf"):
+        p = replace(FUZZY, kind=kind, fuzzy_gains=(1.0, 100.0))
+        mean = run_filter(biased, p, recover=False).mean
+        errors[kind] = np.hypot(mean[-1, 0] - truth.x[-1], mean[-1, 1] - truth.y[-1])
+    assert errors["fuzzy-ukf"] < 0.5 * errors["ukf"]
 
 
 def test_strong_tracking_stays_sound_on_a_sound_drive():

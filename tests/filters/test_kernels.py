@@ -196,14 +196,14 @@ def test_threads_change_no_bit(threads: int):
 def test_other_kinds_in_the_company_change_no_bit():
     # An update leaves out what no lane needs, such as the fading of a strong tracking filter.
     sets = many_sets()[:12]
-    kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf")
-    mixed = [replace(p, kind=kinds[i % 4], forgetting=0.9) for i, p in enumerate(sets)]
+    kinds = ("ukf", "adaptive-ukf", "strong-tracking-ukf", "ekf", "fuzzy-ukf")
+    mixed = [replace(p, kind=kinds[i % 5], forgetting=0.9) for i, p in enumerate(sets)]
     together = as_bits(run_replays([short_replay()], mixed))
     alone = np.vstack([as_bits(run_replays([short_replay()], [p])) for p in mixed])
     assert together.tobytes() == alone.tobytes()
     plain = as_bits(run_replays([short_replay()], sets))
-    for i in (1, 2, 3):  # each kind has something to do
-        assert np.any(plain[i::4] != together[i::4]), kinds[i]
+    for i in (1, 2, 3, 4):  # each kind has something to do
+        assert np.any(plain[i::5] != together[i::5]), kinds[i]
 
 
 @compiled

@@ -105,7 +105,7 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     assert np.quantile(errors.covariance[known], 0.99) < 1e-10
     assert errors.sums is not None
     assert errors.sums[known[errors.absorbed]].max() < 1e-9
-    if kind == "adaptive-ukf":
+    if kind in ("adaptive-ukf", "fuzzy-ukf"):
         assert errors.noise is not None
         assert errors.noise[known[errors.absorbed]].max() < 1e-9
     # Where a heading is lost altogether the arithmetic is as lost as the car, but no further.

@@ -64,7 +64,16 @@ def box_sets(model: str, kind: str, n: int, seed: int = 0) -> list[FilterParamet
         walks = [1e-3, 1e-3, 1e-3, 1e-6, 1e-4, 1e-4, 1e-6, 1e-6]  # from theta on
         high = np.array([*UPPER[:3], 10.0, 10.0, 1.0, 1.0, *walks, *UPPER[8:]])
     low, high = np.concatenate([low, _MORE[0]]), np.concatenate([high, _MORE[1]])
-    return [_equipped(_draw(rng, low, high, corner=i % 2 == 1), states, model, kind) for i in range(n)]
+    sets = [_equipped(_draw(rng, low, high, corner=i % 2 == 1), states, model, kind) for i in range(n)]
+    return _ruled(sets, rng) if kind == "fuzzy-ukf" else sets
+
+
+def _ruled(sets: list[FilterParameters], rng: np.random.Generator) -> list[FilterParameters]:
+    """The sets with a fuzzy filter's memory, edges and gains from the box."""
+    memory, widths = rng.uniform(0.5, 0.999, len(sets)), 10.0 ** rng.uniform(-1, 0, (len(sets), 2))
+    gains = 100.0 ** rng.uniform(0, 1, (len(sets), 2))
+    each = zip(sets, memory.tolist(), map(tuple, widths.tolist()), map(tuple, gains.tolist()), strict=True)
+    return [replace(p, forgetting=m, fuzzy_widths=w, fuzzy_gains=g) for p, m, w, g in each]
 
 
 def weighed(sets: list[FilterParameters], seed: int = 0) -> list[FilterParameters]:

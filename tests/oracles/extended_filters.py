@@ -106,6 +106,7 @@ class ExtendedCar:
     mean, covariance : (s, n), (s, n, n)
     q, r : (s, n), (s, 2), the diagonals of Q and R; an adaptive filter changes them
     recent : (s,), strong tracking's recent size of the innovations; NaN before the first
+    quick, slow, times_r : (s,), a fuzzy filter's averages of NIS / 2, and the factor that is in R
     rejected : (s,), how many fixes in a row the gate has turned away
     lost : (s,), whether the last fix ended a run of outliers so long that the filter recovers
     outliers, span : (s,), how many fixes in a row had a small weight, and Q's scale from the first to the last of them
@@ -138,6 +139,12 @@ class ExtendedCar:
         self.gate, self.latency = column("gate", np.inf), column("latency")
         self.forgetting = column("forgetting")
         self.recent = np.full(len(sets), np.nan, dtype=Extended)
+        self.quick, self.slow, self.times_r = np.ones((3, len(sets)), dtype=Extended)
+        self.times_q = np.ones(len(sets), dtype=Extended)
+        self.widths, self.gains = (
+            np.array([getattr(p, name) for p in sets], dtype=Extended).T
+            for name in ("fuzzy_widths", "fuzzy_gains")
+        )
         self.rejected = np.zeros(len(sets), dtype=int)
         self.accuracy, self.dof = column("accuracy_scale", 0.0), column("robust_dof", np.inf)
         self.robust = bool(np.isfinite(self.dof).any())
@@ -199,7 +206,7 @@ class ExtendedCar:
         self.covariance = np.where(used[:, None, None], covariance, self.covariance)
 
     def _absorb_fix(self, z: Measurement, stated: np.ndarray) -> None:
-        r = np.eye(2, dtype=Extended) * (self.r + self.accuracy[:, None] * stated)[:, None]
+        r = np.eye(2, dtype=Extended) * (self.r + (self.times_r * self.accuracy)[:, None] * stated)[:, None]
         seen = self.form.measure(self.mean, self.covariance, z, r)
         self.nis = _nis(seen)  # before S is stretched: a forecast must not know what it forecasts
         self.log_determinant = np.log(seen.s[:, 0, 0] * seen.s[:, 1, 1] - seen.s[:, 0, 1] * seen.s[:, 1, 0])
@@ -207,6 +214,8 @@ class ExtendedCar:
         self.rejected = np.where(used, 0, self.rejected + 1)
         if self.kind == "strong-tracking-ukf":
             self._fade(seen, used)
+        if self.kind == "fuzzy-ukf":
+            r = self._reason(seen, used)
         if self.robust:
             r = self._weigh(seen)
         # Of z itself: M = S - R is what the filter knew, so M S^-1 nu is what it learns.
@@ -244,6 +253,29 @@ class ExtendedCar:
         seen.s, seen.r = m + heavy, heavy
         self._stretch(seen, lost, np.sum(seen.nu**2, axis=1))
         return heavy
+
+    def _reason(self, seen: Innovation, used: np.ndarray) -> np.ndarray:
+        """Rules on the size of the innovations scale Q and R; gives the R that is absorbed with.
+
+        Each fix moves the averages by 1 - forgetting, and a quarter of it, of the way to its NIS / 2, at most 10.
+        """
+        size = np.minimum(self.nis / 2, 10)
+        step = np.where(used, 1 - self.forgetting, 0)
+        self.quick, self.slow = (
+            (1 - s) * old + s * size for s, old in ((step, self.quick), (step / 4, self.slow))
+        )
+        edge = 2 * self.quick / (1 + self.quick) - 1, 1 - 2 * self.slow / (self.quick + self.slow)
+        high, rises = (np.clip(value / width, -1, 1) for value, width in zip(edge, self.widths, strict=True))
+        large, small, rises = np.maximum(high, 0), np.maximum(-high, 0), np.maximum(rises, 0)
+        r, q = (1 + large * (gain - 1) + small * (1 / gain - 1) for gain in self.gains)
+        q -= large * rises * (self.gains[1] - 1)
+        r, q = np.where(used, r, self.times_r), np.where(used, q, self.times_q)
+        times = (r / self.times_r)[:, None]
+        self.r, self.q = times * self.r, (q / self.times_q)[:, None] * self.q
+        self.times_r, self.times_q = r, q
+        noise = times[..., None] * seen.r
+        seen.s, seen.r = seen.s - seen.r + noise, noise
+        return noise
 
     def _fade(self, seen: Innovation, used: np.ndarray) -> None:
         """Strong tracking."""

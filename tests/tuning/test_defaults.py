@@ -95,7 +95,7 @@ def test_what_the_user_gives_stays():
 
 
 @given(
-    kind=st.none() | st.sampled_from(("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")),
+    kind=st.none() | st.sampled_from(("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")),
     objective=st.sampled_from(("auto", "innovation-nll + 0.1 nis", "truth-pose")),
     axes=st.booleans(),
     states=st.booleans(),

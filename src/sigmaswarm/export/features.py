@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from sigmaswarm.drives import odometer, timeline
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters import schedule, student, tilted
+from sigmaswarm.filters import fuzzy, schedule, student, tilted
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.versions import __version__
@@ -17,6 +17,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     has_tilts = MODELS[p.model].tilts is not None
     biases, gate = bool(MODELS[p.model].sensors), p.gate is not None
     adaptive, tracking = p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf"
+    rules = p.kind == "fuzzy-ukf"
     used = {
         "UNSCENTED": p.kind != "ekf",
         "TILTED": has_tilts,
@@ -25,10 +26,12 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "BIASES_OR_ALONG": biases or lateral or wheels,
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
-        "FORGETTING": adaptive or tracking,
+        "FUZZY": rules,
+        "FORGETTING": adaptive or tracking or rules,
         "LATENCY": p.latency != 0.0,
         "GATE": gate,
-        "GATE_OR_STRETCH": gate or tracking or p.robust_dof is not None,
+        "NIS": gate or rules,
+        "GATE_OR_STRETCH": gate or tracking or rules or p.robust_dof is not None,
         "ACCURACY": p.accuracy_scale is not None,
         "ROBUST": p.robust_dof is not None,
         "STRETCH": tracking or p.robust_dof is not None,
@@ -56,6 +59,12 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "ACCEL_BIAS_STD": p.bias_std[0],
         "GYRO_BIAS_STD": p.bias_std[1],
         "FORGETTING": p.forgetting,
+        "FUZZY_WIDTH_RATIO": p.fuzzy_widths[0],
+        "FUZZY_WIDTH_TREND": p.fuzzy_widths[1],
+        "FUZZY_GAIN_R": p.fuzzy_gains[0],
+        "FUZZY_GAIN_Q": p.fuzzy_gains[1],
+        "LARGEST_RATIO": fuzzy.LARGEST_RATIO,
+        "SLOWER": fuzzy.SLOWER,
         "GATE": p.gate,
         "ACCURACY_SCALE": p.accuracy_scale,
         "ROBUST_DOF": p.robust_dof,

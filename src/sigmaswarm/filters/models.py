@@ -214,7 +214,7 @@ class CarModel:
     odometer: Callable[[float, float], Any] = wheel_speed
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
-    kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf")
+    kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -141,6 +141,11 @@ def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
             "GATE": np.inf if p.gate is None else p.gate,
             "FORGETTING": p.forgetting if p.kind == "adaptive-ukf" else 1.0,
             "FADING": p.forgetting if p.kind == "strong-tracking-ukf" else -1.0,
+            "FUZZY": p.forgetting if p.kind == "fuzzy-ukf" else -1.0,
+            "WIDTH_RATIO": p.fuzzy_widths[0],
+            "WIDTH_TREND": p.fuzzy_widths[1],
+            "GAIN_R": p.fuzzy_gains[0],
+            "GAIN_Q": p.fuzzy_gains[1],
             "ACCURACY": p.accuracy_scale or 0.0,
             "DOF": p.robust_dof or 0.0,
             "PATIENCE": (OUTLIERS_SPAN - 1e-6)
@@ -158,6 +163,7 @@ def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[floa
         each[:N_STATE] = pack_states(*starts_of(start, MODELS[model], bias_std), model)
         each[CONSTANT_ROWS] = chunk.constants(interval)
     rows[:, [R.DET, R.TAIL, R.OK]] = 1.0
+    rows[:, [R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
     rows[:, R.RECENT] = -1.0
     rows[:, R.HEADING] = np.array([start.mean[THETA] for start in initial])[:, np.newaxis]
     return rows

@@ -25,6 +25,7 @@ def _as_tuple(value: Any) -> Any:
 
 Real = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Gain = Annotated[float, Field(ge=1, allow_inf_nan=False)]
 Variances = Annotated[tuple[Real, ...], BeforeValidator(_as_tuple)]
 
 
@@ -52,11 +53,15 @@ class FilterParameters:
     nominal_interval : float or None
         s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning
         stores it, so that the same filter on an IMU of another rate adds the same variance per second.
-    kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"}
+    kind : {"ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"}
         Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
-        a fading factor (Zhou and Frank 1996).
+        a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules (`filters.fuzzy`).
     forgetting : float
-        In (0, 1): how much of the past an adaptive or strong tracking filter keeps from fix to fix.
+        In (0, 1): how much of the past an adaptive, strong tracking or fuzzy filter keeps from fix to fix.
+    fuzzy_widths : tuple of float, length 2
+        How far ratio and trend, both in (-1, 1), go from the middle until "large" and "rises" are wholly true.
+    fuzzy_gains : tuple of float, length 2
+        At least 1: by how much a fuzzy filter's rules multiply or divide R and Q at most.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     velocity_noise : float or None
@@ -101,6 +106,8 @@ class FilterParameters:
     nominal_interval: Positive | None = _option(None)
     kind: FilterKind = _option("ukf")
     forgetting: Annotated[float, Field(gt=0, lt=1)] = _option(0.98)
+    fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
+    fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
@@ -244,7 +251,7 @@ def clash(kind: str, use: Collection[str]) -> str | None:
         return (
             "robust and gate exclude each other: robust weighs the fixes that gate turns away; leave one out"
         )
-    if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf"):
+    if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
     if "accuracy" in use and kind == "adaptive-ukf":
         return "accuracy does not go with adaptive-ukf, which finds R by itself; take another kind, or leave it out"
@@ -261,6 +268,8 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
         "measurement_noise": ["m2", "m2"],
         "nominal_interval": "s",
+        "fuzzy_widths": "of ratio and trend, both within -1 and 1",
+        "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",

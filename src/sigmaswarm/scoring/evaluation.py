@@ -71,6 +71,7 @@ KIND_NAMES = {
     "ekf": "EKF",
     "adaptive-ukf": "adaptive UKF",
     "strong-tracking-ukf": "strong tracking UKF",
+    "fuzzy-ukf": "fuzzy UKF",
 }
 """What people call the kinds of filters."""
 

@@ -96,7 +96,7 @@ class FilterOptions(TypedDict, total=False):
     ]
     kind: Annotated[
         FilterKind,
-        Doc("Unscented, extended (all that tilted12 has), adaptive (Sage-Husa) or strong tracking."),
+        Doc("Unscented, extended (all that tilted12 has), adaptive (Sage-Husa), strong tracking or fuzzy."),
     ]
     use: Annotated[
         Sequence[Option],

@@ -68,6 +68,18 @@ NOISES = (
 USUAL_INTERVAL = 0.01
 """s: the IMU of a drive that is not known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
+KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
+    "adaptive-ukf": (ADAPTIVE,),
+    "strong-tracking-ukf": (ADAPTIVE,),
+    "fuzzy-ukf": (
+        Dimension("forgetting", "forgetting", 0, 0.5, 0.999, spread=False),
+        Dimension("fuzzy_width_ratio", "fuzzy_widths", 1, 0.1, 1.0),
+        Dimension("fuzzy_width_trend", "fuzzy_widths", 1, 0.1, 1.0),
+        Dimension("fuzzy_gain_r", "fuzzy_gains", 1, 1.0, 100.0),
+        Dimension("fuzzy_gain_q", "fuzzy_gains", 1, 1.0, 100.0),
+    ),
+}
+"""What a kind of filter is tuned by beside its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +186,7 @@ def _dimensions(
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     for sensor in described.sensors:
         yield Dimension(f"{sensor}_bias_std", "bias_std", 1, *SENSORS[sensor].start_std)
-    if kind in ("adaptive-ukf", "strong-tracking-ukf"):
-        yield ADAPTIVE
+    yield from KIND_DIMENSIONS.get(kind, ())
     for option in OPTIONS:
         if option in use:
             yield from OPTION_DIMENSIONS[option]

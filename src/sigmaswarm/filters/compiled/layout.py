@@ -36,10 +36,11 @@ COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1
 """The upper triangle column by column, so that a model's rows are the first of a larger one's."""
 CONSTANTS = (
     "GAMMA", "INV_GAMMA2", "SPREAD", "SECOND",  # sigma points; SECOND = 0: an extended filter
-    *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive filter writes these
+    *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
-    "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off
+    "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
+    "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
     "DOF", "PATIENCE",  # of Student's t, 0: Gaussian; nominal steps that outliers span when the filter recovers
 )  # fmt: skip
@@ -48,6 +49,7 @@ SUMS = (
     "SQ_POSITION", "SQ_HEADING", "NEES", "SQ_FIX", "SQ_FORECAST", "NIS", "LOG_TAIL", "FORECAST_T", "LOG_DET",
     "DET", "TAIL", "OK", "REJECTED", "RECENT",
     "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
+    "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and the factors in force
     "HEADING",  # of models with tilts, whose mean has no row for it
 )  # fmt: skip
 """What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""

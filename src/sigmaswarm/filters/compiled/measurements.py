@@ -24,6 +24,7 @@ from sigmaswarm.filters.compiled.tilted12 import (
     measure_odometer_tilted,
 )
 from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.models import CarModel
 from sigmaswarm.filters.schedule import MOST_REJECTED, SLIP_GATE
 from sigmaswarm.filters.student import (
@@ -47,10 +48,11 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
 
     What no lane needs is left out; what other lanes need does not change a bit.
     """
-    fading, adapting, robust = 0, 0, 0
+    fading, adapting, fuzzy, robust = 0, 0, 0, 0
     for l in range(LANES):
         fading += w[R.FADING, l] >= 0.0
         adapting += w[R.FORGETTING, l] < 1.0
+        fuzzy += w[R.FUZZY, l] >= 0.0
         robust += w[R.DOF, l] > 0.0
         w[R.WEIGHT, l] = 1.0
     _measure_fix(w, z, lever)
@@ -60,6 +62,8 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
         w[R.REJECTED, l] = 0.0 if inside else w[R.REJECTED, l] + 1.0
     if adaptive and fading > 0:
         _fade(w)
+    if adaptive and fuzzy > 0:
+        _reason(w)
     if robust > 0:
         _weigh(w, since)
     if note_prior:  # P may have been stretched
@@ -201,6 +205,40 @@ def _fade(w, *, n):
         )  # H P H^T
         wanted = (recent - w[R.R1, l] - w[R.R2, l]) / (s11 + s22)
         _stretch(w, l, s11, s12, s22, wanted if used & (wanted > 1.0) else 1.0)
+
+
+def _reason(w, *, n):
+    """Scale R and Q by fuzzy rules on what the fix says of S (FUZZY < 0: off): see `filters.fuzzy`.
+
+    The factors in force are taken out of R and Q as the new ones are put in.
+    """
+    for l in range(LANES):
+        memory = w[R.FUZZY, l]
+        used = (memory >= 0.0) & (w[R.USE, l] > 0.0)  # a fix that was turned away teaches nothing
+        v11, v12, v22, n1, n2 = w[R.V11, l], w[R.V12, l], w[R.V22, l], w[R.NU1, l], w[R.NU2, l]
+        newest = 0.5 * (v22 * n1 * n1 - 2.0 * v12 * n1 * n2 + v11 * n2 * n2) / (v11 * v22 - v12 * v12)
+        newest = newest if newest < LARGEST_RATIO else LARGEST_RATIO
+        quick = w[R.QUICK, l] + (1.0 - memory) * (newest - w[R.QUICK, l])
+        slow = w[R.SLOW, l] + (1.0 - memory) / SLOWER * (newest - w[R.SLOW, l])
+        ratio = (quick - 1.0) / (quick + 1.0) / w[R.WIDTH_RATIO, l]
+        trend = (quick - slow) / (quick + slow) / w[R.WIDTH_TREND, l]
+        large = 0.0 if ratio < 0.0 else (1.0 if ratio > 1.0 else ratio)
+        small = 0.0 if ratio > 0.0 else (1.0 if ratio < -1.0 else -ratio)
+        rises = 0.0 if trend < 0.0 else (1.0 if trend > 1.0 else trend)
+        right = 1.0 - small - large
+        gain_r, gain_q = w[R.GAIN_R, l], w[R.GAIN_Q, l]
+        times_r = small / gain_r + right + large * gain_r
+        times_q = small / gain_q + right + large * (rises + (1.0 - rises) * gain_q)
+        more_r = times_r / w[R.TIMES_R, l] if used else 1.0
+        more_q = times_q / w[R.TIMES_Q, l] if used else 1.0
+        for row in (R.RX, R.RY, R.ACCURACY, R.R1, R.R2):
+            w[row, l] *= more_r
+        for i in range(n):
+            w[Q0 + i, l] *= more_q
+        w[R.QUICK, l] = quick if used else w[R.QUICK, l]
+        w[R.SLOW, l] = slow if used else w[R.SLOW, l]
+        w[R.TIMES_R, l] *= more_r
+        w[R.TIMES_Q, l] *= more_q
 
 
 def _stretch(w, l, s11, s12, s22, factor, *, n):
@@ -448,7 +486,7 @@ def absorbers(model: CarModel, note_prior=None):
         "tilted": int(model.tilts is not None),
     }
     parts = (_absorb_one, _absorb_two, _keep_digits, _take_velocity, _weigh)
-    parts += (_fade, _adapt) if ready["adaptive"] else ()
+    parts += (_fade, _reason, _adapt) if ready["adaptive"] else ()
     parts += () if ready["tilted"] else (_measure_fix,)
     if ready["tilted"]:
         ready["_measure_fix"] = measure_fix_tilted

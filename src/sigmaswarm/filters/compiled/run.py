@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sigmaswarm.compilation import cached, once
 from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
-from sigmaswarm.filters import models, schedule, student, tilted
+from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
@@ -162,6 +162,7 @@ def named_by_sources(make, name):
     """
     elsewhere = (
         frozen,
+        fuzzy,
         gaps,
         odometer,
         standstill,

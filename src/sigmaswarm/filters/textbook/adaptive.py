@@ -1,9 +1,10 @@
-"""Filters that change themselves: adapted noise, the fading factor of strong tracking, weights of Student's t."""
+"""Filters that change themselves: adapted noise, fuzzy rules, strong tracking's fading factor, Student's t."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sigmaswarm.filters.fuzzy import LARGEST_RATIO, SLOWER
 from sigmaswarm.filters.student import ITERATIONS, OUTLIERS, OUTLIERS_SPAN, OUTLYING
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Innovation
 
@@ -42,6 +43,73 @@ class SageHusa:
         shrunk = np.diag(innovation.gain @ innovation.variance @ innovation.gain.T)
         change = (moved**2 - shrunk) / (since if since > 0 else np.inf)
         self.process_noise = self.process_noise + weight * np.maximum(change, -self.process_noise)
+
+
+@dataclass
+class FuzzyNoise:
+    """Scale Q and R by fuzzy rules on the innovations of the fixes: see `filters.fuzzy`.
+
+    Attributes
+    ----------
+    tuned_process_noise, tuned_measurement_noise : ndarray, shapes (n,) and (2,)
+        The diagonals of Q, per nominal step, and R where all is as expected.
+    memory : float
+        How much of the averages is kept from fix to fix.
+    widths : tuple of float, length 2
+        Of the edges of ratio and trend.
+    gains : tuple of float, length 2
+        The largest factors of R and Q.
+    quick, slow : float
+        The ratio of the actual to the theoretical innovation covariance, averaged.
+    times_r, times_q : float
+        The factors in force.
+    """
+
+    tuned_process_noise: Array
+    tuned_measurement_noise: Array
+    memory: float
+    widths: tuple[float, float]
+    gains: tuple[float, float]
+    quick: float = 1.0
+    slow: float = 1.0
+    times_r: float = 1.0
+    times_q: float = 1.0
+
+    @property
+    def process_noise(self) -> Array:
+        """Diagonal of Q per nominal step, (n,)."""
+        return self.times_q * self.tuned_process_noise
+
+    @property
+    def measurement_noise(self) -> Array:
+        """Diagonal of R, (2,)."""
+        return self.times_r * self.tuned_measurement_noise
+
+    def weigh(self, innovation: Innovation) -> Innovation:
+        """Learn from a fix; gives its innovation with the R that the rules then find."""
+        ratio = min(innovation.nis / len(innovation.nu), LARGEST_RATIO)
+        self.quick = self.memory * self.quick + (1 - self.memory) * ratio
+        self.slow += (1 - self.memory) / SLOWER * (ratio - self.slow)
+        before = self.times_r
+        self.times_r, self.times_q = self.factors()
+        noise = innovation.noise * (self.times_r / before)
+        return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
+
+    def factors(self) -> tuple[float, float]:
+        """By how much R and Q are multiplied: the mean of the rules' consequents, weighed by their truths."""
+        ratio = (self.quick - 1) / (self.quick + 1) / self.widths[0]
+        trend = (self.quick - self.slow) / (self.quick + self.slow) / self.widths[1]
+        small, large = np.clip(-ratio, 0, 1), np.clip(ratio, 0, 1)
+        rises = np.clip(trend, 0, 1)
+        gain_r, gain_q = self.gains
+        rules = (
+            (small, 1 / gain_r, 1 / gain_q),
+            (1 - small - large, 1.0, 1.0),
+            (large * rises, gain_r, 1.0),
+            (large * (1 - rises), gain_r, gain_q),
+        )
+        truth, r, q = np.array(rules).T
+        return float(truth @ r), float(truth @ q)
 
 
 @dataclass

@@ -29,7 +29,7 @@ from sigmaswarm.filters.schedule import (
     switches,
 )
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
-from sigmaswarm.filters.textbook.adaptive import SageHusa, StrongTracking, StudentT
+from sigmaswarm.filters.textbook.adaptive import FuzzyNoise, SageHusa, StrongTracking, StudentT
 from sigmaswarm.filters.textbook.gaussian import Array, GaussianFilter, Measurement
 from sigmaswarm.filters.textbook.manifold import (
     ErrorStateKalmanFilter,
@@ -54,7 +54,7 @@ class TextbookCar:
     ----------
     filter : GaussianFilter
         Its ``mean`` and ``covariance`` may be set before a step.
-    noise : SageHusa
+    noise : SageHusa or FuzzyNoise
         The diagonals of Q and R that are in force.
     """
 
@@ -82,7 +82,10 @@ class TextbookCar:
             redraw_sigma_points=redraw_sigma_points,
         )
         q = converted(p, timeline.nominal_interval)
-        self.noise = SageHusa(q, np.array(p.measurement_noise), p.forgetting)
+        r = np.array(p.measurement_noise)
+        fuzzy = p.kind == "fuzzy-ukf"
+        self.fuzzy = FuzzyNoise(q, r, p.forgetting, p.fuzzy_widths, p.fuzzy_gains) if fuzzy else None
+        self.noise = self.fuzzy or SageHusa(q, r, p.forgetting)
         self.tracking = StrongTracking(p.forgetting)
         self.robust = None if p.robust_dof is None else StudentT(p.robust_dof)
         if p.accuracy_scale is not None:
@@ -128,7 +131,8 @@ class TextbookCar:
                 self.filter.update(shown, noise, model.rates_at_rest)
 
     def _absorb_fix(self, fix: Array, stated: Array, time: float) -> None:
-        noise = self.noise.measurement_noise + (self.parameters.accuracy_scale or 0.0) * stated
+        times = self.fuzzy.times_r if self.fuzzy else 1.0
+        noise = self.noise.measurement_noise + times * (self.parameters.accuracy_scale or 0.0) * stated
         innovation = self.filter.measure(fix, np.diag(noise))
         gate = self.parameters.gate
         if gate is None or innovation.nis <= gate or self._rejected >= MOST_REJECTED:
@@ -137,7 +141,9 @@ class TextbookCar:
                 innovation = self.tracking.stretch(self.filter, innovation)
             if self.robust:
                 innovation = self.robust.weigh(self.filter, innovation, time)
-            if self.parameters.kind == "adaptive-ukf":
+            if self.fuzzy:
+                innovation = self.fuzzy.weigh(innovation)
+            elif self.parameters.kind == "adaptive-ukf":
                 self.noise.adapt(innovation, self._since)
             self.filter.absorb(innovation)
         else:
