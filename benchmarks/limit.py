@@ -101,14 +101,14 @@ def kernel_call(fixes: bool = True):
     """A call of `run_lanes` over ten minutes with one parameter set in all lanes, and its number of steps."""
     drive = simulate("urban", duration=600.0, seed=1)
     replay = tracking_replay(prepared(drive))
-    steps, flags, *others, ends = replay.arrays(False, False, False)
+    steps, sample, driving, flags, *others, ends = replay.arrays(False, False, False)
     rows = start_replays([replay], Chunk((datasheet(drive),)))[0]
 
     def call():
         run.run_lanes(
             "planar5",
-            steps,
-            flags if fixes else flags & ~schedule.FIX,
+            *(steps, sample, driving),
+            flags if fixes else flags & (255 - schedule.FIX),
             *others,
             ends if fixes else np.zeros_like(ends),
             rows.copy(),

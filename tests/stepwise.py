@@ -21,7 +21,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.timeline import N_STEP, Timeline, build_timeline
 from sigmaswarm.filters import packing, schedule
 from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
@@ -111,12 +111,14 @@ class CompiledCars:
         run.run_lanes(
             self.model,
             t.steps[i : i + 1].copy(),
-            np.array([happens]),
+            t.sample[i : i + 1].copy(),
+            t.driving,
+            np.array([happens], dtype=np.uint8),
             np.empty((0, 6)) if fix is None else fix[None].copy(),
             self.wheels[i : i + 1].copy(),
             t.lever,
-            np.empty((0, 5)),
-            np.zeros(1, dtype=np.int64),
+            run.NO_TARGETS,
+            np.zeros(1, dtype=np.int32),
             rows,
             run.new_place(),
             1,
@@ -127,10 +129,10 @@ class CompiledCars:
 
     def _live(self, part: slice, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:
         t, z = self.line, np.zeros(6) if fix is None else fix
+        u = np.zeros(N_STEP)
+        u[: 3 + t.driving.shape[1]] = *t.steps[i], *t.driving[t.sample[i]]
         for row in self.rows[part]:
-            _take(
-                single_step(self.model).address, row, t.steps[i], happens, z, self.wheels[i], t.lever, since
-            )
+            _take(single_step(self.model).address, row, u, happens, z, self.wheels[i], t.lever, since)
 
     @property
     def state(self) -> tuple[np.ndarray, np.ndarray]:

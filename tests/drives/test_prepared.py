@@ -43,7 +43,7 @@ def test_everything_is_made_once(monkeypatch: pytest.MonkeyPatch):
 def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
     ready = prepared(DRIVE)
     whole, hidden, removed = ready.timeline(), ready.timeline(HIDDEN), ready.timeline(HIDDEN, removed=True)
-    for name in ("steps", "end", "sampled", "sample", "imu_time", "fixes"):
+    for name in ("steps", "driving", "end", "sampled", "sample", "imu_time", "fixes"):
         assert getattr(hidden, name) is getattr(whole, name), name
     usable = (DRIVE.gps.time > whole.start) & (DRIVE.gps.time <= DRIVE.imu.time[-1])
     assert int(hidden.hides.sum()) == int(HIDDEN[usable].sum()) > 0
@@ -51,6 +51,8 @@ def test_fixes_that_are_hidden_leave_the_steps_and_those_removed_do_not():
     assert len(hidden.drive.gps) == len(removed.drive.gps) == int((~HIDDEN).sum())
     gone = build_timeline(replace(DRIVE, gps=DRIVE.gps.select(~HIDDEN)), whole.start)
     np.testing.assert_array_equal(removed.steps, gone.steps)
+    np.testing.assert_array_equal(removed.imu(removed.axes), gone.imu(gone.axes))
+    assert removed.driving is whole.driving
     assert len(removed.dt) < len(whole.dt)
 
 

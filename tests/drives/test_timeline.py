@@ -178,7 +178,7 @@ def test_frozen_fixes_are_left_out():
     stuck = replace(gps, x=np.where(frozen, gps.x[29], gps.x), y=np.where(frozen, gps.y[29], gps.y))
     line, without = (build_timeline(replace(drive, gps=fixes), 2.0) for fixes in (stuck, gps.select(~frozen)))
     assert line.frozen.tolist() == frozen.tolist()
-    for name in ("steps", "absorbs", "fixes", "fix_time", "sampled"):
+    for name in ("steps", "ax", "absorbs", "fixes", "fix_time", "sampled"):
         np.testing.assert_array_equal(getattr(line, name), getattr(without, name))
     hidden = np.isin(np.arange(len(gps)), [28, 31, 40])
     assert line.hiding(hidden).hides.sum() == 2

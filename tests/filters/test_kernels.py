@@ -98,13 +98,15 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
         rows[R.T] = chunk
         run.run_lanes(
             "planar5",
-            np.array([[1.0, 1.0, 0.0, 1.0, 0.0, 0.0]]),  # dt, Q's scale, gap; ax, ay, gz
-            np.array([schedule.IMU]),
+            np.array([[1.0, 1.0, 0.0]]),  # dt, Q's scale, gap
+            np.zeros(1, dtype=np.int32),
+            np.array([[1.0, 0.0, 0.0]]),  # ax, ay, gz
+            np.array([schedule.IMU], dtype=np.uint8),
             np.empty((0, 4)),
             np.empty((0, 3)),
             np.zeros(3),
-            np.empty((0, 5)),
-            np.zeros(1, dtype=np.int64),
+            run.NO_TARGETS,
+            np.zeros(1, dtype=np.int32),
             rows,
             run.new_place(),
             1,

@@ -194,8 +194,8 @@ def gaps_in(time: Array, limit: tuple[float, float]) -> Gaps | None:
 def _gaps(drive: Drive) -> Iterator[Remark]:
     """One sentence on the gaps of all files; the remedy is for the sensor whose gaps matter most."""
     crossed = (
-        "a filter crosses a gap in one step of its true length, driven by the sample at its end, with Q "
-        "scaled by length / usual interval; if the vehicle maneuvered there, split the drive"
+        "a filter crosses a gap with the mean of the samples around it, and its covariance grows by what the car may "
+        "have done there; if it maneuvered, split the drive"
     )
     alone = "a filter runs on the IMU alone there; nothing to do if so meant"
     unscored = "nothing is scored there; nothing to do if so meant"

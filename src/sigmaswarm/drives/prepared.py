@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN, judged
-from sigmaswarm.drives.timeline import Timeline, build_timeline
+from sigmaswarm.drives.timeline import Timeline, build_timeline, driving_of
 
 
 class PreparedDrive:
@@ -49,6 +49,11 @@ class PreparedDrive:
         """What each fix is, (number of fixes,): see `drives.frozen`. All are new where they are taken as recorded."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
+    @cached_property
+    def _driving(self) -> Array:
+        """Of all its time lines."""
+        return driving_of(self.drive, as_recorded=self.as_recorded)
+
     @property
     def frozen(self) -> NDArray[np.bool_]:
         """Which fixes are frozen, (number of fixes,): filters don't take them for positions."""
@@ -80,7 +85,9 @@ class PreparedDrive:
         if removed or not hidden.any():
             seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if hidden.any() else self.drive
             kinds = self.kinds[~hidden]
-            return build_timeline(seen, self.initial.time, as_recorded=self.as_recorded, kinds=kinds)
+            return build_timeline(
+                seen, self.initial.time, as_recorded=self.as_recorded, kinds=kinds, driving=self._driving
+            )
         return self.timeline().hiding(hidden)
 
 

@@ -24,8 +24,8 @@ from sigmaswarm.drives.odometer import Wheels, put_together
 from sigmaswarm.drives.standstill import standing
 
 DT, Q_SCALE, GAP, AX, AY, GZ, AZ, GX, GY = range(9)
-"""Columns of a step. The last three are there where the IMU has them."""
-N_STEP = 9
+"""A step's numbers: its own three, and those of the IMU's axes, the last three where the IMU has them."""
+N_STEP, FIRST_AXIS = 9, AX
 AXES = ("ax", "ay", "gz", "az", "gx", "gy")
 """The IMU's axes as they stand in a step; every IMU has the first three."""
 FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y = range(6)
@@ -43,9 +43,11 @@ class Timeline:
     ----------
     start : s
     end : (k,) s: when each step ends
-    steps : (k, 6) or (k, 9) the columns dt (s), q_scale, gap (s), and the IMU's ``axes`` in m/s2 and rad/s: how long
-        each step is, dt / nominal interval of the drive, how long the gap in the IMU's samples is that it is a part of,
-        0 where it is of none, and what drives it. See DT ... GY; those of every drive have properties of their names
+    steps : (k, 3) the columns dt (s), q_scale and gap (s): how long each step is, dt / nominal interval of the drive,
+        and how long the gap in the IMU's samples is that it is a part of, 0 where it is of none
+    sample : (k,) int: the number of the IMU's sample that drives each step
+    driving : (n, 3) or (n, 6) the IMU's ``axes``, m/s2 and rad/s, as they drive the steps up to each of its samples;
+        all time lines of a drive share it
     absorbs : (k,) bool: a fix is absorbed at the step's end
     hides : (k,) bool: a fix at the step's end is hidden from the filter; only its forecast is scored
     sampled : (k,) bool: the step ends at an IMU sample's time
@@ -56,7 +58,6 @@ class Timeline:
     states_accuracy : bool: the receiver states the accuracy of each fix
     lever : (3,) m forward, left and up from the IMU to the antenna
     cornering : (k,) bool: lateral acceleration so high that tires slip
-    sample : (k,) int: the number of the sample that drives each step
     drive : Drive
         As the filter sees it.
     kinds : (g,) what each fix of that drive is: see `drives.frozen`; all `NEW` where it is taken as recorded
@@ -67,6 +68,8 @@ class Timeline:
     start: float
     end: Array
     steps: Array
+    sample: NDArray[np.int32]
+    driving: Array
     absorbs: NDArray[np.bool_]
     hides: NDArray[np.bool_]
     sampled: NDArray[np.bool_]
@@ -76,7 +79,6 @@ class Timeline:
     states_accuracy: bool
     lever: Array
     cornering: NDArray[np.bool_]
-    sample: NDArray[np.intp]
     drive: Drive
     kinds: Array
     imu_time: Array
@@ -90,17 +92,17 @@ class Timeline:
     @property
     def ax(self) -> Array:
         """Forward specific force, (k,) m/s2."""
-        return self.steps[:, AX]
+        return self.driving[self.sample, AX - FIRST_AXIS]
 
     @property
     def ay(self) -> Array:
         """Specific force to the left, (k,) m/s2."""
-        return self.steps[:, AY]
+        return self.driving[self.sample, AY - FIRST_AXIS]
 
     @property
     def gz(self) -> Array:
         """Yaw rate, (k,) rad/s."""
-        return self.steps[:, GZ]
+        return self.driving[self.sample, GZ - FIRST_AXIS]
 
     @property
     def q_scale(self) -> Array:
@@ -115,11 +117,11 @@ class Timeline:
     @property
     def axes(self) -> tuple[str, ...]:
         """The names of the IMU's axes, in the order of their columns."""
-        return AXES[: self.steps.shape[1] - AX]
+        return AXES[: self.driving.shape[1]]
 
     def imu(self, axes: Sequence[str]) -> Array:
         """What drives each step, (k, len(axes)) m/s2 and rad/s."""
-        return self.steps[:, [AX + AXES.index(axis) for axis in axes]]
+        return np.column_stack([self.driving[self.sample, AXES.index(axis)] for axis in axes])
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
@@ -156,7 +158,12 @@ class Timeline:
 
 
 def build_timeline(
-    drive: Drive, start: float, *, as_recorded: bool = False, kinds: Array | None = None
+    drive: Drive,
+    start: float,
+    *,
+    as_recorded: bool = False,
+    kinds: Array | None = None,
+    driving: Array | None = None,
 ) -> Timeline:
     """Merge IMU samples and fixes after ``start`` (s). Fixes after the last IMU sample are left out.
 
@@ -168,11 +175,13 @@ def build_timeline(
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
     kinds : (g,), optional
         What each fix is, where that was judged on a drive with more fixes.
+    driving : (n, 3) or (n, 6), optional
+        As `driving_of` gives it for the drive's IMU, where that is known.
     """
     imu = drive.imu
     if kinds is None:
         kinds = np.zeros(len(drive.gps)) if as_recorded else judged(drive.gps)
-    imu_time = imu.time[imu.time > start]
+    imu_time = imu.time[np.searchsorted(imu.time, start, side="right") :]
     usable = _usable(drive, start, kinds)
     fix_time = drive.gps.time[usable]
     moments = np.union1d(imu_time, fix_time)
@@ -182,12 +191,11 @@ def build_timeline(
     sample = np.searchsorted(imu.time, ends, side="left")  # the first sample at or after the step's end
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
-    gaps = np.zeros(len(imu)) if as_recorded else gaps_before(imu.time)
-    axes = _axes(drive)
-    steps = np.empty((len(ends), AX + len(axes)))  # filled column by column: those of ten hours are held once
-    steps[:, DT], steps[:, Q_SCALE], steps[:, GAP] = dt, dt / nominal, gaps[sample]
-    for column, axis in enumerate(axes, AX):
-        steps[:, column] = _across(gaps, axis)[sample]
+    driving = driving_of(drive, as_recorded=as_recorded) if driving is None else driving
+    steps = np.zeros((len(ends), FIRST_AXIS))  # filled column by column: those of ten hours are held once
+    steps[:, DT], steps[:, Q_SCALE] = dt, dt / nominal
+    if not as_recorded:
+        steps[:, GAP] = gaps_before(imu.time)[sample]
     has_velocity = drive.gps.speed is not None and drive.gps.course is not None
     velocity = np.zeros((2, len(drive.gps)))
     if drive.gps.speed is not None and drive.gps.course is not None:
@@ -197,6 +205,8 @@ def build_timeline(
         start=start,
         end=ends,
         steps=steps,
+        sample=sample.astype(np.int32),
+        driving=driving,
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
         sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
@@ -205,13 +215,22 @@ def build_timeline(
         has_velocity=has_velocity,
         states_accuracy=stated,
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
-        cornering=np.abs(steps[:, AY]) > CORNERING,
-        sample=sample,
+        cornering=np.abs(driving[:, AY - FIRST_AXIS])[sample] > CORNERING,
         drive=drive,
         kinds=kinds,
         imu_time=imu_time,
         nominal_interval=nominal,
     )
+
+
+def driving_of(drive: Drive, *, as_recorded: bool = False) -> Array:
+    """What drives filters up to each of the IMU's samples: see `Timeline.driving`."""
+    axes = _axes(drive)
+    driving = np.empty((len(drive.imu), len(axes)))
+    gaps = np.zeros(len(drive.imu)) if as_recorded else gaps_before(drive.imu.time)
+    for column, axis in enumerate(axes):
+        driving[:, column] = _across(gaps, axis)
+    return driving
 
 
 def _axes(drive: Drive) -> list[Array]:

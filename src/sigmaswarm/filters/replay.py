@@ -32,30 +32,43 @@ class Targets:
 
     Attributes
     ----------
-    rows : (m, 5)
-        Weight of the later of the two estimates around the moment; x, y (m); theta (rad); 1 where the heading
-        counts, else 0.
-    end : (k,) int64
+    weight : (m,)
+        Of the later of the two estimates around the moment.
+    x, y : (m,) m
+    theta : (m,) rad
+    counts : (m,) bool
+        Where the heading is compared.
+    end : (k,) int32
         How many targets lie before the end of each step of the time line.
     """
 
-    rows: Array
-    end: NDArray[np.int64]
+    weight: Array
+    x: Array
+    y: Array
+    theta: Array
+    counts: NDArray[np.bool_]
+    end: NDArray[np.int32]
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
         """Nothing to compare with."""
-        return cls(np.empty((0, 5)), np.zeros(len(timeline.dt), dtype=np.int64))
+        return cls(*run.NO_TARGETS, np.zeros(len(timeline.dt), dtype=np.int32))
+
+    @property
+    def columns(self) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
+        """What the kernel reads of the moments."""
+        weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
+        return weight, x, y, theta, self.counts
 
     @property
     def n_positions(self) -> int:
         """How many positions are compared."""
-        return len(self.rows)
+        return len(self.weight)
 
     @cached_property
     def n_headings(self) -> int:
         """How many headings are compared."""
-        return int(self.rows[:, run.SCORES_HEADING].sum())
+        return int(self.counts.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +94,16 @@ class Replay:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
             speeds = line.wheels.rows if odometer and line.wheels else NO_SPEEDS
-            self._arrays[taken] = line.steps, flags, line.fixes, speeds, line.lever, targets.rows, targets.end
+            read = line.steps, line.sample, line.driving, flags, line.fixes, speeds, line.lever
+            self._arrays[taken] = *read, targets.columns, targets.end
         return self._arrays[taken]
 
 
-DriveArrays = tuple[Array, NDArray[np.int64], Array, Array, Array, Array, NDArray[np.int64]]
-"""steps, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
+DriveArrays = tuple[
+    *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint8]],
+    *tuple[Array, Array, Array, tuple[Array, Array, Array, Array, NDArray[np.bool_]], NDArray[np.int32]],
+]
+"""steps, samples, driving, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -129,23 +129,26 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 
 def flags_of(
     line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
-) -> NDArray[np.int64]:
+) -> NDArray[np.uint8]:
     """What happens at the end of each step, as bits FIX ... ODOMETER, shape (k,).
 
     Where the wheels are looked at and turn, the car does not stand, however calm it is.
     """
     wheels = line.wheels if odometer else None
-    flags = FIX * line.absorbs + HIDDEN * line.hides + IMU * line.sampled
+    flags = np.zeros(len(line.absorbs), dtype=np.uint8)
+    flags[line.absorbs] |= FIX
+    flags[line.hides] |= HIDDEN
+    flags[line.sampled] |= IMU
     if velocity and line.has_velocity:
-        flags = flags + VELOCITY * line.absorbs
+        flags[line.absorbs] |= VELOCITY
     if lateral:
-        flags = flags + LATERAL * _every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)
+        flags[_every(line, ~line.cornering & line.sampled, LATERAL_INTERVAL)] |= LATERAL
     if standstill:
         stands = line.stands if wheels is None else line.stands & ~wheels.turn
-        flags = flags + STANDSTILL * _every(line, stands & line.sampled, STANDSTILL_INTERVAL)
+        flags[_every(line, stands & line.sampled, STANDSTILL_INTERVAL)] |= STANDSTILL
     if wheels is not None:
-        flags = flags + ODOMETER * wheels.absorbs
-    return flags.astype(np.int64)
+        flags[wheels.absorbs] |= ODOMETER
+    return flags
 
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:

@@ -168,9 +168,12 @@ class _Forward(Recording):
     def _steps_to(self, stop: int, record: Array) -> None:
         first = int(self._place[NEXT_STEP])
         taped = self._taped[first - self._first : stop - self._first]
-        steps, flags, *rest = self._replay.arrays(*self._switches)
+        steps, sample, driving, flags, *rest = self._replay.arrays(*self._switches)
         # With IMU in all flags it records all steps.
-        self._kernel(steps, flags | IMU, *rest, self._rows[0], self._place, stop, taped, NO_INNOVATIONS)
+        self._kernel(
+            *(steps, sample, driving, flags | IMU, *rest),
+            *(self._rows[0], self._place, stop, taped, NO_INNOVATIONS),
+        )
         if self._again:  # nobody asks for what is known already
             return
         at, n = np.flatnonzero(self._replay.timeline.sampled[first:stop]), len(self._state)

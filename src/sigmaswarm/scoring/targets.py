@@ -40,8 +40,8 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
     ends = windows[:, 1]
     reference = drift_reference(ready)
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
-    rows = np.column_stack([np.ones_like(ends), x, y, np.zeros((len(ends), 2))])
-    return Replay(timeline, ready.initial, Targets(rows, _end(timeline, ends)))
+    headings = np.zeros_like(ends), np.zeros(len(ends), dtype=np.bool_)
+    return Replay(timeline, ready.initial, Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends)))
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
@@ -98,11 +98,10 @@ def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    rows = np.column_stack([weight, truth.x, truth.y, truth.theta, counts.astype(np.float64)])
-    return Targets(rows, _end(timeline, truth.time))
+    return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time))
 
 
-def _end(timeline: Timeline, times: Array) -> NDArray[np.int64]:
+def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
     """How many of the moments lie before the end of each step; counted when an IMU sample is reached."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
-    return np.concatenate([[0], done])[np.cumsum(timeline.sampled)].astype(np.int64)
+    return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

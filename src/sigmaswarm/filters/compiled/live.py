@@ -81,7 +81,7 @@ LEAP = 10.0
 AGREES = 1.0 + 1e-6
 """s between the two; beside the second, what rounding takes off times that count from 1970."""
 
-# The step, a row of `Timeline.steps`, that ends at a sample's time; whether the last second was calm, and its means.
+# The numbers (DT ... GY) of the step that ends at a sample's time; whether the last second was calm, and its means.
 S_TIME = N_BELIEF
 S_STEP = slice(N_BELIEF + 1, N_BELIEF + 1 + N_STEP)
 S_AXES = slice(S_STEP.start + AX, S_STEP.stop)

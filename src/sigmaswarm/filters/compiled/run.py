@@ -26,14 +26,22 @@ from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, ODOMETER
 
 Array = NDArray[np.float64]
 
-# Columns of a target: a moment of truth inside an IMU interval.
-WEIGHT, TRUE_X, TRUE_Y, TRUE_THETA, SCORES_HEADING = range(5)
-
 # Where a run goes on that is made in pieces: the next step, fix and target, Q's scale since the last fix, and
 # the next speed of the wheels.
 NEXT_STEP, NEXT_FIX, NEXT_TARGET, SINCE, NEXT_SPEED = range(5)
 NO_RECORD, NO_INNOVATIONS = np.empty((0, 0, 0)), np.empty((0, 5))
 """For a run that records nothing."""
+
+
+def kept(column: Array) -> Array:
+    """As kernels take what nobody writes to: side by side in memory, not writable; each form would be compiled."""
+    view = np.ascontiguousarray(column).view()
+    view.flags.writeable = False
+    return view
+
+
+NO_TARGETS = (*[kept(np.empty(0))] * 4, np.empty(0, dtype=np.bool_))
+"""For a run that is compared with nothing."""
 
 
 def new_place() -> Array:
@@ -73,7 +81,7 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
 
 
 def _run(
-    w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
+    w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
     *, step, state, n_axes, heading, score,
 ):  # fmt: skip
     """The steps from a place to a stop; w holds what the filters are and remember, before and after.
@@ -89,20 +97,22 @@ def _run(
     n_recorded = 0
     since = place[SINCE]
     interval_starts = True
+    weight, true_x, true_y, true_theta, scores_heading = targets
     for s in range(int(place[NEXT_STEP]), stop):
         if interval_starts:
             for l in range(LANES):
                 w[R.BEFORE_X, l] = w[R.X, l]
                 w[R.BEFORE_Y, l] = w[R.Y, l]
                 w[R.BEFORE_T, l] = w[heading, l]
+        m = sample[s]
         if n_axes == 3:
-            u = (steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3], steps[s, 4], steps[s, 5])
+            u = (steps[s, 0], steps[s, 1], steps[s, 2], driving[m, 0], driving[m, 1], driving[m, 2])
         else:
             u = (
-                steps[s, 0], steps[s, 1], steps[s, 2], steps[s, 3], steps[s, 4], steps[s, 5],
-                steps[s, 6], steps[s, 7], steps[s, 8],
+                steps[s, 0], steps[s, 1], steps[s, 2], driving[m, 0], driving[m, 1], driving[m, 2],
+                driving[m, 3], driving[m, 4], driving[m, 5],
             )  # fmt: skip
-        happens = flags[s]
+        happens = int(flags[s])
         since += u[Q_SCALE]
         if happens & (FIX | HIDDEN):
             f = n_fixes
@@ -122,8 +132,8 @@ def _run(
                 _take_logarithm(w)
         interval_starts = (happens & IMU) != 0
         while n_targets < target_end[s]:
-            t = targets[n_targets]
-            score(w, t[WEIGHT], t[TRUE_X], t[TRUE_Y], t[TRUE_THETA], t[SCORES_HEADING])
+            t = n_targets
+            score(w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0)
             n_targets += 1
         if interval_starts and record.shape[0] > 0:
             for l in range(record.shape[2]):
@@ -189,13 +199,41 @@ def cached_by_sources(make, name):
 
 def _machine_code(sources, *, steps_to):
     def run_model(
-        steps, flags, fixes, speeds, lever, targets, target_end, rows, place, stop, record, innovations
+        steps,
+        sample,
+        driving,
+        flags,
+        fixes,
+        speeds,
+        lever,
+        targets,
+        target_end,
+        rows,
+        place,
+        stop,
+        record,
+        innovations,
     ):
         if sources == "":  # never; so the name is closed over
             return
         w = new_rows(rows.shape[1])
         _load(w, rows)
-        steps_to(w, steps, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations)
+        steps_to(
+            w,
+            steps,
+            sample,
+            driving,
+            flags,
+            fixes,
+            speeds,
+            lever,
+            targets,
+            target_end,
+            place,
+            stop,
+            record,
+            innovations,
+        )
         _store(w, rows)
 
     return run_model
@@ -226,12 +264,14 @@ def taped_kernel(model):
 def run_lanes(
     model: str,
     steps: Array,
-    flags: NDArray[np.int64],
+    sample: NDArray[np.int32],
+    driving: Array,
+    flags: NDArray[np.uint8],
     fixes: Array,
     speeds: Array,
     lever: Array,
-    targets: Array,
-    target_end: NDArray[np.int64],
+    targets: tuple[Array, Array, Array, Array, NDArray[np.bool_]],
+    target_end: NDArray[np.int32],
     rows: Array,
     place: Array,
     stop: int,
@@ -245,13 +285,15 @@ def run_lanes(
     Parameters
     ----------
     model : its name
-    steps : (k, 6 or 9) as `Timeline.steps`; with all the axes that the model reads
+    steps : (k, 3) as `Timeline.steps`
+    sample : (k,) which row of ``driving`` drives each step
+    driving : (n, 3 or 6) as `Timeline.driving`; with all the axes that the model reads
     flags : (k,) bits of each step: see `schedule`
     fixes : (f, 6) m east, north, m/s east, north, m2 east, north as the receiver states it, in the order in which
         steps absorb them
     speeds : (o, 3) as `drives.odometer.Wheels.rows`
     lever : (3,) m forward, left and up from the IMU to the antenna
-    targets : (m, 5) see WEIGHT ... SCORES_HEADING
+    targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
     rows : (N_KEPT, LANES or WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
@@ -261,5 +303,5 @@ def run_lanes(
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it
         is absorbed; of no rows: none
     """
-    arrays = steps, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
+    arrays = steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, rows, place, stop
     run_kernel(model)(*arrays, record, innovations)

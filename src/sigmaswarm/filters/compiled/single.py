@@ -111,7 +111,7 @@ take_step = _called if config.DISABLE_JIT else _call
 
 step : the address of what `single_step` gives
 v : (N_KEPT or more,) the filter before and after
-u : (9,) a row of `Timeline.steps`
+u : (9,) a step's numbers, DT ... GY of `drives.timeline`
 happens : its bits of `schedule`
 z : (6,) a row of `Timeline.fixes`
 wheels : (3,) a row of `odometer.Wheels.rows`

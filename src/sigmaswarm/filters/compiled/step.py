@@ -50,8 +50,8 @@ def _step(
 ):  # fmt: skip
     """Predict, and absorb what there is.
 
-    ``u`` is a row of `Timeline.steps`, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`, ``wheels``
-    one of `Wheels.rows`: tuples. ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
+    ``u`` is a step's numbers, DT ... GY, ``happens`` its bits of `schedule`, ``z`` a row of `Timeline.fixes`,
+    ``wheels`` one of `Wheels.rows`: tuples. ``lever`` is that of the time line, ``since`` Q's scale since the last fix.
     """
     dt, gap = u[DT], u[GAP]
     if dt > 0.0:

@@ -50,8 +50,8 @@ MARKED = ROWS.stop
 """So many numbers belong to a mark."""
 TAPE = NUMBERS + N_ROWS * LANES
 
-# A row of the tape: a row of `Timeline.steps`, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it took,
-# Q's scale since the last fix, and when it ended, s.
+# A row of the tape: a step's numbers, DT ... GY, its flags, the rows of `Timeline.fixes` and `Wheels.rows` that it
+# took, Q's scale since the last fix, and when it ended, s.
 T_STEP, T_FLAGS, T_FIX, T_WHEELS, T_SINCE, T_TIME = slice(0, 9), 9, slice(10, 16), slice(16, 19), 19, 20
 N_TAPE = 21
 

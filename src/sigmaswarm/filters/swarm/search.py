@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.timeline import Q_SCALE
+from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, SUM_ROWS, R
-from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, SINCE, new_place, run_lanes
+from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, NO_TARGETS, SINCE, new_place, run_lanes
 from sigmaswarm.filters.compiled.swarm import (
     EVIDENCE_COUNTS,
     T_FIX,
@@ -38,7 +38,6 @@ FEWEST_FIXES = 8
 """That are scored; fewer tell nothing."""
 FARTHEST = 4.0
 """Standard deviations of an offset."""
-_NO_TARGETS = np.empty((0, 5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,15 +57,17 @@ class Steps:
         place, k = new_place(), len(self.rows)
         if k:
             place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
-        flags = self.rows[:, T_FLAGS].astype(np.int64)
+        flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
         arrays = (
-            np.ascontiguousarray(self.rows[:, T_STEP]),
+            np.ascontiguousarray(steps[:, :FIRST_AXIS]),
+            np.arange(k, dtype=np.int32),
+            np.ascontiguousarray(steps[:, FIRST_AXIS:]),
             flags,
             np.ascontiguousarray(self.rows[flags & FIX > 0, T_FIX]),
             np.ascontiguousarray(self.rows[flags & ODOMETER > 0, T_WHEELS]),
             self.lever,
-            _NO_TARGETS,
-            np.zeros(k, dtype=np.int64),
+            NO_TARGETS,
+            np.zeros(k, dtype=np.int32),
         )
         scored = int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if k else 0
         run_lanes(self.model, *arrays, lanes, place, scored, NO_RECORD, NO_INNOVATIONS)
