@@ -59,6 +59,9 @@ NUMBER, COUNT, MEAN, SQUARES = 0, 1, 2, 5
 LAST, STOP_X, STOP_Y = range(3)
 N_STOP = 3
 
+PIECE = 100_000
+"""Samples that are put side by side at once: all of a long drive's would be held twice."""
+
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     """Standstill at each IMU sample, shape (n,); from that sample and earlier data only.
@@ -67,11 +70,12 @@ def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     """
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
-    samples, fixes = (
-        np.column_stack([imu.time, imu.ax, imu.ay, imu.gz]),
-        np.column_stack([gps.time, gps.x, gps.y]),
-    )
-    _find_standstills(samples, fixes, kinds, new_memory(), new_stop(), stands)
+    fixes = np.column_stack([gps.time, gps.x, gps.y])
+    memory, stop = new_memory(), new_stop()
+    for first in range(0, len(stands), PIECE):
+        part = slice(first, first + PIECE)
+        samples = np.column_stack([imu.time[part], imu.ax[part], imu.ay[part], imu.gz[part]])
+        _find_standstills(samples, fixes, kinds, memory, stop, stands[part])
     return stands
 
 

@@ -153,10 +153,13 @@ def flags_of(
 
 def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArray[np.bool_]:
     """The first wanted step of each interval of time."""
-    chosen = np.zeros(len(wanted), dtype=np.bool_)
-    at = np.flatnonzero(wanted)
-    slots = np.floor((line.end[at] - line.start) / interval + 1e-6)  # as the live filter's `_slot`
-    chosen[at[np.unique(slots, return_index=True)[1]]] = True
+    slots = line.end[wanted]
+    slots -= line.start
+    slots /= interval
+    slots += 1e-6
+    np.floor(slots, out=slots)  # as the live filter's `_slot`
+    chosen = wanted.copy()
+    chosen[wanted] = np.diff(slots, prepend=np.nan) != 0.0
     return chosen
 
 
