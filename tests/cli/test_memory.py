@@ -19,8 +19,7 @@ del first
 before, blocks, between = resident(), [], []
 for _ in range(10):
     blocks.append(np.ones(1_900_000))
-    between.append(bytearray(3000))
-last = bytearray(100_000)
+    between.append(np.ones(50_000))  # what lies behind a block keeps its place in a heap
 del blocks
 print(resident() - before)
 """
@@ -32,6 +31,6 @@ def test_large_blocks_go_back_at_once():
         ended = subprocess.run([sys.executable, "-c", LEFT, how], capture_output=True, text=True, check=True)
         return float(ended.stdout)
 
-    assert left("back") < 10  # MB
+    assert left("back") < 20  # MB, of which what lies between is 4
     if left("kept") < 50:
         pytest.skip("this C library gives them back by itself")
