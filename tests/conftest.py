@@ -2,6 +2,9 @@
 
 import os
 
+# Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import HealthCheck, settings
 

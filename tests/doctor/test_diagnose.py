@@ -172,12 +172,14 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
     assert "slower turns" not in found["unseen-yaw"].what
 
 
-@pytest.mark.parametrize("maneuver", ["turns", "urban", "cruise"])
-def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str):
-    """Over 8 seeds of short drives and both signs, where at least 95 in 100 are promised."""
+@pytest.mark.parametrize(
+    ("maneuver", "runs"), quickly(product(["turns", "urban", "cruise"], [3, 8]), lambda _, runs: runs < 8)
+)
+def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, runs: int):
+    """Over so many seeds of short drives and both signs, where at least 95 in 100 are promised."""
     asked = seen = 0
     length = 50.0 if maneuver == "urban" else None
-    for run in range(8):
+    for run in range(runs):
         drive = sigmaswarm.simulate(maneuver, run=run, duration=length, gps="white-1m", imu="mpu-6050")
         clean = sigmaswarm.diagnose(drive)
         size = clean.visible_clock_offset
@@ -193,7 +195,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str):
             seen += "clock-offset" in sigmaswarm.diagnose(fixes_late(sign * size)(drive)).codes
     print(f"{maneuver}: {seen} of {asked}")
     assert seen >= 0.9 * asked
-    assert asked == (0 if maneuver == "cruise" else 16)  # a straight road shows none
+    assert asked == (0 if maneuver == "cruise" else 2 * runs)  # a straight road shows none
 
 
 def test_a_short_drive_with_few_turns_says_what_it_does_not_see():
@@ -329,7 +331,7 @@ def test_a_city_s_receiver():
 
 @needs_shared
 @pytest.mark.parametrize("name", ["colorado-1", "kingston-1"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", quickly([(seed,) for seed in range(4)], lambda seed: seed == 0))
 def test_a_gyro_s_sign_shows_through_outliers(name: str, seed: int):
     drive = with_outliers(recorded(name), np.random.default_rng(seed))
     for sign in (1, -1):
