@@ -1,5 +1,6 @@
 # make demo      set everything up and show the whole way: simulate, tune, evaluate, pictures
 # make test      set everything up and run the tests
+# make test-long  run the cases that the tests leave out to be quick
 # make check     the checks beside the tests: style, types, layers
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
 # make parity    how closely the filters agree, over a whole drive
@@ -17,14 +18,18 @@ DOCS := .venv-docs
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test check bench parity fuzz docs pictures dist dist-check notebook clean
+.PHONY: demo test test-long check bench parity fuzz docs pictures dist dist-check notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
 
 test: $(VENV)/test-installed
 	$(BIN)/python tests/warm.py
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+test-long: $(VENV)/test-installed
+	$(BIN)/python tests/warm.py
+	HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -n auto --dist worksteal -m "long or hypothesis"
 
 check: $(VENV)/check-installed
 	$(BIN)/ruff check .

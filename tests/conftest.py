@@ -2,10 +2,24 @@
 
 import os
 
+# Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
 from hypothesis import HealthCheck, settings
 
-# A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=search`` looks farther.
+# A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
+# `make test-long`, and ``search`` look farther.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("sigmaswarm", patient, derandomize=True)
+settings.register_profile("sigmaswarm", patient, derandomize=True, max_examples=40)
+settings.register_profile("long", patient, derandomize=True, max_examples=200)
 settings.register_profile("search", patient, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
+
+
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures are not drawn, which takes half a second each: where a test is about something else."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(b"a picture"))

@@ -31,6 +31,11 @@ WEIGHED_CASES = [(kind, option) for kind in ("ukf", "ekf") for option in WEIGHED
 WEIGHED_CASES += [("strong-tracking-ukf", "accuracy"), ("fuzzy-ukf", "accuracy")]
 
 
+def stands_for_all(model: str, kind: str, option: str) -> bool:
+    """What the quick tests take of all models, kinds and options: each option twice, each filter with all of them."""
+    return option == "all" or (model, kind) in (("planar5", "ukf"), ("planar8", "ekf"))
+
+
 def parameters(model: str, **more) -> FilterParameters:
     more = {"kind": MODELS[model].kinds[0], **more}
     if more.get("kind") == "strong-tracking-ukf":

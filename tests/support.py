@@ -1,15 +1,22 @@
 """What the tests share: where the real drives are, and a synthetic drive that is exact."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.geodesy import enu_to_geodetic, geodetic_to_enu
+
+
+def quickly(cases: Iterable[tuple[Any, ...]], here: Callable[..., bool]) -> list[Any]:
+    """Cases of a parametrized test: those for which ``here`` does not speak are left to `make test-long`."""
+    return [pytest.param(*case, marks=() if here(*case) else pytest.mark.long) for case in cases]
+
 
 SHARED = Path(__file__).parents[1].parent / "shared"
 DRIVES = SHARED / "drives"

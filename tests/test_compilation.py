@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm
+from support import quickly
 
 PROGRAM = """
 import json, sys, warnings
@@ -198,8 +199,14 @@ def _without_rights() -> list[str]:
 
 
 @needs_modes
-@pytest.mark.parametrize("variable", ["HOME", "NUMBA_CACHE_DIR", "XDG_CACHE_HOME"])
-def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: str):
+@pytest.mark.parametrize(
+    ("variable", "command"),
+    quickly(
+        [("HOME", False), ("NUMBA_CACHE_DIR", False), ("XDG_CACHE_HOME", False), ("HOME", True)],
+        lambda variable, command: not command,
+    ),
+)
+def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: str, command: bool):
     home = tmp_path / "home"
     home.mkdir()
     install = tmp_path / "site-packages"
@@ -212,10 +219,10 @@ def test_a_read_only_install_without_a_writable_home(tmp_path: Path, variable: s
     environment, done = {"HOME": str(home), variable: str(home)}, None
     try:
         told = run(tmp_path, None, *_without_rights(), sources=install, **environment)
-        if variable == "HOME":  # compiling all of it once is enough
-            command = "from sigmaswarm.cli import main; main()"
+        if command:  # all of it is compiled
+            program = "from sigmaswarm.cli import main; main()"
             done = subprocess.run(
-                [*_without_rights(), sys.executable, "-B", "-c", command, *SIMULATE],
+                [*_without_rights(), sys.executable, "-B", "-c", program, *SIMULATE],
                 capture_output=True, text=True, check=False, cwd=tmp_path,
                 env=os.environ | {"PYTHONPATH": str(install)} | environment,
             )  # fmt: skip

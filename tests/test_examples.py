@@ -22,10 +22,21 @@ def texts(cell: dict[str, Any]) -> str:
     return "".join("".join(text) for text in shown)
 
 
-@pytest.fixture(scope="module")
-def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+TINY = {"environments": ("clear",), "runs": 2, "trials": 2, "particles": 12, "generations": 15}
+
+
+@pytest.fixture(scope="module", params=["tiny", pytest.param("as it is", marks=pytest.mark.long)])
+def paper(
+    tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
+) -> dict[str, dict[str, Any]]:
     """The cells of the paper's notebook, by their ids, executed in a fresh kernel."""
     copy = Path(shutil.copy(EXAMPLES / "paper.ipynb", tmp_path_factory.mktemp("examples")))
+    if request.param == "tiny":
+        notebook = json.loads(copy.read_text())
+        (sizes,) = (cell for cell in notebook["cells"] if cell["id"] == "parameters")
+        sizes["source"] = "".join(sizes["source"]).replace("SIZE = SMALL", f"SIZE = {TINY}")
+        assert str(TINY) in sizes["source"]
+        copy.write_text(json.dumps(notebook))
     done = subprocess.run(
         [sys.executable, EXAMPLES / "execute.py", copy], capture_output=True, text=True, check=False
     )

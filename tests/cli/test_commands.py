@@ -78,6 +78,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     assert tomllib.loads(Path("t/tuning.toml").read_text()) == table
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path):
     options = [
         "--particles",
@@ -122,6 +123,7 @@ def test_tune_says_the_same_as_the_library(sigmaswarm, drives: Path, here: Path)
     assert said["filter"] == tomllib.loads(Path("t/tuning.toml").read_text())["filter"]
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_gps_rmse_warns(sigmaswarm, drives: Path, here: Path):
     ended = sigmaswarm(
         "tune",
@@ -184,6 +186,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_tuned_filter_is_called_what_it_is(sigmaswarm, drives: Path, tuned: Path, here: Path):
     text = tuned.read_text().replace("[filter]\n", '[filter]\nkind = "ekf"\n')
     Path("ekf.toml").write_text(text)
@@ -196,6 +199,7 @@ def test_the_tuned_filter_is_called_what_it_is(sigmaswarm, drives: Path, tuned: 
     assert "tuned UKF" not in ended.out + page
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_report_makes_a_page_of_what_evaluate_wrote(sigmaswarm, drives: Path, tuned: Path, here: Path):
     assert sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4).code == 0
     ended = sigmaswarm("report", "e")
@@ -334,6 +338,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
     assert trained.isdisjoint(said["drives"])
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives: Path, here: Path):
     first, second = sorted(drives.iterdir())[:2]
     assert sigmaswarm("tune", first, "--out", "t", *QUICK).code == 0
@@ -375,6 +380,7 @@ def test_scores_on_a_training_drive_are_said_to_be_flattering(sigmaswarm, drives
     assert sigmaswarm("evaluate", "part", second).out.startswith("On 1 drive that the tuning never saw")
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_what_is_next_for_one_log_can_be_pasted(sigmaswarm, drives: Path, here: Path):
     """Also where a folder was named that holds the drive, and where names have blanks."""
     drive = replace(read_drive(min(drives.iterdir())), name="it's monday")
@@ -407,6 +413,7 @@ def test_a_drive_without_velocity_can_not_use_it(sigmaswarm, here: Path):
     assert not (here / "t").exists()
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     drive = make_drive(duration=20.0)
     write_drive(replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None)), here / "plain")

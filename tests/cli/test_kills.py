@@ -1,16 +1,16 @@
 """Kills and full disks: nothing half-written under its own name, nothing lost that was there."""
 
 import os
-import resource
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from sigmaswarm import files
+from processes import COMMAND, Process, run
+from sigmaswarm import FilterParameters, evaluate, files, read_drive
+from sigmaswarm.report.evaluation import save_evaluation
 
 DYING = """
 import os, signal, sys
@@ -24,7 +24,6 @@ os.fsync = dying
 from sigmaswarm.cli import main
 main()
 """
-PROGRAM = "from sigmaswarm.cli import main; main()"
 COMMANDS: dict[str, tuple[str, ...]] = {
     "run": ("run", "{tuned}", "{drive}", "--out", "out/e.csv"),
     "run-bag": ("run", "{tuned}", "{drive}", "--out", "out/e.ros2"),
@@ -47,8 +46,17 @@ def hidden(folder: Path) -> Iterator[Path]:
     return folder.rglob(".*")
 
 
+@pytest.fixture(scope="module")
+def evaluated(drives: Path, tuned: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an evaluation."""
+    folder = tmp_path_factory.mktemp("evaluated") / "e"
+    found = evaluate(read_drive(drives / "urban-clear-00"), FilterParameters.load(tuned))
+    save_evaluation(found, folder, tuned)
+    return folder
+
+
 @pytest.fixture
-def arguments(sigmaswarm, drives: Path, tuned: Path, here: Path):
+def arguments(evaluated: Path, drives: Path, tuned: Path, here: Path):
     """A function that gives a command's arguments, in a folder that has what it needs."""
 
     def prepared(name: str) -> list[str]:
@@ -56,7 +64,7 @@ def arguments(sigmaswarm, drives: Path, tuned: Path, here: Path):
         for file in ("imu.csv", "gps.csv"):
             shutil.copy(drive / file, file)
         if name == "report":
-            assert sigmaswarm("evaluate", tuned, drive, "--out", "evaluated").code == 0
+            shutil.copytree(evaluated, "evaluated")
         if name == "run-bag":
             pytest.importorskip("rosbags")
         Path("out").mkdir()
@@ -65,8 +73,14 @@ def arguments(sigmaswarm, drives: Path, tuned: Path, here: Path):
     return prepared
 
 
+_WHOLE: dict[tuple[str, ...], tuple[dict[str, bytes], int]] = {}
+
+
 def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, bytes], int]:
-    """What a command leaves that nobody disturbs, and how many times it flushed a file."""
+    """What a command leaves that nobody disturbs, and how many times it flushed a file; found out once."""
+    if tuple(words) in _WHOLE:
+        Path("out").rmdir()
+        return _WHOLE[tuple(words)]
     count, sync = [0], os.fsync
 
     def counted(handle: int) -> None:
@@ -80,6 +94,7 @@ def whole(sigmaswarm, words: list[str], monkeypatch: pytest.MonkeyPatch) -> tupl
     found = tree(Path("out"))
     assert found and not list(hidden(Path("out")))
     shutil.rmtree("out")
+    _WHOLE[tuple(words)] = found, count[0]
     return found, count[0]
 
 
@@ -104,7 +119,7 @@ def test_a_kill_leaves_nothing_half_done(
     found, flushed = whole(sigmaswarm, words, monkeypatch)
     old = put_old(name, found, drives / "urban-clear-01")
     at = 1 if moment == "first" else flushed
-    done = subprocess.run([sys.executable, "-c", DYING, str(at), *words], capture_output=True, check=False)
+    done = run(DYING, at, *words)
     assert done.returncode == -9, done.stderr
     left = tree(Path("out"))
     assert list(hidden(Path("out")))  # it was killed while it wrote
@@ -126,13 +141,7 @@ def test_a_full_disk_leaves_what_was_there(
     words = arguments(name)
     found, _ = whole(sigmaswarm, words, monkeypatch)
     old = put_old(name, found, drives / "urban-clear-01")
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *words],
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000)),
-    )
+    done = run(COMMAND, *words, largest_file=1000)
     assert done.returncode == 2, done.stderr
     told = [line for line in done.stderr.splitlines() if line.startswith("sigmaswarm: ")]
     assert len(told) == 1
@@ -166,11 +175,8 @@ def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.M
 def test_two_runs_into_one_bag(sigmaswarm, arguments):
     """One of them gives it its name, the other one says so; nobody removes what the other made."""
     words = arguments("run-bag")
-    both = [
-        subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stderr=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    ended = [(process.communicate(timeout=300)[1], process.returncode) for process in both]
+    both = [Process(COMMAND, words) for _ in range(2)]
+    ended = [(process.communicate()[1], process.wait()) for process in both]
     assert {code for _, code in ended} <= {0, 2}
     assert 0 in {code for _, code in ended}
     for said, code in ended:
@@ -191,13 +197,9 @@ def test_two_tunings_into_one_folder(drives: Path, here: Path):
         "--particles",
         "6",
     ]
-    both = [
-        subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stderr=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    ended = [(process.communicate(timeout=300)[1], process.returncode) for process in both]
+    both = [Process(COMMAND, words) for _ in range(2)]
+    ended = [(process.communicate()[1], process.wait()) for process in both]
     assert 0 in {code for _, code in ended}
     for said, code in ended:
         assert not code or ("tuned: another run is filling it" in said or "already holds a tuning" in said)
-    again = subprocess.run([sys.executable, "-c", PROGRAM, *words, "--resume"], check=False)
-    assert again.returncode == 0
+    assert run(COMMAND, *words, "--resume").returncode == 0

@@ -8,6 +8,7 @@ import pytest
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity"])
+@pytest.mark.usefixtures("unpainted")
 def test_scores_with_nan(sigmaswarm, drives: Path, tuned: Path, here: Path, number: str):
     assert sigmaswarm("evaluate", tuned, drives / "urban-clear-00", "--out", "e").code == 0
     file = here / "e" / "scores.json"

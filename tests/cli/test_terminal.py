@@ -12,6 +12,7 @@ import pytest
 import tomli_w
 
 from sigmaswarm.cli.terminal import LONGEST_LINE
+from support import quickly
 
 PROGRAM = "from sigmaswarm.cli import main; main()"
 EVIL = "a\x1b]0;owned\x9cb\x1b[2J"
@@ -53,7 +54,10 @@ def test_a_path_is_no_markup(sigmaswarm, tuned: Path, drives: Path, here: Path, 
         assert out in ended.out
 
 
-@pytest.mark.parametrize("name", ["$^$", "a$b$c", EVIL, "日本語", "[x]"])
+@pytest.mark.parametrize(
+    "name",
+    quickly([("$^$",), ("a$b$c",), (EVIL,), ("日本語",), ("[x]",)], lambda name: name in ("$^$", EVIL)),
+)
 def test_any_name_can_be_drawn_and_told(sigmaswarm, drive, tuned: Path, name: str):
     shown = name if name.isprintable() else r"a\x1b]0;owned\x9cb\x1b[2J"
     assert sigmaswarm("plot", drive(name), "--out", "p.png").code == 0

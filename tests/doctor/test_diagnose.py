@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import sigmaswarm
 from doctor.faults import FAULTS, MORE, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu
 from sigmaswarm.simulation.outliers import with_outliers
-from support import DRIVES, limited_memory, make_drive, needs_shared
+from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
 MEMS = {
     "icm-20602": {"imu": "icm-20602", "gps": "ublox-m8"},
@@ -46,8 +47,9 @@ def serious(diagnosis: Diagnosis) -> list[str]:
     return [finding.code for finding in diagnosis.findings if finding.severity == "serious"]
 
 
-@pytest.mark.parametrize("fault", [*FAULTS, *MORE])
-@pytest.mark.parametrize("name", MEMS)
+@pytest.mark.parametrize(
+    ("name", "fault"), quickly(product(MEMS, [*FAULTS, *MORE]), lambda name, _: name == "icm-20602")
+)
 def test_a_planted_fault_is_named(name: str, fault: str):
     plant, codes = (FAULTS | MORE)[fault]
     found = sigmaswarm.diagnose(plant(simulated(name)))
@@ -58,8 +60,12 @@ def test_a_planted_fault_is_named(name: str, fault: str):
 
 
 @needs_shared
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("name", ["kitti-09-30-0033", "colorado-1", "comma2k19"])
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    quickly(
+        product(["kitti-09-30-0033", "colorado-1", "comma2k19"], FAULTS), lambda name, _: name == "colorado-1"
+    ),
+)
 def test_a_fault_planted_in_a_recording_is_named(name: str, fault: str):
     plant, codes = FAULTS[fault]
     found = sigmaswarm.diagnose(plant(recorded(name)))
@@ -75,8 +81,13 @@ def test_a_good_recording_raises_no_alarm(name: str):
     assert serious(found) == []
 
 
-@pytest.mark.parametrize("maneuver", ["cruise", "turns", "accelerate", "brake", "outages", "urban"])
-@pytest.mark.parametrize("sensors", MEMS)
+@pytest.mark.parametrize(
+    ("sensors", "maneuver"),
+    quickly(
+        product(MEMS, ["cruise", "turns", "accelerate", "brake", "outages", "urban"]),
+        lambda sensors, maneuver: sensors == "mpu-6050" or maneuver == "urban",
+    ),
+)
 def test_a_good_simulated_drive_raises_no_alarm(maneuver: str, sensors: str):
     drive = sigmaswarm.simulate(maneuver, run=1, **MEMS[sensors])
     assert serious(sigmaswarm.diagnose(drive)) == []
@@ -161,12 +172,14 @@ def test_a_gyro_that_does_not_follow_the_course_is_no_straight_road():
     assert "slower turns" not in found["unseen-yaw"].what
 
 
-@pytest.mark.parametrize("maneuver", ["turns", "urban", "cruise"])
-def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str):
-    """Over 8 seeds of short drives and both signs, where at least 95 in 100 are promised."""
+@pytest.mark.parametrize(
+    ("maneuver", "runs"), quickly(product(["turns", "urban", "cruise"], [3, 8]), lambda _, runs: runs < 8)
+)
+def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str, runs: int):
+    """Over so many seeds of short drives and both signs, where at least 95 in 100 are promised."""
     asked = seen = 0
     length = 50.0 if maneuver == "urban" else None
-    for run in range(8):
+    for run in range(runs):
         drive = sigmaswarm.simulate(maneuver, run=run, duration=length, gps="white-1m", imu="mpu-6050")
         clean = sigmaswarm.diagnose(drive)
         size = clean.visible_clock_offset
@@ -182,7 +195,7 @@ def test_an_offset_of_the_size_that_would_have_been_seen_is_seen(maneuver: str):
             seen += "clock-offset" in sigmaswarm.diagnose(fixes_late(sign * size)(drive)).codes
     print(f"{maneuver}: {seen} of {asked}")
     assert seen >= 0.9 * asked
-    assert asked == (0 if maneuver == "cruise" else 16)  # a straight road shows none
+    assert asked == (0 if maneuver == "cruise" else 2 * runs)  # a straight road shows none
 
 
 def test_a_short_drive_with_few_turns_says_what_it_does_not_see():
@@ -318,7 +331,7 @@ def test_a_city_s_receiver():
 
 @needs_shared
 @pytest.mark.parametrize("name", ["colorado-1", "kingston-1"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", quickly([(seed,) for seed in range(4)], lambda seed: seed == 0))
 def test_a_gyro_s_sign_shows_through_outliers(name: str, seed: int):
     drive = with_outliers(recorded(name), np.random.default_rng(seed))
     for sign in (1, -1):

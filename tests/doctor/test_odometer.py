@@ -12,7 +12,7 @@ from sigmaswarm.doctor.checks import odometer as subject
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis
 from sigmaswarm.doctor.suited import suited
-from support import DRIVES, needs_shared
+from support import DRIVES, needs_shared, quickly
 
 Fault = Callable[[Odometer], Odometer]
 
@@ -71,7 +71,10 @@ def test_nothing_is_said_of_a_sound_odometer():
     assert not list(subject.check(replace(evidence(), drive=replace(evidence().drive, odometer=None))))
 
 
-@pytest.mark.parametrize("name", FAULTS)
+ONE_OF_EACH = ("3% high", "backwards", "km/h", "late", "stuck")
+
+
+@pytest.mark.parametrize("name", quickly([(name,) for name in FAULTS], lambda name: name in ONE_OF_EACH))
 def test_each_fault_is_named_and_mended(name: str):
     code, fault = FAULTS[name]
     drive = planted(fault)

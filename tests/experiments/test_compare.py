@@ -1,9 +1,6 @@
 """`compare`: each run is a tuning, resumed to the same bytes, and the statistics are those of the textbooks."""
 
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from processes import Process
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
@@ -109,10 +107,10 @@ def test_killed_within_a_run_it_ends_in_the_same_bytes(tmp_path: Path):
     )
     runs = tmp_path / "killed" / "runs"
     for _ in range(5):  # on a busy machine it may have ended before it is looked at
-        run = subprocess.Popen([sys.executable, "-c", program, tmp_path], stderr=subprocess.DEVNULL)
+        run = Process(program, [tmp_path])
         while run.poll() is None and not list(runs.glob("*/checkpoint-000.npz")):
             time.sleep(0.002)
-        run.send_signal(signal.SIGKILL)
+        run.kill()
         run.wait()
         if list(runs.glob("*/checkpoint-000.npz")):
             break

@@ -4,13 +4,13 @@ import csv
 import json
 import random
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from processes import run
 from sigmaswarm.drives import alignment
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
@@ -50,9 +50,9 @@ def design() -> Design:
 
 def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Path):
     """The process is killed (SIGKILL) at moments of its tuning, drawn at random, and resumed."""
-    out, script = tmp_path / "killed", tmp_path / "killed.py"
+    out = tmp_path / "killed"
     (tmp_path / "study.toml").write_text(TINY.to_toml())
-    script.write_text(
+    program = (
         "import os, signal, sys\n"
         "from pathlib import Path\n"
         "from sigmaswarm.experiments.study.config import read_config\n"
@@ -68,7 +68,7 @@ def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Pat
     )
     draw = random.Random(5)
     for _ in range(5):
-        ended = subprocess.run([sys.executable, str(script), str(draw.randint(1, 5))], check=False)
+        ended = run(program, draw.randint(1, 5))
         assert ended.returncode == -signal.SIGKILL
     study = run_study(TINY, out, resume=True)
     save_study(study, study.folder)
@@ -80,8 +80,7 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     # as a run leaves it that is killed after it has kept the trial, and before it has dropped this
     (whole.folder / "trials/paper-pso-ukf/checkpoint-000.npz").write_bytes(b"")
     monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
-    again = run_study(TINY, whole.folder, resume=True)
-    save_study(again, again.folder)
+    run_study(TINY, whole.folder, resume=True)
     assert contents(whole.folder) == before
 
 
@@ -190,6 +189,7 @@ def test_drives_without_truth_are_refused(tmp_path: Path, design: Design):
         make_design(TINY.model_copy(update={"drives": (str(tmp_path / "drives"),)}))
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """By search, scores, tracks, pictures and timings together; and no search space is made twice."""
     aligned: list[str] = []

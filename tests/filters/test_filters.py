@@ -2,12 +2,13 @@
 
 import warnings
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter as FilterPyEkf
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
+from filter_cases import KINDS, OPTIONS, equipped, parameters, stands_for_all, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
@@ -21,7 +22,7 @@ from sigmaswarm.filters.textbook.adaptive import FuzzyNoise
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.ekf import complex_step
 from sigmaswarm.tuning.batch import run_batch
-from support import DRIVES, make_drive, needs_shared
+from support import DRIVES, make_drive, needs_shared, quickly
 
 
 def difference(a: Estimate, b: Estimate) -> float:
@@ -31,9 +32,10 @@ def difference(a: Estimate, b: Estimate) -> float:
     return max(float(np.max(np.abs(a.mean - b.mean))), float(np.max(covariance)))
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("model", ["planar5", "planar8"])
+@pytest.mark.parametrize(
+    ("model", "kind", "option"),
+    quickly(product(("planar5", "planar8"), KINDS, OPTIONS), stands_for_all),
+)
 def test_compiled_is_the_textbook_s(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     assert difference(run_filter(equipped(), p), run_textbook(equipped(), p)) < 1e-9

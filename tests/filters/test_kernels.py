@@ -122,6 +122,7 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
 # --- The machine code --------------------------------------------------------------------------------------
 
 
+@cache  # where it is not to be had from the cache, it is compiled
 def machine_code(model: ModelName) -> str:
     """A kernel's instructions. Numba itself reads none of code that came from the cache: it would compile once more."""
     kernel = run.run_kernel(model)

@@ -4,8 +4,10 @@ What is measured, and why one step at a time, stands in tests/stepwise.py; tests
 benchmarks/parity.py over whole drives.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numba
 import numpy as np
@@ -43,8 +45,22 @@ from support import make_drive, needs_shared
 
 WHOLE_DRIVES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes without the compiler")
 EACH_DRIVE = pytest.mark.parametrize("name", [SIMULATED, pytest.param(REAL, marks=needs_shared)])
-EACH_STOP = pytest.mark.parametrize("name", ["urban", pytest.param("colorado", marks=needs_shared)])
 PLANAR = ("planar5", "planar8")
+
+
+def at_stops(filters: Iterable[tuple[str, ...]]) -> list[Any]:
+    """Filters on a simulated drive with stops, and one of them on a recording; others there are `make test-long`'s."""
+    return [
+        pytest.param(
+            *case,
+            name,
+            marks=[needs_shared] * real + [pytest.mark.long] * (real and case != ("planar8", "ekf")),
+        )
+        for case in filters
+        for name, real in (("urban", False), ("colorado", True))
+    ]
+
+
 EACH_MODEL = pytest.mark.parametrize("model", PLANAR)
 
 
@@ -82,8 +98,7 @@ def test_compiled_filter_takes_the_oracles_steps_everywhere_in_the_papers_box(na
     assert errors.sums.max() < 1e-9
 
 
-@EACH_STOP
-@pytest.mark.parametrize(("model", "kind"), [*product(PLANAR, KINDS), ("tilted12", "ekf")])
+@pytest.mark.parametrize(("model", "kind", "name"), at_stops([*product(PLANAR, KINDS), ("tilted12", "ekf")]))
 def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     model: str, kind: str, name: str
 ):
@@ -113,8 +128,9 @@ def test_every_compiled_filter_takes_the_oracles_steps_with_all_measurements(
     assert not lost.any() or np.quantile(errors.covariance[lost], 0.9) < 1e-8
 
 
-@EACH_STOP
-@pytest.mark.parametrize(("model", "kind"), [*product(PLANAR, ("ukf", "ekf")), ("tilted12", "ekf")])
+@pytest.mark.parametrize(
+    ("model", "kind", "name"), at_stops([*product(PLANAR, ("ukf", "ekf")), ("tilted12", "ekf")])
+)
 def test_filters_that_weigh_fixes_take_the_oracles_steps(model: str, kind: str, name: str):
     timeline, initial = ready(name)
     timeline = replace(timeline, fixes=straying(timeline))
@@ -145,9 +161,16 @@ def straying(timeline: Timeline) -> np.ndarray:
 # --- FilterPy, step by step --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("theta_first", [False, True], ids=["plain root", "theta first"])
-@pytest.mark.parametrize("redraw", [True, False], ids=["redrawn", "propagated"])
-@EACH_DRIVE
+@pytest.mark.parametrize(
+    ("name", "theta_first", "redraw"),
+    [
+        pytest.param(name, *how, marks=needs_shared if name == REAL else (), id=f"{name}-{how}")
+        for name, *how in [
+            *product([SIMULATED], [False, True], [False, True]),
+            (REAL, True, True),  # make parity takes all steps of it
+        ]
+    ],
+)
 def test_textbook_filter_takes_filterpys_steps(name: str, theta_first: bool, redraw: bool):
     timeline, initial = ready(name)
     corners = box_table(32)[[4, 7, 12, 15, 20, 23, 28, 31]]  # alpha = 1
@@ -163,9 +186,7 @@ def test_textbook_filter_takes_filterpys_steps(name: str, theta_first: bool, red
     assert np.quantile(errors.covariance, 0.9) < 1e-11
 
 
-@pytest.mark.parametrize("kind", ["ukf", "ekf"])
-@EACH_MODEL
-@EACH_STOP
+@pytest.mark.parametrize(("model", "kind", "name"), at_stops(product(PLANAR, ("ukf", "ekf"))))
 def test_textbook_filter_takes_filterpys_steps_with_all_measurements(name: str, model: str, kind: str):
     timeline, initial = ready(name)
     sets = [replace(p, alpha=max(p.alpha, 0.1), gate=None) for p in box_sets(model, kind, 3, seed=2)]

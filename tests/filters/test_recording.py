@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filter_cases import KINDS, OPTIONS, equipped, parameters, two_receivers
+from filter_cases import KINDS, OPTIONS, equipped, parameters, stands_for_all, two_receivers
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
@@ -17,7 +17,7 @@ from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets, run_replays
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.scoring.targets import forecast_replay, tracking_replay
-from support import make_drive
+from support import make_drive, quickly
 
 EVERY_FILTER = [
     pytest.param(model, kind, option, id=f"{model}-{kind}-{option}")
@@ -41,7 +41,9 @@ def as_bits(recording: Recording) -> dict[str, bytes]:
     return {name: np.ascontiguousarray(column).tobytes() for name, column in parts.items()}
 
 
-@pytest.mark.parametrize(("model", "kind", "option"), EVERY_FILTER)
+@pytest.mark.parametrize(
+    ("model", "kind", "option"), quickly((case.values for case in EVERY_FILTER), stands_for_all)
+)
 def test_pieces_of_any_length_give_the_whole_runs_bits(model: str, kind: str, option: str):
     p = parameters(model, kind=kind, **OPTIONS[option])
     for replay in (replay_of(equipped), replay_of(two_receivers), replay_of(equipped, forecast_replay)):

@@ -32,8 +32,9 @@ def bits(tuning: Tuning) -> list[bytes]:
 
 def test_the_likelihood_finds_the_noise_that_made_the_log():
     """Against the optimum of an exact likelihood, and against the truth within three standard deviations."""
-    log = point_log(n=1500, q=0.5, r=0.3)
-    tuning = tune(log, model=POINT, objective="innovation-nll", particles=15, generations=40)
+    log = point_log(n=600, q=0.5, r=0.3)
+    asked = {"particles": 10, "generations": 25, "polish": 100}
+    tuning = tune(log, model=POINT, objective="innovation-nll", **asked)
 
     def exact(x: np.ndarray) -> float:
         return float(exact_nll(log, *(10.0**x)).sum())
@@ -58,7 +59,6 @@ def test_an_unknown_length_is_found(objective: str):
     options = {
         "particles": 20,
         "generations": 30,
-        "trials": 2,
         "optimizer": "pso",
         "zero_velocity_at_bounds": True,
     }
@@ -162,7 +162,7 @@ def test_a_resumed_tuning_ends_in_the_same_bytes(tmp_path: Path, generation: int
     assert contents(tmp_path / "cut") == contents(tmp_path / "whole")
 
 
-KILLED = {"particles": 10, "generations": 60, "seed": 8}
+KILLED = {"particles": 6, "generations": 40, "seed": 8}
 PROGRAM = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parents[1])!r})

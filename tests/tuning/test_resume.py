@@ -4,8 +4,6 @@ import json
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from processes import COMMAND, Process
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
@@ -145,29 +144,27 @@ def test_killed_five_times_it_ends_in_the_same_bytes(tmp_path: Path):
         write_drive(drive, tmp_path / "drives" / drive.name)
     options = ["--model", "planar5", "--objective", "truth-rmse"]
     options += ["--generations", str(GENERATIONS), "--particles", "20", "--seed", "8"]
-    program = "from sigmaswarm.cli import main; main()"
-    command = [sys.executable, "-c", program, "tune", str(tmp_path / "drives"), *options]
+    command = ["tune", str(tmp_path / "drives"), *options]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     checkpoint = killed / "checkpoint-000.npz"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
-    uninterrupted = subprocess.Popen([*command, "--out", whole], **quiet)
+    uninterrupted = Process(COMMAND, [*command, "--out", whole])
     chance = random.Random(2024)
     saved = [0]  # generations that each kill left behind
     for moment in sorted(chance.sample(range(1, GENERATIONS * 8 // 10), KILLS)):
-        run = subprocess.Popen([*command, "--out", killed, *["--resume"] * (len(saved) > 1)], **quiet)
+        run = Process(COMMAND, [*command, "--out", killed, *["--resume"] * (len(saved) > 1)])
         while generations_in(checkpoint) <= max(moment, saved[-1]):
             assert run.poll() is None, "it ended before it could be killed"
             time.sleep(0.005)
         time.sleep(chance.uniform(0.0, 0.01))  # anywhere within a generation, in the middle of saving too
-        run.send_signal(signal.SIGKILL)
+        run.kill()
         assert run.wait() == -signal.SIGKILL
         saved.append(generations_in(checkpoint))
         assert not (killed / "trial-000").exists()
     assert saved == sorted(set(saved))  # each run went on where the one before was killed
     print(f"killed after generations {saved[1:]} of {GENERATIONS}")
 
-    subprocess.run([*command, "--out", killed, "--resume"], **quiet, check=True)
+    assert Process(COMMAND, [*command, "--out", killed, "--resume"]).wait() == 0
     assert uninterrupted.wait() == 0
     assert {"tuning.toml", "trial-000/result.json", "trial-000/history.npz"} <= set(contents(whole))
     assert contents(killed) == contents(whole)

@@ -44,9 +44,9 @@ def compare(
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        pso, ga, ga-pso, de, cma-es, nelder-mead, random, sobol. Settings of one's own follow a colon:
+        pso, ga, ga-pso, de, cma-es, bo, nelder-mead, random, sobol. Settings of one's own follow a colon:
         pso:polish=300 or pso:particles=10,generations=30,trials=5. Particles x generations x trials must be the
-        same for all. The others are tested against the first one. By default all but nelder-mead and sobol.
+        same for all. The others are tested against the first one. By default all but bo, nelder-mead and sobol.
     scales
         log10, linear or both; log10 by default.
     seeds

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale
+from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale, require_packages
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
 """The coefficients of the swarm, which no other optimizer has."""
@@ -94,9 +94,11 @@ class ModelTuneConfig(SearchConfig):
 
 
 def validated_config(kind: type[C], config: dict[str, Any]) -> C:
-    """The configuration of a tuning, or an `InputError` that names the option."""
+    """The configuration of a tuning, or an `InputError` that names the option, or the package that it needs."""
     try:
-        return kind(**config)
+        valid = kind(**config)
     except ValidationError as error:
         name, value, _, message = first_mistake(error)
         raise InputError(f"{name} = {value!r}: {message}" if name else message) from None
+    require_packages(valid.optimizer)
+    return valid

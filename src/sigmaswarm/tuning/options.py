@@ -5,14 +5,16 @@ line's help is made of it.
 """
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from typing import Annotated, Any, Literal, TypedDict
 
 from typing_extensions import Doc
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
-OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "nelder-mead", "random", "sobol"]
+OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol"]
 Option = Literal["velocity", "lateral", "standstill", "odometer", "gate", "latency", "accuracy", "robust"]
 
 INERTIA = 0.7298
@@ -77,7 +79,8 @@ class SearchOptions(SharedOptions, total=False):
         OptimizerName,
         Doc(
             "pso: particle swarm. ga: genetic algorithm. ga-pso: both in turn. de: differential evolution. cma-es: "
-            "covariance matrix adaptation. nelder-mead, random, sobol: to compare with."
+            "covariance matrix adaptation. bo: Bayesian optimization, for a hundred evaluations; needs "
+            "scikit-learn. nelder-mead, random, sobol: to compare with."
         ),
     ]
     seed: Annotated[int, Doc("Decides everything that is left to chance.")]
@@ -169,3 +172,17 @@ DEFAULTS: dict[str, Any] = {
     "margin": None,
 }
 """The paper's where it gives them; None where the data or another option decides."""
+
+
+def require_packages(optimizer: str) -> None:
+    """Say in one line what an optimizer needs and is not installed.
+
+    Raises
+    ------
+    InputError
+        If a package is missing.
+    """
+    if optimizer == "bo" and find_spec("sklearn") is None:
+        raise InputError(
+            "optimizer = 'bo': needs scikit-learn, which is not installed; run: pip install scikit-learn"
+        )

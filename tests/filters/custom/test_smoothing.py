@@ -12,7 +12,7 @@ Q, R = 0.3, 0.04
 
 
 def test_of_a_linear_model_it_is_the_least_squares_of_the_whole_log():
-    log, model = point_log(), point_model()
+    log, model = point_log(n=100), point_model()
     names = [t.name for t in model.parameters]
     p = SCALING | dict(zip(names, (Q, R), strict=True))
     found = smooth_model(log, model, p)

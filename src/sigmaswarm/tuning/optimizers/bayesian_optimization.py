@@ -1,0 +1,248 @@
+"""Bayesian optimization: a Gaussian process of the costs so far says where the next evaluation is worth most.
+
+J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for seeking the extremum, 1978; D. R. Jones,
+M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
+455-492, 1998: expected improvement. Several points at a time by the kriging believer of D. Ginsbourger, R. Le Riche and
+L. Carraro, Kriging is well-suited to parallelize optimization, 2010: each point is believed to cost what is predicted
+for it, until its cost is told.
+
+The lengths over which costs are alike are found by scikit-learn, from the points and costs alone, each time anew, so
+that these and the generator are the whole state. The search for the next point is our own, as it has the slope of the
+expected improvement in closed form; without it, it takes several times as long as all else.
+"""
+
+import threading
+import warnings
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.special import ndtr
+
+from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
+from sigmaswarm.tuning.optimizers.sampling import SobolSearch
+from sigmaswarm.tuning.options import require_packages
+
+BATCH = 1
+"""Points between two fits."""
+CANDIDATES = 2000
+"""Places that are looked at for each point."""
+SEARCHES = 3
+"""Searches that climb from the best of them."""
+MOST = 200
+"""Costs that the process is fitted to, as a fit grows with their number's third power."""
+NOISE = 1e-6
+"""Variance of a cost that nearby points can't explain, in variances of all costs."""
+LEAST = 1e-12
+"""Variance of a forecast at a point that was tried, in variances of all costs."""
+FEW_BEST, NEAR = 5, 0.02
+"""Half of the places are so near to so many of the best points, in widths of the box."""
+SHORTEST, LONGEST = 0.2, 10.0
+"""Over which distance costs may be alike, in widths of the box."""
+_ALONE = threading.Lock()
+"""Warnings are switched off and threads counted for the whole process: two at once would leave that so."""
+
+
+class BayesianOptimization(AskTell):
+    """A Gaussian process that is asked for points of the highest expected improvement, and told their costs.
+
+    Parameters
+    ----------
+    low, high : ndarray, shape (d,)
+        Bounds of the box, in search coordinates.
+    population : int
+        Sobol' points to begin with.
+    rng : numpy.random.Generator
+        The only source of chance.
+    batch : int
+        Points between two fits: fewer learn more from each evaluation, more take less time.
+    candidates, searches : int
+        Places that are looked at for each point, and searches that climb from the best of them.
+
+    Raises
+    ------
+    InputError
+        If scikit-learn is not installed.
+    """
+
+    saved: ClassVar = ("points", "costs")
+
+    def __init__(
+        self,
+        low: Array,
+        high: Array,
+        population: int,
+        rng: np.random.Generator,
+        *,
+        batch: int = BATCH,
+        candidates: int = CANDIDATES,
+        searches: int = SEARCHES,
+    ) -> None:
+        require_packages("bo")
+        self.batch, self.effort = batch, (candidates, searches)
+        self.points, self.costs = np.empty((0, len(low))), np.empty(0)
+        super().__init__(low, high, SobolSearch(low, high, population, rng).ask(), rng)
+
+    def _learn(self, costs: Array) -> None:
+        self.points = np.concatenate([self.points, self.positions])
+        self.costs = np.concatenate([self.costs, costs])
+
+    def _next(self) -> Array:
+        if not np.isfinite(self.costs).any():
+            return self.rng.uniform(self.low, self.high, (self.batch, len(self.low)))
+        chosen = self._remembered()
+        points = (self.points[chosen] - self.low) / (self.high - self.low)
+        found = suggested(points, leveled(self.costs[chosen]), self.batch, self.effort, self.rng)
+        return self.low + found * (self.high - self.low)
+
+    def _remembered(self) -> NDArray[np.intp]:
+        """Which of the points the process is fitted to: all, or the best half of `MOST` and the latest."""
+        last = len(self.costs) - MOST // 2
+        if last <= MOST // 2:
+            return np.arange(len(self.costs))
+        best = np.argsort(self.costs, kind="stable")[: MOST // 2]
+        return np.union1d(best, np.arange(last, len(self.costs)))
+
+
+def leveled(costs: Array) -> Array:
+    """Costs in the same order, of which the worst don't drown the differences between the best.
+
+    A filter that loses its way costs a thousand times what a good one does; a process of such costs is flat where it
+    matters. So they are taken as log(1 + (cost - best) / (median - best)): even below the median, logarithmic above. A
+    failure costs as much as the worst of the others.
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n,)
+        At least one of them finite.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    finite = np.isfinite(costs)
+    filled = np.where(finite, costs, costs[finite].max())
+    above = filled - filled.min()
+    usual = np.median(above) or above.max() or 1.0
+    return np.log1p(above / usual)
+
+
+def suggested(
+    points: Array, costs: Array, count: int, effort: tuple[int, int], rng: np.random.Generator
+) -> Array:
+    """Where the expected improvement is highest, one point after another, each believed before the next is looked for.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+        In the unit box.
+    costs : ndarray, shape (n,)
+    count : int
+    effort : (int, int)
+        Places that are looked at, and searches from the best of them.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, shape (count, d)
+    """
+    # one thread: more gain nothing on matrices so small, and the bits would depend on how many there are
+    from threadpoolctl import threadpool_limits
+
+    n = len(points)
+    with _ALONE, threadpool_limits(1, "blas"):
+        lengths = _fitted(points, costs)
+        while len(points) < n + count:
+            improvement = Improvement(lengths, points, costs)
+            point = _highest(improvement, points[np.argsort(costs, kind="stable")[:FEW_BEST]], effort, rng)
+            points = np.vstack([points, point])
+            costs = np.append(costs, improvement.forecast(point))
+    return points[n:]
+
+
+def _fitted(points: Array, costs: Array) -> Array:
+    """The lengths, shape (d,), over which a process of these costs is alike: the most likely ones."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import Matern
+
+    begin: Any = np.full(points.shape[1], 0.5)
+    kernel: Any = Matern(begin, (SHORTEST, LONGEST), nu=2.5)
+    process: Any = GaussianProcessRegressor(kernel, alpha=NOISE, normalize_y=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # that a length is at its bound, as that of a parameter without influence is
+        process.fit(points, costs)
+    return np.array(process.kernel_.length_scale)
+
+
+class Improvement:
+    """What a point of the unit box is expected to gain over the lowest cost so far, in standard deviations of costs.
+
+    Parameters
+    ----------
+    lengths : ndarray, shape (d,)
+    points : ndarray, shape (n, d)
+    costs : ndarray, shape (n,)
+    """
+
+    def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
+        self.lengths, self.points = lengths, points
+        self.middle, self.scale = float(np.mean(costs)), float(np.std(costs)) or 1.0
+        y = (costs - self.middle) / self.scale
+        self.lowest = float(y.min())
+        self.factor = cho_factor(self._alike(points)[0] + NOISE * np.eye(len(points)), lower=True)
+        self.weights = cho_solve(self.factor, y)
+
+    def _alike(self, at: Array) -> tuple[Array, Array, Array]:
+        """Matern 5/2 between places (m, d) and the points, shape (m, n); exp(-r) (1 + r); and the offsets (m, n, d)."""
+        offsets = (at[:, np.newaxis] - self.points) / self.lengths
+        r = np.sqrt(5 * np.sum(offsets**2, axis=2))
+        fading = np.exp(-r)
+        return (1 + r + r**2 / 3) * fading, (1 + r) * fading, offsets
+
+    def forecast(self, point: Array) -> float:
+        """The cost that is expected at a point, shape (d,)."""
+        return self.middle + self.scale * float(self._alike(point[np.newaxis])[0][0] @ self.weights)
+
+    def __call__(self, at: Array) -> Array:
+        """At places, shape (m, d): shape (m,); Jones et al. (1998), equation 15."""
+        near = self._alike(at)[0]
+        variance = 1 - np.sum(near * cho_solve(self.factor, near.T).T, axis=1)
+        deviation = np.sqrt(np.maximum(variance, LEAST))
+        z = (self.lowest - near @ self.weights) / deviation
+        return deviation * (z * ndtr(z) + _density(z))
+
+    def downhill(self, point: Array) -> tuple[float, Array]:
+        """Minus its logarithm at one point, shape (d,), and the slope of that, shape (d,)."""
+        near, fading, offsets = (part[0] for part in self._alike(point[np.newaxis]))
+        slope = -5 / 3 * fading[:, np.newaxis] * offsets / self.lengths
+        back = cho_solve(self.factor, near)
+        deviation = np.sqrt(max(1 - near @ back, LEAST))
+        z = (self.lowest - near @ self.weights) / deviation
+        gain = max(deviation * (z * ndtr(z) + _density(z)), np.finfo(float).tiny)
+        rise = -ndtr(z) * (self.weights @ slope) - _density(z) * (back @ slope) / deviation
+        return -float(np.log(gain)), -rise / gain
+
+
+def _density(z: Array) -> Array:
+    return np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
+
+
+def _highest(
+    improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
+) -> Array:
+    """Where searches from the best of many places lead: half of these lie anywhere, half near the best points."""
+    d, (places, searches) = best.shape[1], effort
+    near = best[rng.integers(len(best), size=places // 2)] + NEAR * rng.standard_normal((places // 2, d))
+    tried = np.vstack([rng.random((places - places // 2, d)), np.clip(near, 0, 1)])
+    ranked = np.argsort(-improvement(tried), kind="stable")
+    ends = [tried[ranked[0]]]
+    for start in ranked[:searches]:
+        found: Any = minimize(
+            improvement.downhill, tried[start], jac=True, bounds=[(0, 1)] * d, method="L-BFGS-B"
+        )
+        ends.append(np.clip(found.x, 0, 1))
+    return ends[int(np.argmax(improvement(np.array(ends))))]

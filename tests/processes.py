@@ -1,0 +1,174 @@
+"""Processes that have imported what a command needs before they start: for tests that need a process, not its start.
+
+Imports and compiled filters take a process two or three seconds. Here one template does that once for a session, and
+each process that a test asks for is a fork of it, with arguments, environment, folder and outputs of its own; it can be
+killed like any other. What a start itself does is looked at in cli/test_process.py, where processes start from nothing.
+"""
+
+import atexit
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NoReturn
+
+COMMAND = "from sigmaswarm.cli import main; main()"
+
+
+class Process:
+    """A process that runs; what it says is read by `communicate`, or by nobody: then it must not say much."""
+
+    def __init__(self, program: str, arguments: Sequence[object], largest_file: int | None = None) -> None:
+        pipes = [os.pipe(), os.pipe()]
+        order = {
+            "program": program,
+            "arguments": [str(word) for word in arguments],
+            "environment": dict(os.environ),
+            "folder": str(Path.cwd()),
+            "largest_file": largest_file,
+        }
+        self.pid = int(_TEMPLATE.ask(order, [write for _, write in pipes]))
+        for _, write in pipes:
+            os.close(write)
+        self._said = [os.fdopen(read, encoding="utf-8") for read, _ in pipes]
+        self._code: int | None = None
+
+    def poll(self) -> int | None:
+        """The exit code, as `subprocess` has it; None while it runs."""
+        if self._code is None:
+            self._code = _TEMPLATE.ask({"ended": self.pid})
+        return self._code
+
+    def kill(self) -> None:
+        os.kill(self.pid, signal.SIGKILL)
+
+    def communicate(self) -> tuple[str, str]:
+        """What it said on standard output and error, to its end."""
+        with ThreadPoolExecutor(2) as pool:
+            out, err = pool.map(lambda file: file.read(), self._said)
+        return out, err
+
+    def wait(self, seconds: float = 300.0) -> int:
+        """The exit code, once it has ended."""
+        late = time.monotonic() + seconds
+        while (code := self.poll()) is None:
+            assert time.monotonic() < late, "it does not end"
+            time.sleep(0.002)
+        for file in self._said:
+            file.close()
+        return code
+
+
+def run(
+    program: str, *arguments: object, largest_file: int | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end; files of more bytes than ``largest_file`` can't be written."""
+    process = Process(program, arguments, largest_file)
+    out, err = process.communicate()
+    return subprocess.CompletedProcess(program, process.wait(), out, err)
+
+
+class _Template:
+    """The process that others are forked from, started when it is first needed."""
+
+    channel: socket.socket | None = None
+
+    def ask(self, order: dict[str, Any], files: Sequence[int] = ()) -> Any:
+        if self.channel is None:
+            self._start()
+        assert self.channel is not None
+        socket.send_fds(self.channel, [json.dumps(order).encode() + b"\n"], files)
+        return json.loads(_line(self.channel, b""))
+
+    def _start(self) -> None:
+        self.channel, theirs = socket.socketpair()
+        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        process = subprocess.Popen(
+            [sys.executable, "-m", "processes", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+        )
+        theirs.close()
+        atexit.register(lambda channel: (channel.close(), process.wait()), self.channel)
+
+
+_TEMPLATE = _Template()
+
+
+def _line(channel: socket.socket, begun: bytes) -> bytes:
+    while not begun.endswith(b"\n"):
+        more = channel.recv(1 << 20)
+        assert more, "the template has ended"
+        begun += more
+    return begun
+
+
+def _serve(channel: socket.socket) -> None:
+    """In the template: fork, and tell of who has ended."""
+    import matplotlib.pyplot  # noqa: F401
+    import scipy.stats  # noqa: F401
+
+    import sigmaswarm.cli.common  # noqa: F401
+    from sigmaswarm import evaluate, tune
+    from support import make_drive
+
+    drive = make_drive(duration=20.0)
+    evaluate(drive, tune(drive, particles=2, generations=1).parameters)  # compiled code is loaded
+    while True:
+        data, files, _, _ = socket.recv_fds(channel, 1 << 20, 2)
+        if not data:
+            return
+        order = json.loads(_line(channel, data))
+        if "ended" in order:
+            pid, status = os.waitpid(order["ended"], os.WNOHANG)
+            reply = os.waitstatus_to_exitcode(status) if pid else None
+        else:
+            reply = os.fork()
+            if reply == 0:
+                channel.close()
+                _become(order, files)
+            for file in files:
+                os.close(file)
+        channel.sendall(json.dumps(reply).encode() + b"\n")
+
+
+def _become(order: dict[str, Any], files: list[int]) -> NoReturn:
+    """In the fork: what was asked for, as if it had been started with it."""
+    for file, standard in zip(files, (1, 2), strict=True):
+        os.dup2(file, standard)
+        os.close(file)
+    sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115
+    os.chdir(order["folder"])
+    os.environ.clear()
+    os.environ.update(order["environment"])
+    sys.argv = ["sigmaswarm", *order["arguments"]]
+    if order["largest_file"] is not None:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_FSIZE, (order["largest_file"],) * 2)
+    code: Any = 0
+    try:
+        exec(compile(order["program"], "<program>", "exec"), {"__name__": "__main__"})
+    except SystemExit as ended:
+        code = ended.code or 0
+        if not isinstance(code, int):
+            print(code, file=sys.stderr)
+            code = 1
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    _serve(socket.socket(fileno=int(sys.argv[1])))

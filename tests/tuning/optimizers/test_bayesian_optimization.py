@@ -1,0 +1,173 @@
+"""Bayesian optimization: what it makes of costs, where it looks, and what it leaves alone."""
+
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import norm
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.tuning import options
+from sigmaswarm.tuning.optimizers import create_optimizer
+from sigmaswarm.tuning.optimizers.bayesian_optimization import (
+    MOST,
+    NOISE,
+    BayesianOptimization,
+    Improvement,
+    _fitted,
+    leveled,
+    suggested,
+)
+from sigmaswarm.tuning.tune import tune
+from support import make_drive
+
+pytest.importorskip("sklearn", reason="bo needs scikit-learn")
+LOW, HIGH = np.array([-5.0, 0.0]), np.array([5.0, 2.0])
+
+
+def valley(points: np.ndarray) -> np.ndarray:
+    """Curved, with its floor at (1, 1.3); far off it costs thousands, and a strip fails."""
+    costs = 10 * (points[:, 1] - 1.3 - 0.1 * (points[:, 0] - 1)) ** 2 + np.expm1(
+        np.abs(points[:, 0] - 1) ** 1.5
+    )
+    costs[points[:, 0] < -4.5] = np.nan
+    return costs
+
+
+def lowest(name: str, seed: int, budget: int = 30) -> float:
+    optimizer = create_optimizer(
+        name, LOW, HIGH, population=8, budget=budget, rng=np.random.default_rng(seed)
+    )
+    while len(points := optimizer.ask()):
+        optimizer.tell(valley(points))
+    return optimizer.global_cost
+
+
+def test_it_learns_from_thirty_costs_what_even_points_do_not():
+    """Of a landscape as filters have them: a narrow place to be in, costs by the thousand, failures."""
+    ours, even = ([lowest(name, seed) for seed in range(3)] for name in ("bo", "sobol"))
+    assert max(ours) < 0.05
+    assert max(ours) < 0.3 * min(even)
+
+
+def naive_improvement(points, costs, length, at):
+    """Expected improvement by the book: Jones et al. (1998), eq. 15, of a Matern 5/2 process of these lengths."""
+
+    def alike(a, b):
+        r = np.sqrt(5 * (((a[:, None] - b) / length) ** 2).sum(axis=2))
+        return (1 + r + r**2 / 3) * np.exp(-r)
+
+    y = (costs - costs.mean()) / costs.std()
+    inverse = np.linalg.inv(alike(points, points) + NOISE * np.eye(len(points)))
+    near = alike(at, points)
+    mean = near @ inverse @ y
+    std = np.sqrt(np.maximum(1 - np.einsum("ij,jk,ik->i", near, inverse, near), 1e-16))
+    z = (y.min() - mean) / std
+    return std * (z * norm.cdf(z) + norm.pdf(z))
+
+
+def data(n: int) -> tuple[np.ndarray, np.ndarray]:
+    points = np.random.default_rng(4).random((n, 2))
+    return points, leveled(valley(LOW + points * (HIGH - LOW)))
+
+
+def test_the_improvement_is_that_of_the_book_and_its_slope_its_own():
+    points, costs = data(14)
+    lengths = np.array([0.3, 0.8])
+    ours = Improvement(lengths, points, costs)
+    at = np.random.default_rng(1).random((40, 2))
+    np.testing.assert_allclose(ours(at), naive_improvement(points, costs, lengths, at), rtol=1e-6, atol=1e-12)
+    for place in at:
+        _, slope = ours.downhill(place)
+        steps = 1e-6 * np.eye(2)
+        by_steps = [(ours.downhill(place + s)[0] - ours.downhill(place - s)[0]) / 2e-6 for s in steps]
+        np.testing.assert_allclose(slope, by_steps, rtol=1e-4, atol=1e-4)
+
+
+def test_forecasts_and_improvements_are_those_of_the_package():
+    """bayesian-optimization, with the lengths that are found here; it looks for what is high, so signs are turned."""
+    acquisition = pytest.importorskip(
+        "bayes_opt.acquisition", reason="the oracle needs the dependency group test"
+    )
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import Matern
+
+    points, costs = data(20)
+    lengths = _fitted(points, costs)
+    process = GaussianProcessRegressor(Matern(lengths, nu=2.5), alpha=NOISE, normalize_y=True, optimizer=None)
+    process.fit(points, -costs)
+    expected = acquisition.ExpectedImprovement(xi=0.0)
+    expected.y_max = -costs.min()
+    at = np.random.default_rng(1).random((40, 2))
+    mean, std = process.predict(at, return_std=True)
+    ours = Improvement(lengths, points, costs)
+    np.testing.assert_allclose([ours.forecast(place) for place in at], -mean, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(ours(at) * ours.scale, expected.base_acq(mean, std), rtol=1e-4, atol=1e-9)
+
+
+def test_the_next_point_is_where_the_improvement_is_highest():
+    points, costs = data(14)
+    (found,) = suggested(points, costs, 1, (2000, 3), np.random.default_rng(5))
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 60)]), axis=2).reshape(-1, 2)
+    lengths = _fitted(points, costs)
+    best = naive_improvement(points, costs, lengths, grid).max()
+    assert naive_improvement(points, costs, lengths, found[None])[0] > 0.999 * best
+
+
+def test_points_of_one_batch_lie_apart():
+    batch = suggested(*data(10), 4, (500, 2), np.random.default_rng(5))
+    apart = np.linalg.norm(batch[:, None] - batch, axis=2)[np.triu_indices(4, 1)]
+    assert apart.min() > 1e-3
+
+
+@given(
+    costs=st.lists(st.integers(-999, 999).map(float) | st.just(np.inf), min_size=1, max_size=30),
+    scale=st.sampled_from([2.0**-9, 0.5, 1024.0]),
+)
+def test_leveled_costs_keep_their_order_and_failures_are_the_worst(costs: list[float], scale: float):
+    told = np.array(costs)
+    finite = np.isfinite(told)
+    if not finite.any():
+        return
+    found = leveled(told)
+    assert np.isfinite(found).all() and found.min() == 0
+    assert (np.diff(found[finite][np.argsort(told[finite], kind="stable")]) >= 0).all()
+    assert (found[~finite] == found.max()).all()
+    np.testing.assert_array_equal(leveled(scale * told), found)  # units do not matter
+
+
+def test_leveled_costs_are_even_near_the_best_and_logarithmic_far_off():
+    costs = np.array([2.0, 2.1, 2.2, 3.0, 4.0, 1002.0, np.inf])
+    above = np.array([0.0, 0.1, 0.2, 1.0, 2.0, 1000.0, 1000.0])
+    np.testing.assert_allclose(leveled(costs), np.log(1 + above / 1.0))
+
+
+def test_of_many_costs_the_best_and_the_latest_are_fitted():
+    search = BayesianOptimization(LOW, HIGH, 8, np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    search.points, search.costs = rng.uniform(LOW, HIGH, (700, 2)), rng.permutation(np.arange(700.0))
+    chosen = search._remembered()
+    assert len(chosen) <= MOST
+    assert set(range(600, 700)) <= set(chosen)
+    assert set(range(100)) <= set(search.costs[chosen])
+
+
+def test_two_at_once_leave_warnings_alone_and_find_what_one_finds():
+    def found(seed: int) -> float:
+        return lowest("bo", seed, budget=14)
+
+    alone = [found(seed) for seed in range(4)]
+    before = list(warnings.filters)
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(found, range(4))) == alone
+    assert warnings.filters == before
+
+
+def test_where_the_package_is_missing_one_line_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path):
+    monkeypatch.setattr(options, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"needs scikit-learn, .* pip install scikit-learn"):
+        tune(make_drive(duration=20.0), optimizer="bo", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
