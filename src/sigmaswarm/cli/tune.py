@@ -74,7 +74,6 @@ def tune(
     import sigmaswarm
     from sigmaswarm.cli.common import cluster_at, held_drives, print_json, stdout, tuning_progress
     from sigmaswarm.doctor.suited import equipment
-    from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import pictured
     from sigmaswarm.tuning.defaults import with_filter
 
@@ -98,6 +97,8 @@ def tune(
         )
         (picture,) = read.subset([0]).of_each(shown)
         (part,) = read.subset([0]).of_each(_is_part)
+    from sigmaswarm.report.tuning import save_tuning_figures  # what draws takes memory beside a long drive
+
     pictures = save_tuning_figures(tuning, picture, out)
     if json:
         print_json(tuning.to_dict())

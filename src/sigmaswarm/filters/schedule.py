@@ -158,8 +158,10 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
     slots /= interval
     slots += 1e-6
     np.floor(slots, out=slots)  # as the live filter's `_slot`
+    first = np.ones(len(slots), dtype=np.bool_)
+    np.not_equal(slots[1:], slots[:-1], out=first[1:])
     chosen = wanted.copy()
-    chosen[wanted] = np.diff(slots, prepend=np.nan) != 0.0
+    chosen[wanted] = first
     return chosen
 
 

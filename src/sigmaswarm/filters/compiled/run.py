@@ -40,7 +40,8 @@ def kept(column: Array) -> Array:
     return view
 
 
-NO_TARGETS = (*[kept(np.empty(0))] * 4, np.empty(0, dtype=np.bool_))
+_NOTHING = kept(np.empty(0))
+NO_TARGETS = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_)
 """For a run that is compared with nothing."""
 
 

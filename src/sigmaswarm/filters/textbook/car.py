@@ -85,7 +85,8 @@ class TextbookCar:
         r = np.array(p.measurement_noise)
         fuzzy = p.kind == "fuzzy-ukf"
         self.fuzzy = FuzzyNoise(q, r, p.forgetting, p.fuzzy_widths, p.fuzzy_gains) if fuzzy else None
-        self.noise = self.fuzzy or SageHusa(q, r, p.forgetting)
+        self.adaptive = SageHusa(q, r, p.forgetting)
+        self.noise = self.fuzzy or self.adaptive
         self.tracking = StrongTracking(p.forgetting)
         self.robust = None if p.robust_dof is None else StudentT(p.robust_dof)
         if p.accuracy_scale is not None:
@@ -144,7 +145,7 @@ class TextbookCar:
             if self.fuzzy:
                 innovation = self.fuzzy.weigh(innovation)
             elif self.parameters.kind == "adaptive-ukf":
-                self.noise.adapt(innovation, self._since)
+                self.adaptive.adapt(innovation, self._since)
             self.filter.absorb(innovation)
         else:
             self._rejected += 1
