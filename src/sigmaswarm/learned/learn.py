@@ -203,8 +203,8 @@ def learn(
     out : Path
         The folder that is made: `sigmaswarm run` and `evaluate` take it as they take a tuning's.
     validation : sequence of Drive
-        Held back, to end the training in time and, of outage-lstm, to calibrate; by default one in four of the drives,
-        the last ones, or of one or two drives the last quarter of each.
+        Held back, to end the training in time and, of outage-lstm, to calibrate; by default the last quarter of
+        each drive; of outage-lstm, if there are three drives or more, one in four of them, the last ones.
     tuning : Path, optional
         The tuning.toml of the parameters, which is copied.
     search : int
@@ -237,7 +237,8 @@ def learn(
         "versions": versions() | _jax_version(),
     }
     folder = ResultFolder(out, config, resume=resume)
-    shown, held_back = (drives, validation) if validation else _parted(drives)
+    parted = kind == outage_lstm.NAME and not validation  # what calibrates it has to be long
+    shown, held_back = _parted(drives) if parted else (drives, validation)
     learner: Learner = LEARNERS[kind](shown, held_back, parameters, seed)
     trials = _Trials(learner, folder, seed, 1 + search, progress)
     losses = [trials.loss(0, learner.start)]
