@@ -8,7 +8,8 @@ import pytest
 
 from filter_cases import equipped, parameters
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.outages import hide_fixes
+from sigmaswarm.drives.outages import hidden_fixes, hide_fixes
+from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets
@@ -35,8 +36,6 @@ def network(seed: int = 0, **more) -> OutageLstm:
     moved = rng.normal([9.0, 0.0], [3.0, 0.3], (50, 2))
     made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outages.STEPS, 12)), moved)
     return replace(made, **more)
-
-
 
 
 @pytest.mark.parametrize("recover", [True, False])
@@ -173,7 +172,9 @@ def test_outages_are_told_in_time():
 def test_a_drive_without_an_axis_is_refused():
     drive = silent()
     bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
-    with pytest.raises(InputError, match=r"synthetic: its imu.csv has no az, which the network was trained with"):
+    with pytest.raises(
+        InputError, match=r"synthetic: its imu.csv has no az, which the network was trained with"
+    ):
         OutageRun(replay_of(bare), parameters("planar8"), network())
 
 
@@ -200,27 +201,29 @@ def test_cells_are_those_of_the_books():
     rng = np.random.default_rng(3)
     x, h, c = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
     w = {k: rng.normal(size=v.shape) for k, v in new_weights(rng, 4, 3, 2, 1).items()}
-    logistic = lambda v: 1 / (1 + np.exp(-v))  # noqa: E731
-    part = lambda k: w["input"][:, 2 * k : 2 * k + 2].T @ x + w["hidden"][:, 2 * k : 2 * k + 2].T @ h + w["bias"][2 * k : 2 * k + 2]  # noqa: E731, E501
-    kept = logistic(part(1)) * c + logistic(part(0)) * np.tanh(part(2))
+
+    def logistic(v: np.ndarray) -> np.ndarray:
+        return 1 / (1 + np.exp(-v))
+
+    def gate(k: int) -> np.ndarray:
+        own = slice(2 * k, 2 * k + 2)
+        return w["input"][:, own].T @ x + w["hidden"][:, own].T @ h + w["bias"][own]
+
+    kept = logistic(gate(1)) * c + logistic(gate(0)) * np.tanh(gate(2))
     new_h, new_c = lstm(np, w, (h, c), x)
     np.testing.assert_allclose(new_c, kept)
-    np.testing.assert_allclose(new_h, logistic(part(3)) * np.tanh(kept))
+    np.testing.assert_allclose(new_h, logistic(gate(3)) * np.tanh(kept))
     w = {k: rng.normal(size=v.shape) for k, v in new_weights(rng, 3, 3, 2, 1).items()}
-    of_x = lambda k: w["input"][:, 2 * k : 2 * k + 2].T @ x + w["bias"][2 * k : 2 * k + 2]  # noqa: E731
-    of_h = lambda k: w["hidden"][:, 2 * k : 2 * k + 2].T @ h  # noqa: E731
-    r, z = logistic(of_x(0) + of_h(0)), logistic(of_x(1) + of_h(1))
-    wanted = (1 - z) * np.tanh(of_x(2) + r * of_h(2)) + z * h
-    np.testing.assert_allclose(gru(np, w, h, x), wanted)
+    r, z = logistic(gate(0)), logistic(gate(1))
+    of_h = w["hidden"][:, 4:6].T @ h
+    new = np.tanh(gate(2) - of_h + r * of_h)
+    np.testing.assert_allclose(gru(np, w, h, x), (1 - z) * new + z * h)
     np.testing.assert_allclose(head(w, h), h @ w["head"] + w["head_bias"])
 
 
 def test_hidden_fixes_count_as_an_outage_too():
-    """A replay that hides fixes from the filter, to score its forecasts, has the same outage as a drive without them."""
+    """A replay that hides fixes from the filter, to score its forecasts, has the outage of a drive without them."""
     drive, p = make_drive(duration=60.0), parameters("planar8")
-    from sigmaswarm.drives.outages import hidden_fixes
-    from sigmaswarm.drives.prepared import PreparedDrive
-
     ready = PreparedDrive(drive)
     line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))
     run = OutageRun(Replay(line, ready.initial, Targets.none(line)), p, network()).finished()

@@ -123,7 +123,9 @@ def drives() -> tuple[Drive, ...]:
 def short(monkeypatch: pytest.MonkeyPatch):
     for training in (outage_training, noise_training):
         monkeypatch.setattr(training, "EPOCHS", 2)
-        monkeypatch.setattr(training.trained, "__kwdefaults__", {**training.trained.__kwdefaults__, "epochs": 2})
+        monkeypatch.setattr(
+            training.trained, "__kwdefaults__", {**training.trained.__kwdefaults__, "epochs": 2}
+        )
     monkeypatch.setattr(outage_training, "PLACEMENTS", 1)
     monkeypatch.setattr(outage_training, "UNSURE", (1.0,))
     monkeypatch.setattr(OutageLearner, "start", {"units": 4, "window": 4.0, "learning_rate": 0.01})
@@ -166,7 +168,9 @@ def test_the_commands(short, sigmaswarm, tmp_path: Path):
         write_drive(drive, tmp_path / "drives" / drive.name)
     parameters("planar8", lateral_noise=0.05).save(tmp_path / "tuning.toml")
     out, own = tmp_path / "learned", tmp_path / "drives" / "drive-0"
-    ended = sigmaswarm("learn", "noise-gru", tmp_path / "tuning.toml", tmp_path / "drives", "--out", out, "--json")
+    ended = sigmaswarm(
+        "learn", "noise-gru", tmp_path / "tuning.toml", tmp_path / "drives", "--out", out, "--json"
+    )
     assert ended.code == 0, ended.err
     assert json.loads(ended.out)["training"]["labelled_s"] == 0.0
     ended = sigmaswarm("evaluate", out, own, "--out", tmp_path / "evaluation", "--trust-log")
@@ -180,7 +184,10 @@ def test_the_commands(short, sigmaswarm, tmp_path: Path):
     (out / "weights.npz").write_bytes(b"PK")
     ended = sigmaswarm("run", out, own, "--out", tmp_path / "estimate.csv")
     assert ended.code == 2
-    assert ended.err.strip() == f"Error: {out / 'weights.npz'}: not readable; repeat the command that made the folder"
+    assert (
+        ended.err.strip()
+        == f"sigmaswarm: {out / 'weights.npz'}: not readable; repeat the command that made the folder"
+    )
     with pytest.raises(InputError, match="not a result of sigmaswarm"):
         (out / "learned.toml").write_text("kind = 3")
         load_learned(out)

@@ -50,7 +50,8 @@ No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm de
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot, demo,
+    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot,
+    demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")

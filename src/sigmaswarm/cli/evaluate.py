@@ -91,7 +91,9 @@ def evaluate(
     parameters = sigmaswarm.FilterParameters.load(tuning)
     file = tuning / FILE if tuning.is_dir() else tuning
     learned = load_learned(tuning)
-    more = {} if learned is None else {learned.kind: partial(learned.run, parameters=parameters, recover=True)}
+    more = (
+        {} if learned is None else {learned.kind: partial(learned.run, parameters=parameters, recover=True)}
+    )
     own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")

@@ -47,8 +47,8 @@ def run(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network then helps the filter, unless
-        it is smoothed or a swarm.
+        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network then helps the filter,
+        unless it is smoothed or a swarm.
     drive
         A drive folder.
     out

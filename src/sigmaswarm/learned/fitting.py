@@ -6,6 +6,7 @@ The only file beside the losses that uses JAX: the extra ``learned``.
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -102,14 +103,17 @@ def fit(
         if saved is not None:
             state = _State.restored(saved[0])
         size = min(batch, len(examples[0]))
-        run = jax.jit(lambda s, e: _epoch(loss, s, e, learning_rate))
+        run = jax.jit(partial(_epoch, loss, learning_rate))
         test = jax.jit(loss)
         while state.epoch < epochs and state.epoch - int(np.argmin(state.losses[:, 1])) < patience:
             order = np.random.default_rng([seed, state.epoch]).permutation(len(examples[0]))
             order = order[: len(order) // size * size].reshape(-1, size)
-            moving, mean = run((state.weights, state.first, state.second, state.steps), tuple(e[order] for e in examples))
+            moving, mean = run(
+                (state.weights, state.first, state.second, state.steps), tuple(e[order] for e in examples)
+            )
             told = float(mean), float(test(moving[0], held_back))
-            state = state.after(*(jax.tree.map(np.asarray, part) for part in moving), told)
+            weights, first, second, steps = jax.tree.map(np.asarray, moving)
+            state = state.after(weights, first, second, steps, told)
             if checkpoint:
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:
@@ -117,7 +121,7 @@ def fit(
     return Fit(state.best, state.losses)
 
 
-def _epoch(loss: Loss, state: Any, batches: Any, learning_rate: float) -> Any:
+def _epoch(loss: Loss, learning_rate: float, state: Any, batches: Any) -> Any:
     """One pass over the batches, (steps, batch, ...) each; the state after it, and the mean loss."""
     import jax
     import jax.numpy as jnp
@@ -181,4 +185,6 @@ class _State:
         def part(name: str) -> dict[str, Any]:
             return {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
 
-        return cls(part("weights"), part("first"), part("second"), arrays["steps"], part("best"), arrays["losses"])
+        return cls(
+            part("weights"), part("first"), part("second"), arrays["steps"], part("best"), arrays["losses"]
+        )

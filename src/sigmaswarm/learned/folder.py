@@ -1,17 +1,16 @@
 """What a training leaves: a folder with the filter, what was learned, and how; no pickle in it.
 
-    tuning.toml, seen.npz   the filter, as its tuning has left them
-    learned.toml            which network, its settings, and what it learned from
-    weights.npz             its numbers
-    learned_seen.npz        what the training drives are recognized by
-    timings.json            what the training took: the one file that differs from run to run
+tuning.toml, seen.npz   the filter, as its tuning has left them
+learned.toml            which network, its settings, and what it learned from
+weights.npz             its numbers
+learned_seen.npz        what the training drives are recognized by
+timings.json            what the training took: the one file that differs from run to run
 """
 
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -24,7 +23,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import whole_file, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
-from sigmaswarm.learned import noise_gru, outage_lstm
+from sigmaswarm.learned import outage_lstm
 from sigmaswarm.learned.cells import n_weights
 from sigmaswarm.learned.noise_gru import NoiseGru, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun
@@ -89,7 +88,9 @@ class Learned:
         """Its name: outage-lstm or noise-gru."""
         return self.record.kind
 
-    def run(self, replay: Replay, parameters: FilterParameters, *, recover: bool = False) -> "OutageRun | NoiseRun":
+    def run(
+        self, replay: Replay, parameters: FilterParameters, *, recover: bool = False
+    ) -> "OutageRun | NoiseRun":
         """The filter over a replay, with what was learned."""
         net = self.record.network
         if self.kind == outage_lstm.NAME:
@@ -102,7 +103,9 @@ class Learned:
         """Write learned.toml and weights.npz; their paths."""
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]
         with whole_file(paths[0]) as file, zipfile.ZipFile(file, "w") as archive:
-            for name, array in sorted(self.weights.items()):  # without times: the same bytes for the same weights
+            for name, array in sorted(
+                self.weights.items()
+            ):  # without times: the same bytes for the same weights
                 with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
                     np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
         write_whole(paths[1], tomli_w.dumps(self.record.model_dump(mode="json", exclude_none=True)))

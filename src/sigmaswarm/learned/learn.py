@@ -73,7 +73,11 @@ class Learner(Protocol):
     """In which they are searched, as logarithms to the base of 2."""
 
     def train(
-        self, settings: Mapping[str, float], seed: int, checkpoint: Path | None, progress: Callable[[int, float], None]
+        self,
+        settings: Mapping[str, float],
+        seed: int,
+        checkpoint: Path | None,
+        progress: Callable[[int, float], None],
     ) -> Trained: ...
     def finish(self, settings: Mapping[str, float], weights: Mapping[str, Array]) -> "Finished":
         """What is left to be done with the best of them."""
@@ -105,7 +109,11 @@ class OutageLearner:
         return self._examples[window]
 
     def train(
-        self, settings: Mapping[str, float], seed: int, checkpoint: Path | None, progress: Callable[[int, float], None]
+        self,
+        settings: Mapping[str, float],
+        seed: int,
+        checkpoint: Path | None,
+        progress: Callable[[int, float], None],
     ) -> Trained:
         """One training."""
         network, found = outage_training.trained(
@@ -126,7 +134,9 @@ class OutageLearner:
         network = outage_training.with_lasting(network, self._tracks)
         cases = outage_training.cases_of(self._tracks, self._seed)
         if not cases:
-            raise InputError("what is held back is too short for outages of 10 s; give longer drives, or --validation")
+            raise InputError(
+                "what is held back is too short for outages of 10 s; give longer drives, or --validation"
+            )
         found = outage_training.calibrate(network, cases, self._parameters)
         inflation = found.inflation if np.isfinite(found.inflation) else None
         more = {"axes": list(self._axes), "inflation": inflation, "unsure": found.unsure}
@@ -148,13 +158,19 @@ class NoiseLearner:
         self._drives, self._validation, self._parameters = drives, validation, parameters
 
     def train(
-        self, settings: Mapping[str, float], seed: int, checkpoint: Path | None, progress: Callable[[int, float], None]
+        self,
+        settings: Mapping[str, float],
+        seed: int,
+        checkpoint: Path | None,
+        progress: Callable[[int, float], None],
     ) -> Trained:
         """One training."""
         window, held_back = settings["window"], False if self._validation else None
         parts = [noise_training.segments_of(self._drives, self._parameters, window, held_back=held_back)]
         if self._validation:
-            parts.append(noise_training.segments_of(self._validation, self._parameters, window, held_back=True))
+            parts.append(
+                noise_training.segments_of(self._validation, self._parameters, window, held_back=True)
+            )
         network, found = noise_training.trained(
             noise_training.joined(parts),
             self._parameters,
@@ -303,7 +319,13 @@ class _Trials:
         total: int,
         progress: Callable[[Progress], None] | None,
     ) -> None:
-        self._learner, self._folder, self._seed, self._total, self._progress = learner, folder, seed, total, progress
+        self._learner, self._folder, self._seed, self._total, self._progress = (
+            learner,
+            folder,
+            seed,
+            total,
+            progress,
+        )
 
     def loss(self, number: int, settings: Mapping[str, float]) -> float:
         """Of a training with some settings, which is done unless the folder has it."""

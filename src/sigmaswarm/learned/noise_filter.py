@@ -59,7 +59,11 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
     """The steps of a replay as `run` takes them, (k, N_COLUMNS), and when each ends, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, *switches(parameters))
-    fix = line.fixes[np.maximum(np.cumsum(line.absorbs | line.hides) - 1, 0)] if len(line.fixes) else np.zeros((1, 6))
+    fix = (
+        line.fixes[np.maximum(np.cumsum(line.absorbs | line.hides) - 1, 0)]
+        if len(line.fixes)
+        else np.zeros((1, 6))
+    )
     happens = [(flags & bit > 0).astype(np.float64) for bit in (FIX, IMU, LATERAL, STANDSTILL)]
     moved = [line.dt, line.q_scale, line.gap, line.ax, line.ay, line.gz]
     return np.column_stack([*moved, *happens, fix[:, :2], fix[:, 4:6]]), line.end
@@ -150,7 +154,7 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
             a = noise / weight
             g = _inverse(seen + jnp.diag(a))
             e = g @ nu
-            gamma = jnp.sum((1.0 + a * (e**2 - jnp.diag(g)))) / weight
+            gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
             weight = (p.robust_dof + 2.0) / (p.robust_dof + gamma)  # pyright: ignore[reportOptionalOperand]
         return weight
 
@@ -196,7 +200,9 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
                 m, c = absorb(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
         # At a sample behind a fix the network looks at it.
         looks = (sampled > 0) & (last[5] > 0.0)
-        after = gru(jnp, weights, h, features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0)))
+        after = gru(
+            jnp, weights, h, features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
+        )
         h = jnp.where(looks, after, h)
         active = jnp.where(looks, log_scales(jnp, weights, h), active)
         since = jnp.where(looks, since - last[5], since)

@@ -69,12 +69,14 @@ def segments_of(
         since = last - HELD_BACK * (last - replay.initial.time)
         for start in np.arange(replay.initial.time, last - length, length):
             sample = int(np.searchsorted(believed.time, start))
-            first, stop = np.searchsorted(ends, [believed.time[sample], believed.time[sample] + length], side="right")
+            first, stop = np.searchsorted(
+                ends, [believed.time[sample], believed.time[sample] + length], side="right"
+            )
             if not (believed.sound[sample] and columns[first:stop, 6].any()):
                 continue
             begin = believed.mean[sample], believed.covariance[sample]
             parts.append((*begin, columns[first:stop], settings.q, settings.lever))
-            held.append(start + length > since if held_back is None else held_back)
+            held.append(bool(start + length > since) if held_back is None else held_back)
     if not parts:
         raise InputError(f"no drive is longer than {length:g} s from its start on; give longer ones")
     most = max(len(part[2]) for part in parts)
@@ -93,7 +95,8 @@ def joined(parts: Sequence[Segments]) -> Segments:
         return np.concatenate(arrays)
 
     return Segments(
-        tuple(column(i) for i in range(len(parts[0].arrays))), np.concatenate([part.held_back for part in parts])
+        tuple(column(i) for i in range(len(parts[0].arrays))),
+        np.concatenate([part.held_back for part in parts]),
     )
 
 

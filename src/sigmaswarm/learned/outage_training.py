@@ -1,7 +1,7 @@
 """Training `outage-lstm`: what it is shown, what it should have said, and how sure of itself it may be.
 
-What it should have said is how far the car came, as the smoothed track of the same filter with all fixes tells: no truth
-is looked at. What is held back ends the training in time, and loses its fixes in outages, placed again and again, to
+What it should have said is how far the car came, as the smoothed track of the same filter with all fixes tells: no
+truth is looked at. What is held back ends the training in time, and loses its fixes in outages, placed again and again, to
 find how sure the network may be.
 """
 
@@ -71,7 +71,9 @@ class Track:
         return self.ready.timeline()
 
 
-def tracks_of(drives: Sequence[Drive], parameters: FilterParameters, *, held_back: bool | None) -> list[Track]:
+def tracks_of(
+    drives: Sequence[Drive], parameters: FilterParameters, *, held_back: bool | None
+) -> list[Track]:
     """Drives to learn from; ``held_back``: all of them, none, or (None) the end of each."""
     tracks: list[Track] = []
     for drive in drives:
@@ -106,7 +108,9 @@ def cases_of(tracks: Sequence[Track], seed: int) -> list[Case]:
             continue
         for placement in range(PLACEMENTS):
             rng = np.random.default_rng([seed, number, placement])
-            windows = random_windows(start, end, rng, length=(LENGTHS[0], longest), first_after=OUTAGE_FIRST_AFTER)
+            windows = random_windows(
+                start, end, rng, length=(LENGTHS[0], longest), first_after=OUTAGE_FIRST_AFTER
+            )
             line = track.ready.timeline(hidden_fixes(drive.gps.time, windows))
             cases.append(Case(Replay(line, initial, Targets.none(line)), track.held_back_from))
     return cases
@@ -193,7 +197,7 @@ def trained(
 
 
 def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
-    """The network with what is known of how long its errors last, on what is held back: a fit of kept exp(-t / lasts)."""
+    """The network with how long its errors last, on what is held back: a fit of kept exp(-t / lasts)."""
     parts: list[Array] = []
     for track in tracks:
         begins, ends, seen = all_windows(track.line, axes=network.axes, window=network.window, every=EVERY)
@@ -245,7 +249,7 @@ def calibrate(network: OutageLstm, cases: Sequence[Case], parameters: FilterPara
 def forecast_losses(
     network: OutageLstm, cases: Sequence[Case], windows: Sequence[Windows], parameters: FilterParameters
 ) -> Array:
-    """Mean -ln of the likelihood of hidden fixes, in nats, under Student's t, of each outage: see `Score.forecast_t`."""
+    """Mean -ln likelihood of the hidden fixes of each outage, nats, under Student's t: see `Score.forecast_t`."""
     told: list[float] = []
     for case, known in zip(cases, windows, strict=True):
         line = case.replay.timeline

@@ -101,10 +101,12 @@ def all_windows(
     return begin, end, features_at(line, end, axes=axes, window=window)
 
 
-def _pairs(time: Array, after: float, until: float, every: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _pairs(
+    time: Array, after: float, until: float, every: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Samples, `HORIZON` apart, from one moment until another, (k,) each."""
     first, stop = np.searchsorted(time, [after, until])
-    grid = np.arange(time[first], time[stop - 1] + 1e-9, every) if stop > first else np.empty(0)
+    grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
     per = round(HORIZON / every)
     begin, end = at[:-per], at[per:]
@@ -112,9 +114,7 @@ def _pairs(time: Array, after: float, until: float, every: float) -> tuple[NDArr
     return begin[held], end[held]
 
 
-def features_at(
-    line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float
-) -> Array:
+def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
     """What the IMU said in the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
     Of each step and axis the mean (m/s2, rad/s), and the logarithm of what it shakes by (the same): of a driving car

@@ -18,6 +18,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
 from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import Chunk, definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
@@ -54,7 +55,8 @@ class Displacements:
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters) -> None:
-        self._replay, self._model = replay, parameters.model
+        self._replay = replay
+        self._model: ModelName = parameters.model
         n = parameters.n_states
         self._chunk = Chunk((parameters,) * (n + 1))
         tilts = MODELS[self._model].tilts
@@ -97,7 +99,9 @@ class Displacements:
             return False
         lanes = rows.shape[1]
         packed = pack_states(
-            np.broadcast_to(mean, (lanes, len(mean))), np.broadcast_to(covariance, (lanes, *p1.shape)), self._model
+            np.broadcast_to(mean, (lanes, len(mean))),
+            np.broadcast_to(covariance, (lanes, *p1.shape)),
+            self._model,
         )
         rows[state_rows(self._model)] = packed[state_rows(self._model)]
         if MODELS[self._model].tilts:

@@ -76,7 +76,9 @@ KIND_NAMES = {
 """What people call the kinds of filters."""
 
 
-ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {name: f"tuned, {name}" for name in LEARNED}
+ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
+    name: f"tuned, {name}" for name in LEARNED
+}
 """The rows behind the tuned filter that are there if they are asked for."""
 
 
