@@ -4,10 +4,10 @@
     python benchmarks/rivals.py DRIVES --out curve.jsonl --curve 2 5 10 20
 
 Cases: KITTI, each drive held out once; colorado-1 and kingston-1, their first 70% and the rest; simulated drives on
-rolling roads, six to learn from and four held out; and what was learned there on drives of another grade of sensors, or another car. All are
-planar8 with lateral, standstill and robust, tuned with truth. It goes on where it was stopped: a line of JSON a row.
-`sigmaswarm study` repeats the paper's experiment, whose trials are tunings of the same budget in the paper's setting; a
-network's training is none, so this is a table of its own.
+rolling roads, six to learn from and four held out; and what was learned there on drives of another grade of sensors,
+or another car. All are planar8 with lateral, standstill and robust, tuned with truth. It goes on where it was
+stopped: a line of JSON a row. `sigmaswarm study` repeats the paper's experiment, whose trials are tunings of the same
+budget in the paper's setting; a network's training is none, so this is a table of its own.
 """
 
 import argparse

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import exact, fit
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.learned.learn import NoiseLearner, OutageLearner, learn
+from sigmaswarm.learned.learn import LEARNERS, Finished, Trained, learn
 from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
+from sigmaswarm.learned.outage_lstm import untrained
 from support import make_drive
 
 pytest.importorskip("jax", reason="JAX is not installed (extra learned)")
@@ -119,34 +121,109 @@ def drives() -> tuple[Drive, ...]:
     return tuple(make_drive(duration=100.0, seed=s, name=f"drive-{s}") for s in range(2))
 
 
-@pytest.fixture
-def short(monkeypatch: pytest.MonkeyPatch):
-    for training in (outage_training, noise_training):
-        monkeypatch.setattr(training, "EPOCHS", 2)
-        monkeypatch.setattr(
-            training.trained, "__kwdefaults__", {**training.trained.__kwdefaults__, "epochs": 2}
+class Quick:
+    """A learner whose training is a line through points, and whose network an untrained one."""
+
+    epochs = 5
+    start: ClassVar = {"units": 4, "window": 4.0, "learning_rate": 0.1}
+    box: ClassVar = {"units": (2, 3), "window": (1, 3), "learning_rate": (-4, -2)}
+
+    def __init__(self, drives, validation, parameters, seed):
+        assert [d.name for d in (*drives, *validation)] == ["drive-0", "drive-1"]
+
+    def train(self, settings, seed, checkpoint, progress):
+        x = np.random.default_rng(seed).normal(size=(30, 3))
+        examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
+        options = {
+            "learning_rate": settings["learning_rate"],
+            "epochs": 5,
+            "batch": 4,
+            "patience": 5,
+            "seed": seed,
+        }
+        found = fit(
+            _square,
+            {"w": np.zeros(3)},
+            examples,
+            examples,
+            **options,
+            checkpoint=checkpoint,
+            progress=progress,
         )
-    monkeypatch.setattr(outage_training, "PLACEMENTS", 1)
-    monkeypatch.setattr(outage_training, "UNSURE", (1.0,))
-    monkeypatch.setattr(OutageLearner, "start", {"units": 4, "window": 4.0, "learning_rate": 0.01})
-    monkeypatch.setattr(NoiseLearner, "start", {"units": 2, "window": 8.0, "learning_rate": 0.01})
+        return Trained(found.weights, found)
+
+    def finish(self, settings, weights):
+        rng = np.random.default_rng(0)
+        moved, units = rng.normal(9.0, 3.0, (20, 2)), int(settings["units"])
+        network = untrained(rng, ("ax", "gz"), settings["window"], units, rng.normal(size=(20, 40, 4)), moved)
+        return Finished(network.weights, {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0})
 
 
-def test_a_search_that_is_interrupted_ends_in_the_same_bytes(short, tmp_path: Path):
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(LEARNERS, "outage-lstm", Quick)
+
+
+def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Path):
     p = parameters("planar8", lateral_noise=0.05)
-    learn("outage-lstm", p, drives(), out=tmp_path / "whole", search=1)
+    learn("outage-lstm", p, drives(), out=tmp_path / "whole", search=5)
 
     def stop(told) -> None:
-        if told.trial == 1:
+        if (told.trial, told.epoch) == (3, 2):
             raise Stopped
 
     with pytest.raises(Stopped):
-        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=1, progress=stop)
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, progress=stop)
     with pytest.raises(InputError, match="add --resume"):
-        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=1)
-    learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=1, resume=True)
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5)
+    with pytest.raises(InputError, match="seed = 0, now asked for seed = 1"):
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, seed=1, resume=True)
+    found = learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, resume=True)
     for file in ("learned.toml", "weights.npz", "tuning.toml", "learned_seen.npz"):
         assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+    costs = [
+        json.loads((tmp_path / "whole" / f"trial-{i:03d}" / "result.json").read_text())["cost"]
+        for i in range(6)
+    ]
+    assert found.record.training.loss == min(costs)
+    assert len(set(costs)) > 2
+
+
+def test_the_noise_network_learns_downhill():
+    """The gradient that it is trained by is that of the loss, by differences."""
+    p = parameters("planar5", kind="ekf")
+    segments = noise_training.segments_of(drives()[:1], p, 2.0, held_back=None)
+    batch = tuple(array[:2] for array in segments.arrays)
+    weights = new_weights(np.random.default_rng(0), 3, FEATURES, 2, 2)
+    weights["head"] = np.random.default_rng(1).normal(size=(2, 2))
+    with exact():
+        import jax
+
+        loss = jax.jit(noise_training.loss(p))
+        gradient = jax.jit(jax.grad(noise_training.loss(p)))(weights, batch)
+        for name, at in (("head_bias", (1,)), ("input", (0, 1)), ("head", (1, 0))):
+            ahead, behind = ({**weights, name: weights[name].copy()} for _ in range(2))
+            ahead[name][at] += 1e-5
+            behind[name][at] -= 1e-5
+            slope = (float(loss(ahead, batch)) - float(loss(behind, batch))) / 2e-5
+            assert float(gradient[name][at]) == pytest.approx(slope, rel=1e-4, abs=1e-9)
+
+
+def test_the_outage_network_learns_how_fast_the_car_is():
+    """On other parts of the same drives it does better than the mean; the same seed gives the same bits."""
+    p = parameters("planar8", lateral_noise=0.05)
+    tracks = outage_training.tracks_of(drives(), p, held_back=None)
+    examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
+    options = {"window": 6.0, "units": 6, "learning_rate": 0.01, "seed": 3, "epochs": 8}
+    network, found = outage_training.trained(examples, ("ax", "ay", "gz"), **options)
+    assert found.best < found.losses[0, 1]
+    assert (
+        outage_training.trained(examples, ("ax", "ay", "gz"), **options)[1].losses.tobytes()
+        == found.losses.tobytes()
+    )
+    moved, variance = network.told(examples.features)
+    assert moved.shape == variance.shape == examples.moved.shape
+    assert (variance > 0).all()
 
 
 def test_truth_is_not_looked_at():
@@ -163,23 +240,23 @@ def test_truth_is_not_looked_at():
     assert segments[0].held_back.any() and not segments[0].held_back.all()
 
 
-def test_the_commands(short, sigmaswarm, tmp_path: Path):
+def test_the_commands(quick, sigmaswarm, tmp_path: Path):
     for drive in drives():
         write_drive(drive, tmp_path / "drives" / drive.name)
     parameters("planar8", lateral_noise=0.05).save(tmp_path / "tuning.toml")
     out, own = tmp_path / "learned", tmp_path / "drives" / "drive-0"
     ended = sigmaswarm(
-        "learn", "noise-gru", tmp_path / "tuning.toml", tmp_path / "drives", "--out", out, "--json"
+        "learn", "outage-lstm", tmp_path / "tuning.toml", tmp_path / "drives", "--out", out, "--json"
     )
     assert ended.code == 0, ended.err
     assert json.loads(ended.out)["training"]["labelled_s"] == 0.0
     ended = sigmaswarm("evaluate", out, own, "--out", tmp_path / "evaluation", "--trust-log")
     assert ended.code == 0, ended.err
-    assert "tuned, noise-gru" in ended.out
+    assert "tuned, outage-lstm" in ended.out
     assert "not held out" in " ".join(ended.err.split())  # the network has seen it
     assert sigmaswarm("report", tmp_path / "evaluation").code == 0
     ended = sigmaswarm("evaluate", tmp_path / "evaluation" / "tuning.toml", own, "--json", "--trust-log")
-    assert "noise-gru" in json.loads(ended.out)["mean"]
+    assert "outage-lstm" in json.loads(ended.out)["mean"]
     assert sigmaswarm("run", out, own, "--out", tmp_path / "estimate.csv").code == 0
     (out / "weights.npz").write_bytes(b"PK")
     ended = sigmaswarm("run", out, own, "--out", tmp_path / "estimate.csv")

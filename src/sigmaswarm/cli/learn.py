@@ -47,7 +47,7 @@ def learn(
         Folder for learned.toml and weights.npz, and for the filter.
     validation
         Drives held back, which end the training in time and say how sure the network may be; by default the last
-        quarter of each drive; of outage-lstm, if there are three or more, one in four of them, the last ones.
+        quarter of each drive; of outage-lstm, if there are three or more, the last third of them.
     search
         How many settings (units, window, learning rate) to try beside the usual ones.
     seed

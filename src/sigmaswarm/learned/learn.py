@@ -220,7 +220,7 @@ def learn(
         The folder that is made: `sigmaswarm run` and `evaluate` take it as they take a tuning's.
     validation : sequence of Drive
         Held back, to end the training in time and, of outage-lstm, to calibrate; by default the last quarter of
-        each drive; of outage-lstm, if there are three drives or more, one in four of them, the last ones.
+        each drive; of outage-lstm, if there are three drives or more, the last third of them.
     tuning : Path, optional
         The tuning.toml of the parameters, which is copied.
     search : int
@@ -297,8 +297,8 @@ def learn(
 
 
 def _parted(drives: Sequence[Drive]) -> tuple[Sequence[Drive], Sequence[Drive]]:
-    """Drives to learn from, and to hold back: the last one of every four; none of one or two, whose ends are then."""
-    count = 0 if len(drives) < 3 else max(1, len(drives) // 4)
+    """Drives to learn from, and to hold back: the last third; none of one or two, whose ends are then."""
+    count = len(drives) // 3
     return drives[: len(drives) - count], drives[len(drives) - count :]
 
 

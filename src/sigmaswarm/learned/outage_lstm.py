@@ -1,16 +1,16 @@
 """outage-lstm: a filter that, in an outage, absorbs what a network makes of the IMU.
 
-The network sees windows of the IMU, and says how far the car came in the last second, forward and left, and how sure it
-is: the faster a car drives, the more it shakes, and the more it turns for the same lateral acceleration. What it says is
-absorbed as `relative` tells. It is not told the filter's own speed: a network that is says it back, and what is then
-absorbed is what the filter believed already.
+The network sees windows of the IMU, and says how far the car came in the last second, forward and left, and how sure
+it is: the faster a car drives, the more it shakes, and the more it turns for the same lateral acceleration. What it
+says is absorbed as `relative` tells. It is not told the filter's own speed: a network that is says it back, and what
+is then absorbed is what the filter believed already.
 
-Its errors last, for the road and the car do: they are taken for Gauss-Markov processes. While there are fixes they are
-seen, as what the filter's own velocity says otherwise; in an outage the last one seen is taken off, fading. What remains
-of them is not white either, as a filter believes, and a filter that was tuned on fixes is often too sure of its velocity
-when they stay away. So two factors, of the forecasts' variance and of the velocity's Q in an outage, are those with
-which hidden fixes of drives that the network was not trained on are likeliest. Where that is not plainly better than the
-filter alone, nothing is absorbed, and the filter remains as it was.
+Its errors last, for the road and the car do: they are taken for Gauss-Markov processes. While there are fixes they
+are seen, as what the filter's own velocity says otherwise; in an outage the last one seen is taken off, fading. What
+remains of them is not white either, as a filter believes, and a filter that was tuned on fixes is often too sure of
+its velocity when they stay away. So two factors, of the forecasts' variance and of the velocity's Q in an outage, are
+those with which hidden fixes of drives that the network was not trained on are likeliest. Where that is not plainly
+better than the filter alone, nothing is absorbed, and the filter remains as it was.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """Training `outage-lstm`: what it is shown, what it should have said, and how sure of itself it may be.
 
 What it should have said is how far the car came, as the smoothed track of the same filter with all fixes tells: no
-truth is looked at. What is held back ends the training in time, and loses its fixes in outages, placed again and again, to
-find how sure the network may be.
+truth is looked at. What is held back ends the training in time, and loses its fixes in outages, placed again and
+again, to find how sure the network may be.
 """
 
 from collections.abc import Callable, Sequence
@@ -226,8 +226,8 @@ def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
 def calibrate(network: OutageLstm, cases: Sequence[Case], parameters: FilterParameters) -> OutageLstm:
     """The network and the filter as sure of themselves in outages as makes hidden fixes likeliest.
 
-    Where that is not plainly better than the filter alone (by two standard errors over the outages, of which those of
-    all placements but one are taken for repetitions), nothing is to be absorbed.
+    Where that is not better than the filter alone by a standard error over the outages (of which those of all
+    placements but one are taken for repetitions), nothing is to be absorbed.
     """
     windows = [
         outage_windows(case.replay.timeline, axes=network.axes, window=network.window) for case in cases
@@ -241,7 +241,7 @@ def calibrate(network: OutageLstm, cases: Sequence[Case], parameters: FilterPara
         better = alone - losses(*each)
         apart = len(better) / PLACEMENTS
         error = float(np.std(better)) / np.sqrt(apart - 1.0) if apart > 1.0 else np.inf
-        if np.isfinite(better).all() and better.mean() > max(gain, 2.0 * error):
+        if np.isfinite(better).all() and better.mean() > max(gain, error):
             best, gain = each, float(better.mean())
     return calibrated(network, *best)
 
