@@ -19,6 +19,7 @@ from sigmaswarm.cli.doctor import doctor
 from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
+from sigmaswarm.cli.learn import learn
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.report import report
@@ -49,7 +50,8 @@ No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm de
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot, demo,
+    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot,
+    demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")

@@ -44,7 +44,7 @@ def evaluate(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it.
+        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network is compared then.
     drives
         Drive folders, or folders that hold drive folders; or URLs of such.
     against
@@ -71,6 +71,8 @@ def evaluate(
     json
         Print the scores for machines.
     """
+    from functools import partial
+
     import sigmaswarm
     from sigmaswarm.cli.common import (
         cluster_at,
@@ -81,12 +83,17 @@ def evaluate(
         tuned_as_recorded,
     )
     from sigmaswarm.errors import InputError
+    from sigmaswarm.learned.folder import load_learned, seen_in
     from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
     from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     file = tuning / FILE if tuning.is_dir() else tuning
+    learned = load_learned(tuning)
+    more = (
+        {} if learned is None else {learned.kind: partial(learned.run, parameters=parameters, recover=True)}
+    )
     own = None if against is None else sigmaswarm.FilterParameters.load(against)
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
@@ -99,9 +106,10 @@ def evaluate(
             outage_length=outage_length,
             outage_seed=outage_seed,
             as_recorded=as_recorded or tuned_as_recorded(tuning),
-            seen=seen_by(file) or None,
+            seen=[*seen_by(file), *seen_in(tuning)] or None,
             smooth=smooth,
             swarm=swarm,
+            more=more,
         )
     _warn_of_training_drives(result)
     written: list[Path] = []
@@ -110,6 +118,8 @@ def evaluate(
         if own is not None:
             own.save(out / "against.toml")
             written.append(out / "against.toml")
+    if out and learned is not None:
+        written += learned.save(out)
     if json:
         print_json(result.to_dict())
         return

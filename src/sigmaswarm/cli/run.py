@@ -47,7 +47,8 @@ def run(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it.
+        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network then helps the filter,
+        unless it is smoothed or a swarm.
     drive
         A drive folder.
     out
@@ -89,9 +90,11 @@ def run(
     from sigmaswarm.filters.run import estimates, estimates_of, replay_of
     from sigmaswarm.filters.smoothing import smoothed_estimates
     from sigmaswarm.filters.swarm.run import SwarmRun
+    from sigmaswarm.learned.folder import load_learned
 
     if smooth and swarm:
         raise InputError("--smooth and --swarm exclude each other: a swarm has no hindsight; leave one out")
+    learned = None if smooth or swarm else load_learned(tuning)
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
@@ -115,6 +118,8 @@ def run(
     swarming = SwarmRun(replay, parameters, recover=True, as_recorded=as_recorded) if swarm else None
     if swarming is not None:
         found = estimates_of(swarming, swarming.initial)
+    elif learned is not None:
+        found = estimates_of(learned.run(replay, parameters, recover=True), replay.initial)
     else:
         found = (smoothed_estimates if smooth else estimates)(replay, parameters)
     pieces = _watched(found, restarts)

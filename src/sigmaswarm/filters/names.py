@@ -4,3 +4,4 @@ from typing import Literal
 
 ModelName = Literal["planar5", "planar8", "tilted12"]
 FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"]
+NetworkName = Literal["outage-lstm", "noise-gru"]

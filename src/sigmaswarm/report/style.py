@@ -22,6 +22,8 @@ LOOKS: dict[str, Look] = {
     "tuned": Look(BLUE, 2.2),
     "smoothed": Look(INDIGO, 1.6),
     "swarm": Look(VERMILION, 1.4, "dash"),
+    "outage-lstm": Look(SKY, 1.6, "dash"),
+    "noise-gru": Look(PURPLE, 1.6, "dash"),
     "against": Look(SKY, 1.6),
     "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
     "datasheet": Look(PURPLE, 1.2, "dashdot"),

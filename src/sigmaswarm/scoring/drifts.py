@@ -21,6 +21,8 @@ SMOOTHED = "smoothed"
 """The method that is the tuned filter in hindsight."""
 SWARM = "swarm"
 """The method that is a swarm of the tuned filter."""
+LEARNED = ("outage-lstm", "noise-gru")
+"""The methods that are the tuned filter with a network beside it, by the names of the networks: see `learned`."""
 OWN = "against"
 """The method that is a filter of the user's own."""
 WATCHED = ("tuned", OWN)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
+from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
@@ -76,7 +77,9 @@ KIND_NAMES = {
 """What people call the kinds of filters."""
 
 
-ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"}
+ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
+    name: f"tuned, {name}" for name in LEARNED
+}
 """The rows behind the tuned filter that are there if they are asked for."""
 
 
@@ -381,6 +384,7 @@ def evaluate(
     seen: Sequence[Landmarks] | None = None,
     smooth: bool = False,
     swarm: bool = False,
+    more: Runs = MappingProxyType({}),
     cluster: "Client | None" = None,
 ) -> Evaluation:
     """Compare tuned parameters with the manual ones, raw GPS and IMU only.
@@ -409,6 +413,8 @@ def evaluate(
         behind it.
     swarm : bool
         Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveSwarm`.
+    more : mapping of str to callable
+        What else to compare, by names of `ALSO`: each makes a run of a replay, as of a trained network.
     cluster : distributed.Client, optional
         Of a Dask cluster, whose workers read the drives, then also given as paths and URLs, and do the work. The
         result's bits do not depend on it.
@@ -431,6 +437,7 @@ def evaluate(
         also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
     if swarm:
         also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
+    also |= more
     one = partial(
         _one,
         parameters=parameters,

@@ -48,7 +48,7 @@ def evaluate_command(
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
-    words += [word for method in also for word in options[method]]
+    words += [word for method in also for word in options.get(method, ())]  # a network is in the folder
     note = (
         "tuning.toml is the one in this page's folder. Drives are called by their names: put the ways to your "
         "folders instead."

@@ -1,0 +1,100 @@
+"""`sigmaswarm learn`."""
+
+from pathlib import Path
+from shlex import quote
+from typing import Annotated
+
+from cyclopts import Parameter, validators
+
+from sigmaswarm.filters.names import NetworkName
+
+
+def learn(
+    network: Annotated[NetworkName, Parameter(name="NETWORK")],
+    tuning: Annotated[Path, Parameter(name="TUNING")],
+    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    /,
+    *,
+    out: Path,
+    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
+    search: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
+    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
+    resume: Annotated[bool, Parameter(negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> None:
+    """Train a network beside a tuned filter, as a rival of the filter alone. No truth is needed.
+
+    outage-lstm forecasts how far the car comes while there are no fixes. noise-gru scales Q and R by how well the last
+    fixes were forecast; it is trained through planar5 and planar8. OUT holds the filter, too: `sigmaswarm run` and
+    `evaluate` take it as they take a tuning. Training needs the extra `learned`; what is trained runs without.
+
+    Examples:
+
+        sigmaswarm learn outage-lstm tuned drives/training --out learned
+        sigmaswarm learn outage-lstm tuned drives/training --out learned --validation drives/monday --search 8
+        sigmaswarm learn noise-gru tuned drives/training --out learned --seed 1
+        sigmaswarm learn noise-gru tuned drives/training --out learned --resume
+
+    Parameters
+    ----------
+    network
+        outage-lstm or noise-gru.
+    tuning
+        A tuning.toml, or the folder that holds it.
+    drives
+        Drive folders to learn from, or folders that hold drive folders.
+    out
+        Folder for learned.toml and weights.npz, and for the filter.
+    validation
+        Drives held back, which end the training in time and say how sure the network may be; by default the last
+        quarter of each drive; of outage-lstm, if there are three or more, the last third of them.
+    search
+        How many settings (units, window, learning rate) to try beside the usual ones.
+    seed
+        Same seed, same result.
+    resume
+        Go on with a training that was interrupted; the result is the same as without the interruption.
+    json
+        Print learned.toml for machines.
+    """
+    import sigmaswarm
+    from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
+    from sigmaswarm.learned.learn import learn as train
+    from sigmaswarm.tuning.record import FILE
+
+    parameters = sigmaswarm.FilterParameters.load(tuning)
+    read, held_back = read_drives(drives), read_drives(validation or [])
+    waiting = "getting ready (smoothing the drives, and compiling)"
+    with progress_bar(
+        "learning", "epochs at most, loss {task.fields[loss]}, remaining", waiting, loss="-"
+    ) as show:
+        learned = train(
+            network,
+            parameters,
+            read,
+            out=out,
+            validation=held_back,
+            tuning=tuning / FILE if tuning.is_dir() else tuning,
+            search=search,
+            seed=seed,
+            resume=resume,
+            progress=lambda told: show(told.done, told.total, loss=f"{told.loss:.3f}"),
+        )
+    record = learned.record
+    if json:
+        print_json(record.model_dump(mode="json"))
+        return
+    console, net, training = stdout(), record.network, record.training
+    console.print(
+        f"{record.kind}: {net.numbers} numbers, {net.units} units, window {net.window:.3g} s, learned from "
+        f"{training.driven_s / 60:.1f} minutes of driving in {training.epochs} epochs"
+    )
+    console.print(f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}")
+    if record.kind == "outage-lstm":
+        console.print(
+            f"its variances are multiplied by {net.inflation:.3g}, as hidden fixes ask for"
+            if net.inflation
+            else "note: hidden fixes are likeliest without it, so the filter absorbs none of its forecasts"
+        )
+    console.print(f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}")
+    console.print(f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE...")

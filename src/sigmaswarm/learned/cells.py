@@ -1,0 +1,79 @@
+"""Cells of recurrent networks, written once: with ``xp`` NumPy they run, with ``xp`` jax.numpy they are trained.
+
+A network's weights are one flat mapping of names to arrays, as their file holds them.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+
+Weights = Mapping[str, Any]
+"""Arrays of NumPy or of JAX, by name."""
+
+
+def _sigmoid(xp: Any, x: Any) -> Any:
+    return 0.5 + 0.5 * xp.tanh(0.5 * x)
+
+
+def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
+    """One step of a long short-term memory: h and c, each (..., units), after an input (..., features).
+
+    S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997, with the forget gate of F. Gers, J. Schmidhuber and
+    F. Cummins, Neural Computation 12(10), 2000.
+    """
+    h, c = state
+    gates = x @ weights["input"] + h @ weights["hidden"] + weights["bias"]
+    i, f, g, o = xp.split(gates, 4, axis=-1)
+    c = _sigmoid(xp, f) * c + _sigmoid(xp, i) * xp.tanh(g)
+    return _sigmoid(xp, o) * xp.tanh(c), c
+
+
+def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
+    """One step of a gated recurrent unit: h (..., units) after an input (..., features).
+
+    K. Cho et al., EMNLP 2014.
+    """
+    from_x = x @ weights["input"] + weights["bias"]
+    from_h = h @ weights["hidden"]
+    xr, xz, xn = xp.split(from_x, 3, axis=-1)
+    hr, hz, hn = xp.split(from_h, 3, axis=-1)
+    r, z = _sigmoid(xp, xr + hr), _sigmoid(xp, xz + hz)
+    return (1.0 - z) * xp.tanh(xn + r * hn) + z * h
+
+
+def head(weights: Weights, h: Any) -> Any:
+    """What a network says, (..., outputs), of its state (..., units)."""
+    return h @ weights["head"] + weights["head_bias"]
+
+
+def new_weights(
+    rng: np.random.Generator, gates: int, features: int, units: int, outputs: int
+) -> dict[str, Array]:
+    """Weights to start from; the head's are zero, so that a new network says nothing.
+
+    X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM (``gates`` 4) is open at first (R. Jozefowicz, W.
+    Zaremba and I. Sutskever, ICML 2015).
+    """
+
+    def uniform(rows: int, columns: int) -> Array:
+        most = np.sqrt(6.0 / (rows + columns // gates))
+        return rng.uniform(-most, most, (rows, columns))
+
+    bias = np.zeros(gates * units)
+    if gates == 4:
+        bias[units : 2 * units] = 1.0
+    return {
+        "input": uniform(features, gates * units),
+        "hidden": uniform(units, gates * units),
+        "bias": bias,
+        "head": np.zeros((units, outputs)),
+        "head_bias": np.zeros(outputs),
+    }
+
+
+def n_weights(weights: Weights) -> int:
+    """How many numbers a network has learned."""
+    return sum(int(np.size(array)) for array in weights.values())

@@ -1,0 +1,158 @@
+"""noise-gru: a filter whose Q and R are scaled by a network that sees how well the last fixes were forecast.
+
+After each fix the network takes one step: it sees the innovation in the car's frame, in units of what the filter
+expected, its NIS, and how long ago the last one was. What it says, in bounds, holds from the next IMU sample to the one
+behind the next fix: a factor of R, and one of all of Q. So a scale never depends on the fix that it weighs.
+
+It runs on the compiled filter, whose parameters are set between two samples; `noise_filter` is the same filter to be
+differentiated.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.layout import Q0, R
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import SAMPLES, Recording
+from sigmaswarm.filters.replay import Replay
+from sigmaswarm.learned.cells import Weights, gru, head
+
+NAME = "noise-gru"
+FEATURES = 4
+MOST_SCALE = 30.0
+"""Factors of R and Q lie between one over it and it."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseGru:
+    """A trained network.
+
+    Attributes
+    ----------
+    weights : mapping of str to ndarray
+        See `cells`.
+    """
+
+    weights: Mapping[str, Array]
+
+    @property
+    def start(self) -> Array:
+        """What it remembers before the first fix."""
+        return np.zeros(self.weights["hidden"].shape[0])
+
+    def after(self, h: Array, features: Array) -> tuple[Array, Array]:
+        """What it remembers after a fix, and the factors of R and Q, (2,)."""
+        h = gru(np, self.weights, h, features)
+        return h, np.exp(log_scales(np, self.weights, h))
+
+
+def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
+    """ln of the factors of R and Q, (..., 2)."""
+    return float(np.log(MOST_SCALE)) * xp.tanh(head(weights, h))
+
+
+def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
+    """What a network sees of a fix, (..., FEATURES).
+
+    Parameters
+    ----------
+    xp : numpy or jax.numpy
+    nu : (..., 2) m east and north
+    s : (..., 3) m2: xx, xy and yy of its covariance
+    theta : (...) rad, of the car at the IMU sample behind
+    since : (...) s since the last fix
+    """
+    n1, n2, s11, s12, s22 = nu[..., 0], nu[..., 1], s[..., 0], s[..., 1], s[..., 2]
+    nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / (s11 * s22 - s12 * s12)
+    unit = xp.sqrt(0.5 * (s11 + s22))
+    c, sine = xp.cos(theta), xp.sin(theta)
+    forward, left = (c * n1 + sine * n2) / unit, (c * n2 - sine * n1) / unit
+    return xp.stack(
+        [xp.arcsinh(forward), xp.arcsinh(left), xp.log1p(nis) - 1.0, xp.log(since + 0.01)], axis=-1
+    )
+
+
+class NoiseRun(Recording):
+    """A filter over a replay whose Q and R a network scales.
+
+    With a network that has not learned anything its pieces have the bits of `Recording`.
+
+    Parameters
+    ----------
+    replay, parameters, samples, recover
+        As of `Recording`.
+    network : NoiseGru
+
+    Attributes
+    ----------
+    initial : InitialState
+    scales : list of (float, float)
+        Factors of R and Q after each fix so far.
+    """
+
+    def __init__(
+        self,
+        replay: Replay,
+        parameters: FilterParameters,
+        network: NoiseGru,
+        *,
+        samples: int = SAMPLES,
+        recover: bool = False,
+    ) -> None:
+        super().__init__(replay, parameters, samples=samples, recover=recover)
+        self.initial = replay.initial
+        self.scales: list[tuple[float, float]] = []
+        self._network, self._h = network, network.start
+        line = replay.timeline
+        self._q = slice(Q0, Q0 + parameters.n_states)
+        self._own_q, self._own_r = self._rows[0, self._q].copy(), self._rows[0, [R.RX, R.RY]].copy()
+        fixes = np.cumsum(line.absorbs | line.hides)
+        self._behind = sample_behind(line.absorbs, line.sampled)
+        steps = np.flatnonzero(line.absorbs)
+        # Of the fixes between two samples the last one is looked at.
+        self._last = {int(self._behind[s]): (int(fixes[s]) - 1, float(line.end[s])) for s in steps}
+        self._before = line.start
+
+    def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
+        due = [i for i, stop in enumerate((stops - 1).tolist()) if stop in self._last]
+        lost, row = np.zeros(len(stops), dtype=np.bool_), 0
+        for i in due:
+            lost[row : i + 1] = super()._run_to(stops[row : i + 1], record[row : i + 1])
+            self._adapt(int(stops[i]) - 1)
+            row = i + 1
+        if row < len(stops):
+            lost[row:] = super()._run_to(stops[row:], record[row:])
+        return lost
+
+    def _adapt(self, step: int) -> None:
+        """Look at the last fix before a step's end, and scale what comes."""
+        fix, time = self._last[step]
+        seen = self._innovations[fix]
+        theta = self._rows[0, R.HEADING if self._chunk.model == "tilted12" else THETA, 0]
+        since, self._before = time - self._before, time
+        features = features_of(np, seen[:2], seen[2:], theta, since)
+        if np.isfinite(features).all():
+            self._h, scales = self._network.after(self._h, features)
+            self.scales.append((float(scales[0]), float(scales[1])))
+        self._scale()
+
+    def _scale(self) -> None:
+        r, q = self.scales[-1] if self.scales else (1.0, 1.0)
+        self._rows[0, self._q] = q * self._own_q
+        self._rows[0, [R.RX, R.RY]] = r * self._own_r
+
+    def _start_anew(self, start: Any) -> None:
+        super()._start_anew(start)
+        self._scale()
+
+
+def sample_behind(absorbs: NDArray[np.bool_], sampled: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """For each step the next one, itself included, that ends at an IMU sample, (k,)."""
+    at = np.flatnonzero(sampled)
+    return at[np.minimum(np.searchsorted(at, np.arange(len(absorbs))), len(at) - 1)]

@@ -1,0 +1,149 @@
+"""Training `noise-gru`: end to end, through the filter, on the likelihood of the fixes before each is absorbed.
+
+Drives are cut into segments, each begun where the plain filter was; no truth is looked at.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.run import replay_of
+from sigmaswarm.learned.cells import new_weights
+from sigmaswarm.learned.fitting import Fit, exact, fit
+from sigmaswarm.learned.noise_filter import (
+    N_COLUMNS,
+    Settings,
+    columns_of,
+    innovation_loss,
+    require_supported,
+    run,
+)
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru
+
+HELD_BACK = 0.25
+"""Of each drive, its end, where no drives are given to hold back."""
+EPOCHS, BATCH, PATIENCE = 60, 8, 10
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Parts of drives.
+
+    Attributes
+    ----------
+    arrays : tuple of ndarray
+        Means (s, n) and covariances (s, n, n) to begin with, steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
+    held_back : ndarray of bool, shape (s,)
+    """
+
+    arrays: tuple[Array, ...]
+    held_back: NDArray[np.bool_]
+
+    def part(self, *, held_back: bool) -> tuple[Array, ...]:
+        """Those that are held back, or the others."""
+        return tuple(array[self.held_back == held_back] for array in self.arrays)
+
+
+def segments_of(
+    drives: Sequence[Drive], parameters: FilterParameters, length: float, *, held_back: bool | None
+) -> Segments:
+    """Drives in segments of ``length`` s; ``held_back``: all of them, none, or (None) those at the end of each."""
+    require_supported(parameters)
+    twin = replace(parameters, kind="ekf")
+    parts: list[tuple[Array, ...]] = []
+    held: list[bool] = []
+    for drive in drives:
+        replay = replay_of(drive)
+        settings = Settings.of(replay, twin)
+        columns, ends = columns_of(replay, twin)
+        believed = Recording(replay, twin).whole()
+        last = float(believed.time[-1])
+        since = last - HELD_BACK * (last - replay.initial.time)
+        for start in np.arange(replay.initial.time, last - length, length):
+            sample = int(np.searchsorted(believed.time, start))
+            first, stop = np.searchsorted(
+                ends, [believed.time[sample], believed.time[sample] + length], side="right"
+            )
+            if not (believed.sound[sample] and columns[first:stop, 6].any()):
+                continue
+            begin = believed.mean[sample], believed.covariance[sample]
+            parts.append((*begin, columns[first:stop], settings.q, settings.lever))
+            held.append(bool(start + length > since) if held_back is None else held_back)
+    if not parts:
+        raise InputError(f"no drive is longer than {length:g} s from its start on; give longer ones")
+    most = max(len(part[2]) for part in parts)
+    padded = [(*p[:2], np.vstack([p[2], np.zeros((most - len(p[2]), N_COLUMNS))]), *p[3:]) for p in parts]
+    return Segments(tuple(np.array(column) for column in zip(*padded, strict=True)), np.array(held))
+
+
+def joined(parts: Sequence[Segments]) -> Segments:
+    """All as one."""
+    most = max(part.arrays[2].shape[1] for part in parts)
+
+    def column(i: int) -> Array:
+        arrays = [part.arrays[i] for part in parts]
+        if i == 2:
+            arrays = [np.pad(a, ((0, 0), (0, most - a.shape[1]), (0, 0))) for a in arrays]
+        return np.concatenate(arrays)
+
+    return Segments(
+        tuple(column(i) for i in range(len(parts[0].arrays))),
+        np.concatenate([part.held_back for part in parts]),
+    )
+
+
+def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
+    """-ln of the likelihood of a fix, in nats, mean over the fixes of a batch of segments."""
+    import jax
+    import jax.numpy as jnp
+
+    twin = replace(parameters, kind="ekf")
+
+    def of_one(weights: Any, mean: Any, covariance: Any, columns: Any, q: Any, lever: Any) -> Any:
+        settings = Settings(q, np.array(twin.measurement_noise), lever, twin)
+        return innovation_loss(settings, run(settings, weights, mean, covariance, columns)[0])
+
+    def of(weights: Any, batch: tuple[Any, ...]) -> Any:
+        sums, counts = jax.vmap(of_one, in_axes=(None, 0, 0, 0, 0, 0))(weights, *batch)
+        return jnp.sum(sums) / jnp.sum(counts)
+
+    return of
+
+
+def trained(
+    segments: Segments,
+    parameters: FilterParameters,
+    *,
+    units: int,
+    learning_rate: float,
+    seed: int,
+    epochs: int = EPOCHS,
+    checkpoint: Path | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> tuple[NoiseGru, Fit]:
+    """A network that learned from segments of drives."""
+    start = new_weights(np.random.default_rng([seed, 2]), 3, FEATURES, units, 2)
+    with exact():
+        of = loss(parameters)
+    found = fit(
+        of,
+        start,
+        segments.part(held_back=False),
+        segments.part(held_back=True),
+        learning_rate=learning_rate,
+        epochs=epochs,
+        batch=BATCH,
+        patience=PATIENCE,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=progress,
+    )
+    return NoiseGru(found.weights), found

@@ -1,0 +1,139 @@
+"""Absorbing how far the car came between two moments, by a filter that keeps no state of the first one.
+
+A displacement says nothing of where the car is, only of how it moved: taken for a fix at the last position plus the
+displacement, it would count the error of that position once more, each time. So the state at its begin belongs to the
+measurement, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
+
+    z = R(theta_0)^T (p_1 - p_0) + noise
+
+needs Cov(e_1, e_0) of the errors at both moments. Between them the filter is linear in its error, e_1 = A e_0 + what
+does not depend on e_0, so that Cov(e_1, e_0) = A P_0. The columns of A are found by running the filter over these steps
+once more, from states moved a little: side by side, in the lanes of the compiled kernel.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import Chunk, definite, pack_states, unpack_states
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.replay import Replay, run_steps
+
+_SMALL = 1e-3
+"""Of a standard deviation: how far states are moved to see what comes of it."""
+GATE = 13.8
+"""NIS above which a displacement is not believed: one in a thousand (chi-square, two degrees of freedom)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Begin:
+    """A filter as it was where a displacement begins.
+
+    Attributes
+    ----------
+    rows : (N_KEPT, lanes)
+        All that it was.
+    place : (5,)
+        Where its run was: see `compiled.run.new_place`.
+    """
+
+    rows: Array
+    place: Array
+
+
+class Displacements:
+    """What a filter makes of displacements.
+
+    Parameters
+    ----------
+    replay : Replay
+    parameters : FilterParameters
+    """
+
+    def __init__(self, replay: Replay, parameters: FilterParameters) -> None:
+        self._replay = replay
+        self._model: ModelName = parameters.model
+        n = parameters.n_states
+        self._chunk = Chunk((parameters,) * (n + 1))
+        tilts = MODELS[self._model].tilts
+        self._plus = tilts.plus if tilts else np.add
+        self._minus = tilts.minus if tilts else np.subtract
+
+    def absorb(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
+        """Absorb a displacement that ends before step ``stop``.
+
+        Parameters
+        ----------
+        begin : Begin
+        rows : (N_KEPT, lanes), changed
+            What the filter is now.
+        stop : int
+        moved : ndarray, shape (2,)
+            m forward and left, in the body's frame at the begin.
+        noise : ndarray, shape (2, 2)
+            Its covariance, m2.
+
+        Returns
+        -------
+        bool
+            False if it was too far off to be believed, or the update would spoil the covariance.
+        """
+        x0, p0 = self._state(begin.rows)
+        x1, p1 = self._state(rows)
+        crossed = self._transported(begin, x0, p0, stop) @ p0  # Cov(e1, e0)
+        expected, h0, h1 = self._expected(x0, x1, np.sqrt(np.diag(p0)), np.sqrt(np.diag(p1)))
+        c = p1 @ h1.T + crossed @ h0.T
+        both = h1 @ crossed @ h0.T
+        s = h1 @ p1 @ h1.T + both + both.T + h0 @ p0 @ h0.T + noise
+        innovation = moved - expected
+        if not innovation @ np.linalg.solve(s, innovation) <= GATE:
+            return False
+        gain = np.linalg.solve(s, c.T).T
+        mean, covariance = self._plus(x1, gain @ innovation), p1 - gain @ s @ gain.T
+        covariance = 0.5 * (covariance + covariance.T)
+        if not definite(covariance[np.newaxis])[0]:
+            return False
+        lanes = rows.shape[1]
+        packed = pack_states(
+            np.broadcast_to(mean, (lanes, len(mean))),
+            np.broadcast_to(covariance, (lanes, *p1.shape)),
+            self._model,
+        )
+        rows[state_rows(self._model)] = packed[state_rows(self._model)]
+        if MODELS[self._model].tilts:
+            rows[R.HEADING] = mean[THETA]
+        return True
+
+    def _state(self, rows: Array) -> tuple[Array, Array]:
+        mean, covariance = unpack_states(rows[state_rows(self._model), :1], self._model)
+        return mean[0], covariance[0]
+
+    def _transported(self, begin: Begin, x0: Array, p0: Array, stop: int) -> Array:
+        """A: what becomes of an error at the begin, (n, n)."""
+        n, step = len(x0), _SMALL * np.sqrt(np.diag(p0))
+        moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
+        moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])
+        rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
+        rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
+        run_steps(self._replay, self._chunk, rows, begin.place.copy(), stop)
+        means, _ = unpack_states(rows[state_rows(self._model)], self._model)
+        return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
+
+    def _expected(self, x0: Array, x1: Array, std0: Array, std1: Array) -> tuple[Array, Array, Array]:
+        """The displacement that two states tell, (2,), and what it changes by with the error of each, (2, n)."""
+        at = body_displacement(x0, x1)
+        step0, step1 = _SMALL * std0, _SMALL * std1
+        h0 = np.array([body_displacement(self._plus(x0, e), x1) - at for e in np.diag(step0)]).T / step0
+        h1 = np.array([body_displacement(x0, self._plus(x1, e)) - at for e in np.diag(step1)]).T / step1
+        return at, h0, h1
+
+
+def body_displacement(begin: Array, end: Array) -> Array:
+    """How far the car came, m forward and left in its frame at the begin, (..., 2), of states (..., n)."""
+    x, y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]
+    c, s = np.cos(begin[..., THETA]), np.sin(begin[..., THETA])
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)

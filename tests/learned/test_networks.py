@@ -1,0 +1,230 @@
+"""Networks that help a filter: without a say they change no bit, with one they do what the plain equations say."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from filter_cases import equipped, parameters
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.outages import hidden_fixes, hide_fixes
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.filters.textbook.car import TextbookCar
+from sigmaswarm.learned import outages
+from sigmaswarm.learned.cells import gru, head, lstm, new_weights
+from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseGru, NoiseRun
+from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, calibrated, untrained
+from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
+from support import make_drive
+
+AXES = ("ax", "ay", "gz", "az", "gx", "gy")
+
+
+@cache
+def silent() -> Drive:
+    """A drive without fixes from 20 to 40 s."""
+    return hide_fixes(make_drive(duration=60.0), [[20.0, 40.0]])
+
+
+def network(seed: int = 0, **more) -> OutageLstm:
+    rng = np.random.default_rng(seed)
+    moved = rng.normal([9.0, 0.0], [3.0, 0.3], (50, 2))
+    made = untrained(rng, AXES, 6.0, 5, rng.normal(size=(50, outages.STEPS, 12)), moved)
+    return replace(made, **more)
+
+
+@pytest.mark.parametrize("recover", [True, False])
+def test_without_an_outage_no_bit_changes(recover: bool):
+    drive, p = equipped(), parameters("planar8", lateral_noise=0.05)
+    plain = Recording(replay_of(drive), p, recover=recover).whole()
+    for pieces in (7, 10_000):
+        for run in (
+            OutageRun(replay_of(drive), p, network(), samples=pieces, recover=recover),
+            NoiseRun(replay_of(drive), p, _unlearned(), samples=pieces, recover=recover),
+        ):
+            whole = run.whole()
+            assert whole.mean.tobytes() == plain.mean.tobytes()
+            assert whole.covariance.tobytes() == plain.covariance.tobytes()
+
+
+@pytest.mark.parametrize("model", ["planar8", "tilted12"])
+def test_in_an_outage_pieces_have_the_bits_of_the_whole(model: str):
+    p = parameters(model, lateral_noise=0.05)
+    one, many = (OutageRun(replay_of(silent()), p, network(), samples=n) for n in (10_000, 33))
+    assert one.whole().mean.tobytes() == many.whole().mean.tobytes()
+    assert one.absorbed + one.turned_away == many.absorbed + many.turned_away == 19
+    assert one.absorbed > 0
+    assert one.failure is None
+
+
+def test_what_comes_later_changes_nothing_before():
+    p = parameters("planar8", lateral_noise=0.05)
+    drive = silent()
+    late = drive.gps.time > 45.0
+    other = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 9.0 * late))
+    one, two = (OutageRun(replay_of(d), p, network()).whole() for d in (drive, other))
+    before = one.time < 45.0
+    assert one.mean[before].tobytes() == two.mean[before].tobytes()
+    assert one.mean.tobytes() != two.mean.tobytes()
+
+
+def test_an_infinite_inflation_leaves_the_filter_alone():
+    p = parameters("planar8")
+    run = OutageRun(replay_of(silent()), p, calibrated(network(), np.inf, 10.0))
+    assert run.whole().mean.tobytes() == run_filter(silent(), p).mean.tobytes()
+
+
+@pytest.mark.parametrize(("model", "kind"), [("planar8", "ekf"), ("planar5", "ukf"), ("tilted12", "ekf")])
+def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(model: str, kind: str):
+    """The textbook's filter, run from states moved a little, one by one, and the joint update written out."""
+    p = parameters(model, kind=kind, lateral_noise=0.05)
+    replay = replay_of(silent())
+    line = replay.timeline
+    ends = np.flatnonzero(line.sampled) + 1
+    first, stop = int(ends[1200]), int(ends[1300])
+    run = Recording(replay, p)
+    run._steps_to(first, np.empty((0, 0, 0)))
+    begin = Begin(run._rows[0].copy(), run._place.copy())
+    run._steps_to(stop, np.empty((0, 0, 0)))
+    on = Displacements(replay, p)
+    (x0, p0), (x1, p1) = on._state(begin.rows), on._state(run._rows[0])
+    plus, minus = on._plus, on._minus
+
+    def moved_on(state: np.ndarray) -> np.ndarray:
+        car = TextbookCar(line, p, replay.initial)
+        car.filter.mean, car.filter.covariance = state.copy(), p0.copy()
+        for step in range(first, stop):
+            car.step(step)
+        return car.filter.mean
+
+    steps = 1e-3 * np.sqrt(np.diag(p0))
+    ahead = np.array([minus(moved_on(plus(x0, e)), moved_on(x0)) for e in np.diag(steps)]).T / steps
+    n = len(x0)
+    joint = np.block([[p0, p0 @ ahead.T], [ahead @ p0, p1]])
+    h = np.zeros((2, 2 * n))
+    at = body_displacement(x0, x1)
+    for i in range(n):
+        e = 1e-6 * np.eye(n)[i]
+        h[:, i] = (body_displacement(plus(x0, e), x1) - at) / 1e-6
+        h[:, n + i] = (body_displacement(x0, plus(x1, e)) - at) / 1e-6
+    noise = np.diag([0.04, 0.09])
+    s = h @ joint @ h.T + noise
+    gain = joint @ h.T @ np.linalg.inv(s)
+    innovation = np.array([0.3, -0.1])
+    rows = run._rows[0].copy()
+    assert on.absorb(begin, rows, stop, at + innovation, noise)
+    mean, covariance = on._state(rows)
+    wanted = (joint - gain @ s @ gain.T)[n:, n:]
+    scale = np.sqrt(np.diag(p1))
+    np.testing.assert_allclose(minus(mean, plus(x1, gain[n:] @ innovation)) / scale, 0.0, atol=2e-3)
+    np.testing.assert_allclose((covariance - wanted) / np.outer(scale, scale), 0.0, atol=2e-3)
+    assert not on.absorb(begin, rows, stop, at + 1e3, noise)  # nobody believes that
+
+
+def test_a_displacement_says_nothing_of_the_place():
+    """However sure a displacement is, the position is no surer behind it than before it."""
+    p = parameters("planar8", lateral_noise=0.05)
+    replay = replay_of(silent())
+    ends = np.flatnonzero(replay.timeline.sampled) + 1
+    run = Recording(replay, p)
+    run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
+    begin = Begin(run._rows[0].copy(), run._place.copy())
+    run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
+    on = Displacements(replay, p)
+    (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
+    assert on.absorb(begin, run._rows[0], int(ends[1600]), body_displacement(x0, x1), 1e-6 * np.eye(2))
+    assert np.linalg.eigvalsh(on._state(run._rows[0])[1][:2, :2])[1] > 0.9 * np.linalg.eigvalsh(p0[:2, :2])[1]
+
+
+def test_features_are_means_and_shakes():
+    """Against each step's samples, taken one by one."""
+    drive = make_drive(duration=40.0)
+    line = replay_of(drive).timeline
+    end = np.array([2000, 2500])
+    found = outages.features_at(line, end, axes=("ay", "gz"), window=8.0)
+    for k, sample in enumerate(end):
+        edges = line.imu_time[sample] + np.linspace(-8.0, 0.0, outages.STEPS + 1)
+        for j in (0, 20, outages.STEPS - 1):
+            fine = np.linspace(edges[j], edges[j + 1], 2001)
+            for column, axis in enumerate(("ay", "gz")):
+                values = np.interp(fine, drive.imu.time, getattr(drive.imu, axis))
+                assert found[k, j, column] == pytest.approx(values.mean(), abs=1e-4)
+                assert np.exp(found[k, j, 2 + column]) == pytest.approx(values.std(), rel=0.05, abs=2e-3)
+
+
+def test_outages_are_told_in_time():
+    line = replay_of(silent()).timeline
+    found = outages.outage_windows(line, axes=AXES, window=6.0)
+    time, last = line.imu_time, line.end[line.absorbs]
+    before = last[np.searchsorted(last, time[found.end], side="right") - 1]
+    assert (time[found.end] - before >= outages.OUTAGE_AFTER).all()
+    np.testing.assert_allclose(time[found.end] - time[found.begin], outages.HORIZON, atol=0.0101)
+    assert (found.begin[1:] == found.end[:-1]).all()
+    assert len(found.over) == 1
+    assert time[found.over[0]] >= 40.0
+
+
+def test_a_drive_without_an_axis_is_refused():
+    drive = silent()
+    bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
+    with pytest.raises(
+        InputError, match=r"synthetic: its imu.csv has no az, which the network was trained with"
+    ):
+        OutageRun(replay_of(bare), parameters("planar8"), network())
+
+
+def _unlearned(units: int = 4) -> NoiseGru:
+    return NoiseGru(new_weights(np.random.default_rng(0), 3, FEATURES, units, 2))
+
+
+def test_scales_hold_from_the_sample_behind_a_fix_and_lie_in_bounds():
+    weights = {**_unlearned().weights, "head": 9.0 * np.random.default_rng(1).normal(size=(4, 2))}
+    drive, p = equipped(), parameters("planar8")
+    run = NoiseRun(replay_of(drive), p, NoiseGru(weights)).finished()
+    scales = np.array(run.scales)
+    assert len(scales) == len(run.innovations.time)
+    assert (scales >= 1 / MOST_SCALE).all()
+    assert (scales <= MOST_SCALE * (1 + 1e-12)).all()
+    assert np.ptp(np.log(scales)) > 0.3
+    plain = Recording(replay_of(drive), p).finished().innovations
+    assert run.innovations.covariance[0].tobytes() == plain.covariance[0].tobytes()
+    assert run.innovations.covariance[1].tobytes() != plain.covariance[1].tobytes()
+
+
+def test_cells_are_those_of_the_books():
+    """Element by element, as the papers write them."""
+    rng = np.random.default_rng(3)
+    x, h, c = rng.normal(size=3), rng.normal(size=2), rng.normal(size=2)
+    w = {k: rng.normal(size=v.shape) for k, v in new_weights(rng, 4, 3, 2, 1).items()}
+
+    def logistic(v: np.ndarray) -> np.ndarray:
+        return 1 / (1 + np.exp(-v))
+
+    def gate(k: int) -> np.ndarray:
+        own = slice(2 * k, 2 * k + 2)
+        return w["input"][:, own].T @ x + w["hidden"][:, own].T @ h + w["bias"][own]
+
+    kept = logistic(gate(1)) * c + logistic(gate(0)) * np.tanh(gate(2))
+    new_h, new_c = lstm(np, w, (h, c), x)
+    np.testing.assert_allclose(new_c, kept)
+    np.testing.assert_allclose(new_h, logistic(gate(3)) * np.tanh(kept))
+    w = {k: rng.normal(size=v.shape) for k, v in new_weights(rng, 3, 3, 2, 1).items()}
+    r, z = logistic(gate(0)), logistic(gate(1))
+    of_h = w["hidden"][:, 4:6].T @ h
+    new = np.tanh(gate(2) - of_h + r * of_h)
+    np.testing.assert_allclose(gru(np, w, h, x), (1 - z) * new + z * h)
+    np.testing.assert_allclose(head(w, h), h @ w["head"] + w["head_bias"])
+
+
+def test_hidden_fixes_count_as_an_outage_too():
+    """A replay that hides fixes from the filter, to score its forecasts, has the outage of a drive without them."""
+    drive, p = make_drive(duration=60.0), parameters("planar8")
+    ready = PreparedDrive(drive)
+    line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))
+    run = OutageRun(Replay(line, ready.initial, Targets.none(line)), p, network()).finished()
+    assert run.absorbed + run.turned_away == 19

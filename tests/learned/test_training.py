@@ -1,0 +1,276 @@
+"""Training: through the same filter, to the same bits, whatever interrupts it; and the commands around it."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from filter_cases import OPTIONS, equipped, parameters
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.writer import write_drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.run import replay_of
+from sigmaswarm.filters.schedule import start_of
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.learned import noise_training, outage_training
+from sigmaswarm.learned.cells import new_weights
+from sigmaswarm.learned.fitting import exact, fit
+from sigmaswarm.learned.folder import load_learned
+from sigmaswarm.learned.learn import LEARNERS, Finished, Trained, learn
+from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
+from sigmaswarm.learned.outage_lstm import untrained
+from support import make_drive
+
+pytest.importorskip("jax", reason="JAX is not installed (extra learned)")
+
+ALL = OPTIONS["all"] | {"velocity_noise": None}
+
+
+@pytest.mark.parametrize(
+    ("model", "option"), [("planar5", {"robust_dof": 4.0}), ("planar8", ALL)], ids=["robust", "all"]
+)
+def test_the_filter_that_is_trained_through_is_the_compiled_one(model: str, option: dict[str, float]):
+    """With scales of one and with those of a network, over a whole drive."""
+    p, replay = parameters(model, kind="ekf", **option), replay_of(equipped())
+    weights = new_weights(np.random.default_rng(0), 3, FEATURES, 5, 2)
+    for head in (0.0, 0.5):
+        weights["head"] = head * np.random.default_rng(1).normal(size=(5, 2))
+        compiled = NoiseRun(replay, p, NoiseGru(weights))
+        mean = compiled.whole().mean
+        with exact():
+            columns, _ = columns_of(replay, p)
+            told = run(Settings.of(replay, p), weights, *start_of(replay.initial, p), columns)
+        said, means = (np.asarray(array) for array in told)
+        fixes = said[:, 5] > 0
+        np.testing.assert_allclose(said[fixes, :2], compiled.innovations.innovation, atol=1e-9)
+        s = compiled.innovations.covariance.reshape(-1, 4)[:, [0, 1, 3]]
+        np.testing.assert_allclose(said[fixes, 2:5], s, rtol=1e-9, atol=1e-9)
+        off = means[replay.timeline.sampled] - mean
+        off[:, THETA] = wrap_angle(off[:, THETA])
+        np.testing.assert_allclose(off, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("p", "said"),
+    [
+        (parameters("tilted12"), "not trained through tilted12"),
+        (parameters("planar8", kind="adaptive-ukf"), "adapts its noises itself"),
+        (parameters("planar8", velocity_noise=0.1), "velocity_noise"),
+    ],
+)
+def test_filters_that_it_is_not_trained_through_are_refused(p, said: str):
+    with pytest.raises(InputError, match=said):
+        require_supported(p)
+
+
+def _square(weights, batch):
+    return ((batch[0] @ weights["w"] - batch[1]) ** 2).mean()
+
+
+class Stopped(Exception):
+    pass
+
+
+def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(60, 3))
+    examples = (x[:40], x[:40] @ [1.0, -2.0, 0.5]), (x[40:], x[40:] @ [1.0, -2.0, 0.5])
+    options = {"learning_rate": 0.1, "epochs": 30, "batch": 8, "patience": 30, "seed": 4}
+    start = {"w": np.zeros(3)}
+    whole = fit(_square, start, *examples, **options)
+    assert whole.best < 0.01 * whole.losses[0, 1]
+
+    def stop(epoch: int, loss: float) -> None:
+        if epoch == 7:
+            raise Stopped
+
+    file = tmp_path / "checkpoint.npz"
+    with pytest.raises(Stopped):
+        fit(_square, start, *examples, **options, checkpoint=file, progress=stop)
+    again = fit(_square, start, *examples, **options, checkpoint=file)
+    assert again.weights["w"].tobytes() == whole.weights["w"].tobytes()
+    assert again.losses.tobytes() == whole.losses.tobytes()
+
+
+def test_one_step_of_adam_is_that_of_the_paper():
+    x = np.array([[1.0, 2.0]])
+    found = fit(
+        _square,
+        {"w": np.array([0.5, 0.5])},
+        (x, np.array([1.7])),
+        (x, np.array([1.7])),
+        learning_rate=0.01,
+        epochs=1,
+        batch=1,
+        patience=5,
+        seed=0,
+    )
+    gradient = 2 * (1.5 - 1.7) * x[0]
+    step = gradient / np.abs(gradient)  # m / sqrt(v), both corrected, after one step
+    np.testing.assert_allclose(found.weights["w"], 0.5 - 0.01 * (step + 1e-4 * 0.5), rtol=1e-6)
+
+
+@cache
+def drives() -> tuple[Drive, ...]:
+    return tuple(make_drive(duration=100.0, seed=s, name=f"drive-{s}") for s in range(2))
+
+
+class Quick:
+    """A learner whose training is a line through points, and whose network an untrained one."""
+
+    epochs = 5
+    start: ClassVar = {"units": 4, "window": 4.0, "learning_rate": 0.1}
+    box: ClassVar = {"units": (2, 3), "window": (1, 3), "learning_rate": (-4, -2)}
+
+    def __init__(self, drives, validation, parameters, seed):
+        assert [d.name for d in (*drives, *validation)] == ["drive-0", "drive-1"]
+
+    def train(self, settings, seed, checkpoint, progress):
+        x = np.random.default_rng(seed).normal(size=(30, 3))
+        examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
+        options = {
+            "learning_rate": settings["learning_rate"],
+            "epochs": 5,
+            "batch": 4,
+            "patience": 5,
+            "seed": seed,
+        }
+        found = fit(
+            _square,
+            {"w": np.zeros(3)},
+            examples,
+            examples,
+            **options,
+            checkpoint=checkpoint,
+            progress=progress,
+        )
+        return Trained(found.weights, found)
+
+    def finish(self, settings, weights):
+        rng = np.random.default_rng(0)
+        moved, units = rng.normal(9.0, 3.0, (20, 2)), int(settings["units"])
+        network = untrained(rng, ("ax", "gz"), settings["window"], units, rng.normal(size=(20, 40, 4)), moved)
+        return Finished(network.weights, {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0})
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(LEARNERS, "outage-lstm", Quick)
+
+
+def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Path):
+    p = parameters("planar8", lateral_noise=0.05)
+    learn("outage-lstm", p, drives(), out=tmp_path / "whole", search=5)
+
+    def stop(told) -> None:
+        if (told.trial, told.epoch) == (3, 2):
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, progress=stop)
+    with pytest.raises(InputError, match="add --resume"):
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5)
+    with pytest.raises(InputError, match="seed = 0, now asked for seed = 1"):
+        learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, seed=1, resume=True)
+    found = learn("outage-lstm", p, drives(), out=tmp_path / "parts", search=5, resume=True)
+    for file in ("learned.toml", "weights.npz", "tuning.toml", "learned_seen.npz"):
+        assert (tmp_path / "parts" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
+    costs = [
+        json.loads((tmp_path / "whole" / f"trial-{i:03d}" / "result.json").read_text())["cost"]
+        for i in range(6)
+    ]
+    assert found.record.training.loss == min(costs)
+    assert len(set(costs)) > 2
+
+
+def test_the_noise_network_learns_downhill():
+    """The gradient that it is trained by is that of the loss, by differences."""
+    p = parameters("planar5", kind="ekf")
+    segments = noise_training.segments_of(drives()[:1], p, 2.0, held_back=None)
+    batch = tuple(array[:2] for array in segments.arrays)
+    weights = new_weights(np.random.default_rng(0), 3, FEATURES, 2, 2)
+    weights["head"] = np.random.default_rng(1).normal(size=(2, 2))
+    with exact():
+        import jax
+
+        loss = jax.jit(noise_training.loss(p))
+        gradient = jax.jit(jax.grad(noise_training.loss(p)))(weights, batch)
+        for name, at in (("head_bias", (1,)), ("input", (0, 1)), ("head", (1, 0))):
+            ahead, behind = ({**weights, name: weights[name].copy()} for _ in range(2))
+            ahead[name][at] += 1e-5
+            behind[name][at] -= 1e-5
+            slope = (float(loss(ahead, batch)) - float(loss(behind, batch))) / 2e-5
+            assert float(gradient[name][at]) == pytest.approx(slope, rel=1e-4, abs=1e-9)
+
+
+def test_the_outage_network_learns_how_fast_the_car_is():
+    """On other parts of the same drives it does better than the mean; the same seed gives the same bits."""
+    p = parameters("planar8", lateral_noise=0.05)
+    tracks = outage_training.tracks_of(drives(), p, held_back=None)
+    examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
+    options = {"window": 6.0, "units": 6, "learning_rate": 0.01, "seed": 3, "epochs": 8}
+    network, found = outage_training.trained(examples, ("ax", "ay", "gz"), **options)
+    assert found.best < found.losses[0, 1]
+    assert (
+        outage_training.trained(examples, ("ax", "ay", "gz"), **options)[1].losses.tobytes()
+        == found.losses.tobytes()
+    )
+    moved, variance = network.told(examples.features)
+    assert moved.shape == variance.shape == examples.moved.shape
+    assert (variance > 0).all()
+
+
+def test_truth_is_not_looked_at():
+    p = parameters("planar8", lateral_noise=0.05)
+    blind = [replace(drive, truth=None) for drive in drives()]
+    with_truth, without = (
+        outage_training.examples_of(outage_training.tracks_of(of, p, held_back=None), ("ax", "gz"), 4.0)
+        for of in (drives(), blind)
+    )
+    assert with_truth.moved.tobytes() == without.moved.tobytes()
+    assert with_truth.held_back.any() and not with_truth.held_back.all()
+    segments = [noise_training.segments_of(of, p, 8.0, held_back=None) for of in (drives(), blind)]
+    assert [a.tobytes() for a in segments[0].arrays] == [a.tobytes() for a in segments[1].arrays]
+    assert segments[0].held_back.any() and not segments[0].held_back.all()
+
+
+def test_the_commands(quick, sigmaswarm, tmp_path: Path):
+    for drive in drives():
+        write_drive(drive, tmp_path / "drives" / drive.name)
+    parameters("planar8", lateral_noise=0.05).save(tmp_path / "tuning.toml")
+    out, own = tmp_path / "learned", tmp_path / "drives" / "drive-0"
+    ended = sigmaswarm(
+        "learn", "outage-lstm", tmp_path / "tuning.toml", tmp_path / "drives", "--out", out, "--json"
+    )
+    assert ended.code == 0, ended.err
+    assert json.loads(ended.out)["training"]["labelled_s"] == 0.0
+    ended = sigmaswarm("evaluate", out, own, "--out", tmp_path / "evaluation", "--trust-log")
+    assert ended.code == 0, ended.err
+    assert "tuned, outage-lstm" in ended.out
+    assert "not held out" in " ".join(ended.err.split())  # the network has seen it
+    assert sigmaswarm("report", tmp_path / "evaluation").code == 0
+    ended = sigmaswarm("evaluate", tmp_path / "evaluation" / "tuning.toml", own, "--json", "--trust-log")
+    assert "outage-lstm" in json.loads(ended.out)["mean"]
+    assert sigmaswarm("run", out, own, "--out", tmp_path / "estimate.csv").code == 0
+    (out / "weights.npz").write_bytes(b"PK")
+    ended = sigmaswarm("run", out, own, "--out", tmp_path / "estimate.csv")
+    assert ended.code == 2
+    assert (
+        ended.err.strip()
+        == f"sigmaswarm: {out / 'weights.npz'}: not readable; repeat the command that made the folder"
+    )
+    with pytest.raises(InputError, match="not a result of sigmaswarm"):
+        (out / "learned.toml").write_text("kind = 3")
+        load_learned(out)
+
+
+def test_a_missing_library_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setitem(__import__("sys").modules, "jax", None)
+    with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[learned\]'"):
+        learn("noise-gru", parameters("planar8"), drives(), out=tmp_path / "learned")
