@@ -11,6 +11,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import hidden_fixes, hide_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of, run_filter
@@ -139,6 +140,29 @@ def test_a_displacement_says_nothing_of_the_place():
     (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
     assert on.absorb(begin, run._rows[0], int(ends[1600]), body_displacement(x0, x1), 1e-6 * np.eye(2))
     assert np.linalg.eigvalsh(on._state(run._rows[0])[1][:2, :2])[1] > 0.9 * np.linalg.eigvalsh(p0[:2, :2])[1]
+
+
+def test_an_update_that_leads_away_from_the_displacement_is_left_out():
+    """Heading and velocity so unsure, beside what was known at the begin, are not on one straight line."""
+    p = parameters("planar8", lateral_noise=0.05)
+    replay = replay_of(silent())
+    ends = np.flatnonzero(replay.timeline.sampled) + 1
+    run = Recording(replay, p)
+    run._steps_to(int(ends[1500]), np.empty((0, 0, 0)))
+    begin = Begin(run._rows[0].copy(), run._place.copy())
+    run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
+    on, rows = Displacements(replay, p), run._rows[0]
+    (x0, _), (x1, _) = on._state(begin.rows), on._state(rows)
+    for each in (begin.rows, rows):
+        each[R.TT] = 0.1
+        each[[R.UU, R.VV]] += 100.0
+    forward, left = body_displacement(x0, x1)
+    before = rows.copy()
+    for turn in (0.3, 1.0, 2.0):
+        c, s = np.cos(turn), np.sin(turn)
+        moved = np.array([c * forward - s * left, s * forward + c * left])
+        assert not on.absorb(begin, rows, int(ends[1600]), moved, 1e-2 * np.eye(2))
+        assert rows.tobytes() == before.tobytes()
 
 
 def test_features_are_means_and_shakes():

@@ -80,7 +80,7 @@ class Displacements:
         Returns
         -------
         bool
-            False if it was too far off to be believed, or the update would spoil the covariance.
+            False if it was too far off to be believed, or the update would lead away from it or spoil the covariance.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)
@@ -95,7 +95,11 @@ class Displacements:
         gain = np.linalg.solve(s, c.T).T
         mean, covariance = self._plus(x1, gain @ innovation), p1 - gain @ s @ gain.T
         covariance = 0.5 * (covariance + covariance.T)
-        if not definite(covariance[np.newaxis])[0]:
+        begun = self._plus(x0, np.linalg.solve(s, h0 @ p0 + h1 @ crossed).T @ innovation)
+        left = moved - body_displacement(begun, mean)
+        # Of a straight line what is left is R S^-1 nu, which is smaller; a heading too unsure is not on one.
+        farther = left @ np.linalg.solve(noise, left) > innovation @ np.linalg.solve(noise, innovation)
+        if farther or not definite(covariance[np.newaxis])[0]:
             return False
         lanes = rows.shape[1]
         packed = pack_states(
