@@ -89,17 +89,17 @@ class Timeline:
         """How long each step is, (k,) s."""
         return self.steps[:, DT]
 
-    @property
+    @cached_property
     def ax(self) -> Array:
         """Forward specific force, (k,) m/s2."""
         return self.driving[self.sample, AX - FIRST_AXIS]
 
-    @property
+    @cached_property
     def ay(self) -> Array:
         """Specific force to the left, (k,) m/s2."""
         return self.driving[self.sample, AY - FIRST_AXIS]
 
-    @property
+    @cached_property
     def gz(self) -> Array:
         """Yaw rate, (k,) rad/s."""
         return self.driving[self.sample, GZ - FIRST_AXIS]
@@ -121,7 +121,7 @@ class Timeline:
 
     def imu(self, axes: Sequence[str]) -> Array:
         """What drives each step, (k, len(axes)) m/s2 and rad/s."""
-        return np.column_stack([self.driving[self.sample, AXES.index(axis)] for axis in axes])
+        return self.driving[:, [AXES.index(axis) for axis in axes]][self.sample]
 
     @property
     def frozen(self) -> NDArray[np.bool_]:

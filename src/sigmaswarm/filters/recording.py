@@ -191,7 +191,7 @@ class Recording:
             fix_variance=self._variance_of(fix),
             lever=line.lever,
             latency=p.latency,
-            since=np.array([[line.end[step] - time, line.ax[step], line.ay[step], line.gz[step]]]),
+            since=np.array([[line.end[step] - time, *line.driving[line.sample[step], :3]]]),  # ax, ay, gz
             course=lambda: float(alignments.course[ends]),
             align=lambda: alignments.at(ends),
         )
