@@ -28,6 +28,7 @@ from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.names import FilterKind, NetworkName
+from sigmaswarm.filters.parameters import clash
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.learned.folder import Learned, load_learned
 from sigmaswarm.learned.learn import learn
@@ -38,8 +39,6 @@ from sigmaswarm.scoring.targets import tracking_replay
 LENGTHS = (5.0, 15.0, 30.0, 60.0)
 MEASURES = ("position, m", "heading, deg", *(f"{length:g} s, m" for length in LENGTHS), "NIS", "us a sample")
 USE = ("lateral", "standstill", "robust")
-FOLLOWS = ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
-"""Kinds that adapt their noises, with which robust does not go."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def measured(drive: Drive, parameters: FilterParameters, learned: Learned | None
 
 def tuned(drives: Sequence[Drive], kind: FilterKind, seed: int) -> tuple[FilterParameters, float, int]:
     began = time.process_time()
-    use = tuple(option for option in USE if option != "robust" or kind not in FOLLOWS)
+    use = tuple(option for option in USE if not clash(kind, (option,)))  # robust goes with ukf and ekf
     with ThreadPoolExecutor() as pool:
         found = tune(
             list(drives),

@@ -18,9 +18,12 @@ from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
 
 from sigmaswarm.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 try:
     import fcntl
@@ -40,6 +43,15 @@ def write_whole(path: Path, content: bytes | str) -> None:
 def write_json(path: Path, content: Any, indent: int = 2) -> None:
     """Write JSON with every bit of its floats."""
     write_whole(path, json.dumps(content, indent=indent) + "\n")
+
+
+def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
+    """All arrays of an npz file; what a damaged one raises can be anything."""
+    import numpy as np  # heavy, and not needed to write text
+
+    # opened here, since np.load leaves a damaged file open
+    with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def finite(content: Any) -> Any:

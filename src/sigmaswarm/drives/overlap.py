@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue,
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import whole_file
+from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.geodesy import enu_to_geodetic
 
 Whole = NDArray[np.int64]
@@ -285,11 +285,11 @@ def load_landmarks(path: Path) -> list[Landmarks] | None:
     if not path.exists():
         return None
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return [
-                _loaded(str(name), str(sha256), file[f"{k}-about"], file[f"{k}-fixes"], file[f"{k}-rates"])
-                for k, (name, sha256) in enumerate(file["names"])
-            ]
+        file = read_arrays(path)
+        return [
+            _loaded(str(name), str(sha256), file[f"{k}-about"], file[f"{k}-fixes"], file[f"{k}-rates"])
+            for k, (name, sha256) in enumerate(file["names"])
+        ]
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise InputError(f"{path}: not readable; delete it, or repeat `sigmaswarm tune`") from None
 

@@ -7,7 +7,6 @@ learned_seen.npz        what the training drives are recognized by
 timings.json            what the training took: the one file that differs from run to run
 """
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.overlap import Landmarks, load_landmarks
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import whole_file, write_whole
+from sigmaswarm.files import read_arrays, whole_file, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned import outage_lstm
@@ -102,12 +101,8 @@ class Learned:
     def save(self, folder: Path) -> list[Path]:
         """Write learned.toml and weights.npz; their paths."""
         paths = [folder / WEIGHTS_FILE, folder / LEARNED_FILE]
-        with whole_file(paths[0]) as file, zipfile.ZipFile(file, "w") as archive:
-            for name, array in sorted(
-                self.weights.items()
-            ):  # without times: the same bytes for the same weights
-                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w") as entry:
-                    np.lib.format.write_array(entry, np.asarray(array), allow_pickle=False)
+        with whole_file(paths[0]) as file:
+            np.savez(file, allow_pickle=False, **dict(sorted(self.weights.items())))
         write_whole(paths[1], tomli_w.dumps(self.record.model_dump(mode="json", exclude_none=True)))
         return paths
 
@@ -131,8 +126,7 @@ def load_learned(folder: Path) -> Learned | None:
         return None
     record = load_record(LearnedRecord, file)
     try:
-        with weights.open("rb") as opened, np.load(opened, allow_pickle=False) as archive:
-            arrays = {name: np.asarray(archive[name], np.float64) for name in archive.files}
+        arrays = {name: np.asarray(array, np.float64) for name, array in read_arrays(weights).items()}
         if n_weights(arrays) != record.network.numbers:
             raise ValueError
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...

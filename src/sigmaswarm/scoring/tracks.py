@@ -16,7 +16,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import whole_file
+from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, datasheet
@@ -269,14 +269,12 @@ def load_tracks(path: Path) -> list[Tracks]:
         If the file can't be read.
     """
     try:
-        # opened here, since np.load leaves a damaged file open
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            names = [str(name) for name in file["names"]]
-            series: list[dict[str, dict[str, Array]]] = [{} for _ in names]
-            for key in file.files:
-                if key != "names":
-                    number, of, column = key.split("/")
-                    series[int(number)].setdefault(of, {})[column] = np.asarray(file[key], np.float64)
+        arrays = read_arrays(path)
+        names = [str(name) for name in arrays.pop("names")]
+        series: list[dict[str, dict[str, Array]]] = [{} for _ in names]
+        for key, values in arrays.items():
+            number, of, column = key.split("/")
+            series[int(number)].setdefault(of, {})[column] = np.asarray(values, np.float64)
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise InputError(f"{path}: not readable; repeat the command that made the folder") from None
     return [Tracks(name, s) for name, s in zip(names, series, strict=True)]

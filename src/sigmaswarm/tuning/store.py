@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import make_folder, whole_file, whole_folder, write_json
+from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -36,9 +36,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
     if not path.exists():
         return None
     try:
-        # opened here, since np.load leaves a damaged file open
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays: dict[str, Any] = {**read_arrays(path)}
         return arrays, json.loads(str(arrays.pop("notes")))
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise unreadable(path) from None
@@ -121,8 +119,7 @@ class ResultFolder:
             missing_ok=True
         )  # of a run killed between keeping the one and dropping the other
         try:
-            with (folder / "history.npz").open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                history = {name: file[name] for name in file.files}
+            history = read_arrays(folder / "history.npz")
             return json.loads((folder / "result.json").read_text()), history
         except Exception:  # as of a damaged checkpoint
             raise InputError(
