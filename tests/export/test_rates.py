@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from exported import build, distance, needs_gcc, replay, tuned
+from sigmaswarm.drives import odometer, standstill
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.filters import schedule
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
@@ -112,3 +114,25 @@ def test_fixes_that_leave_too_early_are_told(tmp_path: Path):
     assert distance(replay(enough, drive).mean, run_of(drive, P).mean) < 1e-9
     done = subprocess.run([enough], input=replay_rows(drive), capture_output=True, text=True)
     assert done.stderr == ""
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+def test_a_fix_that_rounding_alone_puts_behind_a_sample_waits_for_the_next_one(
+    tmp_path: Path, flags: tuple[str, ...]
+):
+    drive = clip(simulated(50.0), 0.0, 25.0)
+    at = np.searchsorted(drive.imu.time, drive.gps.time + 1e-6) - 1
+    fixes = np.nextafter(drive.imu.time[at], np.inf)  # less than a tick of a float build's clock
+    drive = replace(drive, gps=replace(drive.gps, time=fixes))
+    ours = run_filter(drive, P, recover=False).mean
+    theirs = replay(build(tmp_path, P, "-DINS_GPS_HISTORY=0", *flags), drive, "planar8").mean
+    assert np.abs(np.hypot(*(theirs - ours)[:, :2].T)).max() < 0.01
+    early = replace(drive, gps=replace(drive.gps, time=drive.imu.time[at]))
+    assert np.hypot(*(run_filter(early, P, recover=False).mean - ours)[:, :2].T).max() > 0.02
+
+
+def test_one_number_counts_the_slots_of_all_constraints():
+    assert odometer.INTERVAL == schedule.STANDSTILL_INTERVAL == schedule.LATERAL_INTERVAL
+    for interval in (schedule.LATERAL_INTERVAL, standstill.BLOCK):
+        assert 1.0 / round(1.0 / interval) == interval

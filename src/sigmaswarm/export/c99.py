@@ -191,6 +191,8 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         plain(derived)
         | {
             "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "SLOTS": str(round(1.0 / schedule.LATERAL_INTERVAL)),  # of the standstill and the odometer, too
+            "BLOCKS": str(round(1.0 / standstill.BLOCK)),
             "PROCESS_NOISE": listed(p.process_noise, "R({})"),
             "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
             "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
