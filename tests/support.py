@@ -148,6 +148,12 @@ def drive_variants() -> dict[str, Drive]:
         "many-gps-columns": replace(
             drive, gps=replace(drive.gps, std_x=1.5 * ones, std_y=ones / 3, speed=7 * ones, course=-ones)
         ),
+        "truth-in-doubt": replace(
+            drive,
+            truth=replace(
+                drive.truth, **{k: np.full(len(drive.truth), 1 / 3) for k in ("std_x", "std_y", "std_theta")}
+            ),
+        ),
         "degrees": in_degrees(drive),
         "degrees-without-altitude": in_degrees(drive, altitude=False),
         "both": replace(in_degrees(drive), frame="enu"),

@@ -16,7 +16,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import StudyConfig, read_config
+from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.run import Study, run_study
 from sigmaswarm.report.study import save_study
@@ -87,11 +87,22 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
 def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
     """The shared, prepared drives give the same bits as a tuning of its own on the same split."""
     train = [design.drives[i] for i in design.split(0)[0]]
-    config = TINY.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1}
-    tuning = tune(train, **config)
-    task = next(t for t in whole.trials if (t.method, t.trial) == ("pso-planar8", 0))
-    assert whole.trials[task].cost == tuning.cost
-    assert whole.parameters[task] == tuning.parameters
+    asked = {
+        "pso-planar8": design.tune_config("pso-planar8", "honest").model_dump() | {"trials": 1},
+        BY_DEFAULT: {"particles": 4, "generations": 3, "as_recorded": True},
+    }
+    for method, options in asked.items():
+        tuning = tune(train, **options)
+        task = next(t for t in whole.trials if (t.method, t.trial) == (method, 0))
+        assert whole.trials[task].cost == tuning.cost
+        assert whole.parameters[task] == tuning.parameters
+
+
+def test_the_papers_protocol_does_not_race(design: Design):
+    racing = make_design(TINY.model_copy(update={"racing": True}))
+    raced = {(m, p): racing.tune_config(m, p).racing for m, each in TUNED_METHODS.items() for p in each}
+    assert raced == {variant: variant[1] != "paper" for variant in raced}
+    assert not any(design.tune_config(m, p).racing for m, p in raced)
 
 
 def test_the_budget_counts_the_first_generation(whole: Study):
@@ -115,7 +126,7 @@ def test_scores_are_of_held_out_drives_alone(whole: Study):
         assert {row["drive"] for row in rows if row["trial"] == str(trial)} == held_out
     found = {(row["protocol"], row["method"]) for row in rows}
     assert {"untuned", "paper", "honest"} == {protocol for protocol, _ in found}
-    assert len(found) == 14
+    assert len(found) == 15
 
 
 def test_results_can_be_found_again_in_the_scores(whole: Study):
@@ -140,7 +151,7 @@ def test_raw_gps_is_perfect_by_the_paper_s_measure(whole: Study):
 def test_each_condition_can_be_tuned_by_itself(tmp_path: Path):
     config = TINY.model_copy(update={"per_condition": True, "generations": 1})
     study = run_study(config, tmp_path / "out")
-    assert len(study.trials) == 2 * 5 * 2
+    assert len(study.trials) == 2 * 6 * 2
     assert (tmp_path / "out" / "best" / "honest-pso-ukf-turns-clear.toml").exists()
     summary = study.results.summary("honest", "pso-ukf", "position_rmse_m")
     assert summary is not None
@@ -211,4 +222,4 @@ def test_each_drive_is_aligned_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     study = run_study(TINY.model_copy(update={"generations": 1}), tmp_path / "out")
     save_study(study, study.folder)
     assert sorted(aligned) == sorted(drive.name for drive in study.design.drives)
-    assert len(spaces) == len(set(spaces)) == 5
+    assert len(spaces) == len(set(spaces)) == 6

@@ -11,7 +11,6 @@ from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
 from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.space import Scale
 
 ALL = "all"
@@ -38,13 +37,20 @@ PROTOCOLS: dict[str, Protocol] = {
 }
 """The paper's is its equation 4."""
 
-TUNED_METHODS: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
+BY_PSO: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
     "pso-ukf": ("ukf", "planar5", ("paper", "honest")),
     "pso-ekf": ("ekf", "planar5", ("honest",)),
     "pso-adaptive-ukf": ("adaptive-ukf", "planar5", ("honest",)),
     "pso-planar8": ("ukf", "planar8", ("honest",)),
 }
-"""Kind, model and protocols of every tuned method; the paper tunes the UKF alone."""
+"""Kind, model and protocols of what is tuned as the paper tunes; the paper tunes the UKF alone."""
+BY_DEFAULT = "default"
+"""The filter, the objective and the optimizer that `tune` takes by itself for a study's drives."""
+TUNED_METHODS: dict[str, tuple[ProtocolName, ...]] = {
+    **{method: protocols for method, (_, _, protocols) in BY_PSO.items()},
+    BY_DEFAULT: ("honest",),
+}
+"""Protocols of every tuned method."""
 
 
 class StudyConfig(BaseModel):
@@ -71,22 +77,8 @@ class StudyConfig(BaseModel):
     """Decides drives, splits and swarms."""
     per_condition: bool = False
     """Tune each condition by itself instead of one filter for all of them."""
-
-    def tune_config(self, method: str, protocol: ProtocolName) -> TuneConfig:
-        """What one of `TUNED_METHODS` is asked for under a protocol."""
-        kind, model, _ = TUNED_METHODS[method]
-        return TuneConfig(
-            optimizer="pso",
-            objective=PROTOCOLS[protocol].objective,
-            scale=PROTOCOLS[protocol].scale,
-            particles=self.particles,
-            generations=self.generations,
-            trials=self.trials,
-            seed=self.seed,
-            model=model,
-            kind=kind,
-            as_recorded=True,
-        )
+    racing: bool = False
+    """Drop the worse candidates of a generation before all drives are tried; not under the paper's protocol."""
 
     def to_toml(self) -> str:
         """The file that `read_config` reads."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,15 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import ALL, TUNED_METHODS, ProtocolName, StudyConfig
+from sigmaswarm.experiments.study.config import (
+    ALL,
+    BY_DEFAULT,
+    BY_PSO,
+    PROTOCOLS,
+    TUNED_METHODS,
+    ProtocolName,
+    StudyConfig,
+)
 from sigmaswarm.fleets.connection import Cluster
 from sigmaswarm.fleets.fleet import Fleet, sources_of, told_of_each
 from sigmaswarm.fleets.held import Here
@@ -28,6 +36,8 @@ from sigmaswarm.fleets.sources import Source
 from sigmaswarm.scoring.batch import Passes, Replayer, Replays
 from sigmaswarm.scoring.fleet import FleetReplays, of_each_prepared
 from sigmaswarm.simulation.conditions import Simulated, simulate_many
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.defaults import objective_for, with_filter
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -86,6 +96,32 @@ class Design:
             self.fleet, Passes(outages=outages, outage_seed=seed, as_recorded=True), _as_it_is
         )
 
+    def tune_config(self, method: str, protocol: str) -> TuneConfig:
+        """What one of `TUNED_METHODS` is asked for under a protocol."""
+        c = self.config
+        if method == BY_DEFAULT:
+            asked = self._suiting
+        else:
+            kind, model, _ = BY_PSO[method]
+            asked = dict[str, Any](
+                optimizer="pso", kind=kind, model=model, **PROTOCOLS[protocol].model_dump()
+            )
+        return TuneConfig(
+            **asked,
+            particles=c.particles,
+            generations=c.generations,
+            trials=c.trials,
+            seed=c.seed,
+            outage_seed=c.seed,
+            racing=c.racing and protocol != "paper",
+            as_recorded=True,
+        )
+
+    @cached_property
+    def _suiting(self) -> dict[str, Any]:
+        """What `tune` takes for these drives where nothing is asked for."""
+        return {**with_filter({}, self.drives)[0], "objective": objective_for(self.drives, "auto")}
+
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""
         return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
@@ -108,7 +144,7 @@ class Design:
     def tasks(self) -> Iterator["Task"]:
         """All tunings of the study, in the order of their trials."""
         for trial in range(self.config.trials):
-            for method, (_, _, protocols) in TUNED_METHODS.items():
+            for method, protocols in TUNED_METHODS.items():
                 for protocol in protocols:
                     for group in self.groups:
                         yield Task(protocol, method, group, trial)

@@ -35,6 +35,7 @@ from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.tracks import Picture, save_tracks
+from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
 from sigmaswarm.tuning.search import Search, Trial
 from sigmaswarm.tuning.space import SearchSpace
@@ -202,8 +203,8 @@ def _spaces(design: Design) -> dict[Variant, SearchSpace]:
     """The box of every tuned variant, for the drives' usual interval between two IMU samples."""
     interval = usual_interval(design.drives)
     return {
-        (protocol, method): car_space(design.config.tune_config(method, protocol), interval)
-        for method, (_, _, protocols) in TUNED_METHODS.items()
+        (protocol, method): car_space(design.tune_config(method, protocol), interval)
+        for method, protocols in TUNED_METHODS.items()
         for protocol in protocols
     }
 
@@ -216,14 +217,17 @@ def _tune_all(
     progress: Callable[[StudyProgress], None] | None,
 ) -> dict[Task, Trial]:
     """Every tuning of the study, on the drives of its group that its trial trains on."""
-    replayer = design.replays(outages=False)
+    configs = {(p, m): design.tune_config(m, p) for p, m in spaces}
+    needs = {variant: objective_named(config.objective).needs_outages for variant, config in configs.items()}
+    replays = {outages: design.replays(outages=outages) for outages in set(needs.values())}
     folders = _result_folders(design, out)
     splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
 
     def one(task: Task, tell: Tell) -> Trial:
-        config = design.config.tune_config(task.method, task.protocol)
+        variant = task.protocol, task.method
+        config, held = configs[variant], replays[needs[variant]]
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
-        problem = CarProblem(config, spaces[task.protocol, task.method], [], replayer.subset(train))
+        problem = CarProblem(config, spaces[variant], [], held.subset(train))
         search = Search(config, problem, None, folders[task.folder], lambda told: tell(told.generation))
         trial = search.trial(task.trial)
         if not np.isfinite(trial.cost):
@@ -247,7 +251,7 @@ def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
     for task in design.tasks:
         if task.folder not in folders:
             asked: dict[str, Any] = {
-                **design.config.tune_config(task.method, task.protocol).model_dump(mode="json"),
+                **design.tune_config(task.method, task.protocol).model_dump(mode="json"),
                 "group": task.group,
                 "train_fraction": design.config.train_fraction,
                 "drives": data,

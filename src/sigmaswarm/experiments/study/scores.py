@@ -11,7 +11,7 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, UNTUNED
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
@@ -37,6 +37,7 @@ LABELS = {
     "pso-ekf": "PSO-EKF",
     "pso-adaptive-ukf": "PSO-adaptive UKF",
     "pso-planar8": "PSO-UKF, planar8",
+    BY_DEFAULT: "what tune takes by itself",
 }
 """All methods, and what people call them."""
 
