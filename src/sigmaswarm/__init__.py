@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.swarm.live import LiveSwarm
     from sigmaswarm.filters.swarm.run import run_swarm
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
+    from sigmaswarm.references.reference import reference
     from sigmaswarm.report.compare import comparison_table
     from sigmaswarm.report.study import save_study, study_figures, study_tables
     from sigmaswarm.scoring.consistency import Consistency, consistency
@@ -106,6 +107,7 @@ _HOMES = {
     "filters.smoothing": ("smooth",),
     "filters.swarm.live": ("LiveSwarm",),
     "filters.swarm.run": ("run_swarm",),
+    "references.reference": ("reference",),
     "report.compare": ("comparison_table",),
     "report.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
@@ -166,6 +168,7 @@ __all__ = [
     "initial_state",
     "preset",
     "read_drive",
+    "reference",
     "repair",
     "run_batch",
     "run_filter",

@@ -243,6 +243,21 @@ def test_a_stated_deviation_is_positive(folder: Path, value: str):
         read_drive(folder)
 
 
+def test_the_truth_s_deviations_are_positive_and_whole(folder: Path):
+    table = rows(folder / "truth.csv")
+    save(folder / "truth.csv", [[*row, "std_x" if i == 0 else "0.5"] for i, row in enumerate(table)])
+    with pytest.raises(DriveError, match=r"truth.csv: Truth states std_x and std_y both, .*; add what lacks"):
+        read_drive(folder)
+    both = rows(folder / "truth.csv")
+    save(folder / "truth.csv", [[*row, "std_y" if i == 0 else "0.5"] for i, row in enumerate(both)])
+    assert read_drive(folder).truth.std_y[3] == 0.5
+    cell("truth.csv", 8, "std_y", "0")(folder)
+    with pytest.raises(
+        DriveError, match=r"truth.csv, row 8, column std_y: '0' is outside .*; leave the column"
+    ):
+        read_drive(folder)
+
+
 def test_blank_lines_count_as_lines_but_not_as_rows(folder: Path):
     before = read_drive(folder)
     lines = (folder / "imu.csv").read_text().splitlines()

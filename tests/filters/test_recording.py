@@ -151,7 +151,7 @@ def test_what_is_recorded_adds_up_to_the_sums(model: str, kind: str, option: str
     if kind in ("ukf", "ekf"):
         added["squared_fix"] = (residuals(nu[~hidden], s[~hidden], p) ** 2).sum()
     if of is tracking_replay:
-        weight, x, y, theta, counts = targets.columns
+        weight, x, y, theta, counts, _ = targets.columns
         later = np.searchsorted(targets.end[line.sampled], np.arange(len(weight)), side="right")
         times = np.concatenate([[line.start], whole.time])
         means = np.vstack([replay.initial.mean[:5], whole.mean[:, :5]])

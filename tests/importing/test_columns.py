@@ -168,6 +168,32 @@ def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin
     assert_close(got.drive.imu, imu, "time", 1e-3 if unit == "ms" else 1e-6)
 
 
+@pytest.mark.parametrize("name", ["boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed"])
+def test_a_loggers_own_clock_is_the_time_where_there_is_no_other(tmp_path: Path, name: str):
+    imu, gps = foreign_imu().drop("stamp"), foreign_gps()
+    places = gps.with_columns(lat=pl.col("la") * 1e-7, lon=pl.col("lo")).drop("when", "la", "lo")
+    imu.with_columns(pl.Series(name, 1e3 * DRIVE.imu.time)).write_csv(tmp_path / "imu.csv")
+    places.with_columns(pl.Series(name, 1e3 * DRIVE.gps.time)).write_csv(tmp_path / "gps.csv")
+    drive = imported(tmp_path).drive
+    np.testing.assert_allclose(np.diff(drive.imu.time), np.diff(DRIVE.imu.time), atol=1e-9)
+    imu.with_columns(boot_ms=-1.0).write_csv(tmp_path / "imu.csv")  # what does not run is no clock
+    with pytest.raises(InputError, match="is the time of the imu was not found"):
+        imported(tmp_path)
+
+
+def test_an_axis_that_points_down_is_told_unless_the_mounting_is(tmp_path: Path):
+    foreign_imu().write_csv(tmp_path / "imu.csv")
+    gps = foreign_gps()
+    gps.with_columns(lat=pl.col("la") * 1e-7, lon=pl.col("lo")).drop("la", "lo").rename(
+        {"when": "time"}
+    ).write_csv(tmp_path / "gps.csv")
+    assert any("acc_z is negative" in note for note in imported(tmp_path).notes)
+    turned = imported(tmp_path, recipe=Recipe(mount="x=x,y=-y"))
+    assert not any("is negative" in note for note in turned.notes)
+    foreign_imu(acc_z=DRIVE.imu.az / G).write_csv(tmp_path / "imu.csv")
+    assert not any("is negative" in note for note in imported(tmp_path).notes)
+
+
 def test_one_table_for_all_with_fixes_repeated(tmp_path: Path):
     """A logger that writes the last fix beside each IMU sample: each fix counts once, when it first appears."""
     imu, gps = DRIVE.imu, DRIVE.gps

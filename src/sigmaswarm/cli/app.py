@@ -22,6 +22,7 @@ from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.learn import learn
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
+from sigmaswarm.cli.reference import reference
 from sigmaswarm.cli.report import report
 from sigmaswarm.cli.run import run
 from sigmaswarm.cli.simulate import simulate
@@ -50,8 +51,8 @@ No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm de
     suppress_keyboard_interrupt=False,
 )
 for command in (
-    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, simulate, record_carla, plot,
-    demo,
+    doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
+    record_carla, plot, demo,
 ):  # fmt: skip
     app.command(command)
 app.command(import_, name="import")

@@ -95,6 +95,19 @@ def tuned_as_recorded(tuning: Path) -> bool:
     return tomllib.loads(file.read_text()).get("config", {}).get("as_recorded", False) is True
 
 
+def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
+    """So many numbers of an option, written with commas."""
+    from sigmaswarm.errors import InputError
+
+    try:
+        numbers = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
+    return numbers
+
+
 def stdout() -> "Console":
     """Where results go."""
     from sigmaswarm.cli.terminal import console
@@ -197,7 +210,7 @@ def print_evaluation(
     from rich.text import Text
 
     from sigmaswarm.scoring.drifts import OWN
-    from sigmaswarm.scoring.evaluation import HOW_MANUAL, said_of_drives
+    from sigmaswarm.scoring.evaluation import HOW_MANUAL, partly_scored, said_of_drives
 
     console, measures = stdout(), evaluation.measures
     # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
@@ -233,6 +246,8 @@ def print_evaluation(
             f"Filters start, and scores with them, {told}: at the first fix with 4 s and 20 m of forward driving "
             "behind it, which tell the heading."
         )
+    for said in partly_scored(evaluation.asked.data):
+        console.print(f"{said[0].upper()}{said[1:]}.")
     without_truth = [
         name for name, found in evaluation.drives.items() if not found.data.get("has_truth", True)
     ]

@@ -130,6 +130,7 @@ def import_(
     json
         Print what was found or written for machines.
     """
+    from sigmaswarm.cli.common import numbers_of
     from sigmaswarm.errors import InputError
     from sigmaswarm.importing.convert import Request
     from sigmaswarm.importing.recipe import Recipe
@@ -147,11 +148,13 @@ def import_(
         "gps_offset_s": gps_offset,
         "truth_offset_s": truth_offset,
         "odometer_offset_s": odometer_offset,
-        "origin": None if origin is None else _numbers(origin, 3, "--origin", "50.1,8.7,120"),
-        "gps_lever_arm_m": None if lever_arm is None else _numbers(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
+        "origin": None if origin is None else numbers_of(origin, 3, "--origin", "50.1,8.7,120"),
+        "gps_lever_arm_m": None
+        if lever_arm is None
+        else numbers_of(lever_arm, 3, "--lever-arm", "1.2,0,0.5"),
         "gps_from_truth": None
         if gps_from_truth is None
-        else _numbers(gps_from_truth, 2, "--gps-from-truth", "5,1"),
+        else numbers_of(gps_from_truth, 2, "--gps-from-truth", "5,1"),
     }
     request = Request(
         source=source,
@@ -171,18 +174,6 @@ def import_(
     if out is None:
         raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
     _import(request, out, name or out.resolve().name, save_recipe, overwrite, json)
-
-
-def _numbers(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
-    from sigmaswarm.errors import InputError
-
-    try:
-        numbers = tuple(float(v) for v in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise InputError(f"{option} {text!r} is not {count} numbers; write them with commas, as {example}")
-    return numbers
 
 
 def _limits(**given: int | None) -> "Limits":

@@ -107,8 +107,6 @@ def tune(
     if chosen:  # only now, for a mistake is to be told in one line
         console.print(f"model:    {chosen}")
     console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
-    if tuning.raised_by != 1.0:
-        console.print(f"margin: all process noises raised by {tuning.raised_by:.3g}")
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
         console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")

@@ -131,6 +131,8 @@ class Truth(_Table):
     x, y : m east and north of the drive's origin
     vx, vy : m/s east and north
     theta : rad, heading counter-clockwise from east; may be unwrapped
+    std_x, std_y : m, the truth's own standard deviation, where it states one: both or none
+    std_theta : rad, that of its heading
     """
 
     time: Array
@@ -139,6 +141,18 @@ class Truth(_Table):
     vx: Array
     vy: Array
     theta: Array
+    std_x: Array | None = None
+    std_y: Array | None = None
+    std_theta: Array | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.std_x is None) != (self.std_y is None) or (
+            self.std_x is None and self.std_theta is not None
+        ):
+            raise DriveError(
+                "Truth states std_x and std_y both, and with them std_theta, or none; add what lacks"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,8 @@ class DriveRecord(BaseModel):
     fixes: int | None = None
     has_truth: bool | None = None
     sha256: str = ""
+    truth_share: float | None = None
+    """Of an evaluated drive: the share of the time from there on in which truth is known."""
     scored_from_s: float | None = None
     """Of an evaluated drive: so many s into it filters start, and scores with them."""
     seen_s: float | None = None

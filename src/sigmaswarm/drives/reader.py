@@ -22,7 +22,7 @@ _GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 _IMU = ("t", "ax", "ay", "gz"), ("az", "gx", "gy")
 _GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS)}
 _ODOMETER = ("t", "speed"), ()
-_TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ()
+_TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")
 """The columns of each file: the required and the optional ones."""
 
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
@@ -117,7 +117,7 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
         origin = _place_on_plane(gps, origin)
     truth = None
     if files["truth"].exists():
-        truth = Truth(**Sheet.read(files["truth"]).columns(*_TRUTH, ignored))
+        truth = _truth(Sheet.read(files["truth"]).columns(*_TRUTH, ignored), files["truth"])
 
     odometer = None
     if files["odometer"].exists():
@@ -131,6 +131,13 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
         DriveWarning(f"{folder}/{_as_filed(str(remark), files)}", remark.code) for remark in remarks_of(drive)
     ]
     return drive, warned
+
+
+def _truth(columns: dict[str, Array], path: Path) -> Truth:
+    try:
+        return Truth(**columns)
+    except DriveError as error:
+        raise DriveError(f"{path}: {error}") from None
 
 
 def _as_filed(said: str, files: dict[str, Path]) -> str:

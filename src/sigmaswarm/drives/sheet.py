@@ -17,7 +17,7 @@ from sigmaswarm.errors import DriveError
 from sigmaswarm.forking import require_threads
 from sigmaswarm.wording import names_shown, quoted, shown
 
-_NO_STD = "leave the column out where the receiver states no deviation"
+_NO_STD = "leave the column out where no deviation is stated"
 _RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
     "alt": (-1e7, 1e7, "give metres above the ellipsoid"),
@@ -26,6 +26,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
     "std_x": (1e-6, np.inf, _NO_STD),
     "std_y": (1e-6, np.inf, _NO_STD),
+    "std_theta": (1e-9, np.inf, _NO_STD),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
 

@@ -40,6 +40,8 @@ class Targets:
         Where the heading is compared.
     end : (k,) int32
         How many targets lie before the end of each step of the time line.
+    doubts : (m, 4), or (0, 4) where what is known is exact
+        What the squared errors of position and heading count, and the variances of x and y, m2, beside P in the NEES.
     """
 
     weight: Array
@@ -48,17 +50,19 @@ class Targets:
     theta: Array
     counts: NDArray[np.bool_]
     end: NDArray[np.int32]
+    doubts: Array = field(default_factory=lambda: run.NO_DOUBTS)
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
         """Nothing to compare with."""
-        return cls(*run.NO_TARGETS, np.zeros(len(timeline.dt), dtype=np.int32))
+        weight, x, y, theta, counts, doubts = run.NO_TARGETS
+        return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), doubts)
 
     @property
-    def columns(self) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
+    def columns(self) -> run.TargetColumns:
         """What the kernel reads of the moments."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
-        return weight, x, y, theta, self.counts
+        return weight, x, y, theta, self.counts, run.kept(self.doubts)
 
     @property
     def n_positions(self) -> int:
@@ -66,9 +70,14 @@ class Targets:
         return len(self.weight)
 
     @cached_property
-    def n_headings(self) -> int:
-        """How many headings are compared."""
-        return int(self.counts.sum())
+    def position_weight(self) -> float:
+        """What the squared errors of position count together: as many as they are where truth is exact."""
+        return float(self.doubts[:, 0].sum()) if len(self.doubts) else float(self.n_positions)
+
+    @cached_property
+    def heading_weight(self) -> float:
+        """The same of heading."""
+        return float(self.doubts[self.counts, 1].sum()) if len(self.doubts) else float(self.counts.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +110,7 @@ class Replay:
 
 DriveArrays = tuple[
     *tuple[Array, NDArray[np.int32], Array, NDArray[np.uint8]],
-    *tuple[Array, Array, Array, tuple[Array, Array, Array, Array, NDArray[np.bool_]], NDArray[np.int32]],
+    *tuple[Array, Array, Array, run.TargetColumns, NDArray[np.int32]],
 ]
 """steps, samples, driving, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
@@ -112,9 +121,9 @@ class Sums:
 
     Attributes
     ----------
-    squared_position : m2, over targets
-    squared_heading : rad2, over targets whose heading counts
-    nees : sum of e^T P^-1 e of the position over targets
+    squared_position : m2, over targets, each times what it counts
+    squared_heading : rad2, over targets whose heading counts, likewise
+    nees : sum of e^T P^-1 e of the position over targets; P with the variances of what is known
     squared_fix : m2, residuals of the fixes after they were absorbed
     squared_forecast : m2, innovations of the hidden fixes
     nis : sum of nu^T S^-1 nu over the fixes, hidden ones included

@@ -52,7 +52,7 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
     origin = recipe.origin
     gps: Values = {}
     if "gps" in joined:
-        gps, origin = _fixes(joined["gps"][1], origin, say)
+        gps, origin = placed_fixes(joined["gps"][1], origin, say)
     truth = None
     if "truth" in joined:
         values, origin = _placed_truth(joined["truth"][1], origin, gps)
@@ -119,7 +119,7 @@ def _begin(time: Nanoseconds) -> int:
     return int(time[np.searchsorted(time, time[len(time) // 2] - LONG_AGO)])
 
 
-def _fixes(
+def placed_fixes(
     values: Values, origin: tuple[float, float, float] | None, say: Say
 ) -> tuple[Values, tuple[float, float, float] | None]:
     """The fixes' columns as a drive has them, and the origin of the local frame."""

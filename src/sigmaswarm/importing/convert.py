@@ -81,7 +81,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         recipe = complete_recipe(request, guesses)
         _require_sensors(recipe, request, sources)
         for guess in guesses.values():
-            notes += guess.notes
+            notes += guess.said(mounted=bool(recipe.mount))
         gathered = _gather_all(request, sources, recipe, progress)
         for source in sources.values():
             notes += source.remarks
@@ -185,7 +185,7 @@ def _gather_all(
         for role in ROLES:
             if home_of(role, request) == path:
                 for part in recipe.roles.get(role, ()):
-                    mine.append((role, _with_time(_with_table(part, source), source, role)))
+                    mine.append((role, _with_time(with_only_table(part, source), source, role)))
         for role, part in mine:
             check_part(part, source, role)
         share = _share(progress, before / total, size[path] / total)
@@ -197,7 +197,7 @@ def _gather_all(
     return gathered
 
 
-def _with_table(part: Part, source: Source) -> Part:
+def with_only_table(part: Part, source: Source) -> Part:
     """A part that names no table takes the only one; and so does one that names a file, of another day's log."""
     only = next(iter(source.tables.values())) if len(source.tables) == 1 else None
     if part.table in source.tables or (part.table and (only is None or only.kind != FILES)):

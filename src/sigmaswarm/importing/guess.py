@@ -13,6 +13,11 @@ from sigmaswarm.wording import names_shown
 _TIME = (
     "t|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
 )
+_CLOCK = (
+    "boot|up_?time|ticks?|elapsed|i?tow|"
+    "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
+)
+"""Names of times that are taken where a table has none of the usual ones."""
 _ACCELERATION = "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|f"
 _RATE = "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate"
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
@@ -129,7 +134,19 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
             best = chosen[role] if role in chosen else _best(tables, hints[role])
             notes.extend(_alike(role, best, [t for t in tables if t not in chosen.values()], samples))
             roles[role] = (Part(best, dict(_expressions(found[best], role, notes))),)
-    return Guess(roles, tuple(dict.fromkeys(notes)))
+    downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
+    return Guess(roles, tuple(dict.fromkeys(notes)), downward=downward)
+
+
+def _downward(imu: _Found) -> str:
+    """A sentence where the vertical axis of an IMU points down."""
+    middle = numbers_of(imu.frame[imu.name["az"]]).median() if "az" in imu.name else 0.0
+    if float(middle or 0.0) >= 0:  # pyright: ignore[reportArgumentType]
+        return ""
+    return (
+        f"{imu.name['az']} is negative, so that axis points down; where the others point forward and to the right, say "
+        "--mount x=x,y=-y; `sigmaswarm doctor` tells whether it was right"
+    )
 
 
 def _alike(
@@ -174,6 +191,10 @@ def _find(frame: pl.DataFrame) -> _Found:
             if re.fullmatch(pattern, plain) and what not in found.name:
                 found.name[what], found.unit[what] = column, unit
                 break
+    if "t" not in found.name:
+        clocks = (c for c in frame.columns if re.fullmatch(_CLOCK, _split(c)[0]) and _step(frame[c]) > 0)
+        if (clock := next(clocks, None)) is not None:
+            found.name["t"], found.unit["t"] = clock, _split(clock)[1]
     return found
 
 
@@ -187,7 +208,7 @@ def _split(column: str) -> tuple[str, str]:
         return name, next((unit for unit, pattern in _UNITS if re.fullmatch(pattern, said)), "")
     for unit, pattern in _UNITS:
         ending = re.fullmatch(rf"(.+)_(?:{pattern})", name)
-        if ending and any(re.fullmatch(p, ending[1]) for _, p in _NAMES):
+        if ending and any(re.fullmatch(p, ending[1]) for p in (_CLOCK, *(p for _, p in _NAMES))):
             return ending[1], unit
     return name, ""
 

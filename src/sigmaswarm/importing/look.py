@@ -87,7 +87,7 @@ def look(request: Request) -> Look:
             for path, source in sources.items()
         }
     for guess in guesses.values():
-        notes += guess.notes
+        notes += guess.said(mounted=bool(recipe.mount))
     proposal, evidence = _proposal(request, recipe, columns)
     return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence)
 

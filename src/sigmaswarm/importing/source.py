@@ -68,12 +68,20 @@ class Guess:
     notes : sentences for the user
     origin : latitude (deg), longitude (deg), altitude (m) of the frame that the truth is in, where the format fixes it
     metadata : keys for drive.toml
+    downward : a sentence where the IMU's vertical axis points down, for whoever has not said how it sits
+    fixed : expression over the fixes' first table: where carrier phases are fixed; empty where the format can't say
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
     notes: tuple[str, ...] = ()
     origin: tuple[float, float, float] | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    downward: str = ""
+    fixed: str = ""
+
+    def said(self, *, mounted: bool) -> list[str]:
+        """The sentences, once it is known whether the user said how the IMU sits in the vehicle."""
+        return [*self.notes, *([self.downward] if self.downward and not mounted else [])]
 
 
 @dataclass(frozen=True)

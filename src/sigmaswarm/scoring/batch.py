@@ -259,11 +259,12 @@ _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed
 
 def _tracking_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
     n_positions = _counts(replay.targets.n_positions for replay in replays)
-    n_headings = _counts(replay.targets.n_headings for replay in replays)
+    positions = _counts(replay.targets.position_weight for replay in replays)
+    headings = _counts(replay.targets.heading_weight for replay in replays)
     n_fixes = _counts(len(replay.timeline.fixes) for replay in replays)
     return {
-        "position_rmse": np.sqrt(sums.squared_position / n_positions),
-        "heading_rmse": np.sqrt(sums.squared_heading / n_headings),
+        "position_rmse": np.sqrt(sums.squared_position / positions),
+        "heading_rmse": np.sqrt(sums.squared_heading / headings),
         "fix_rmse": np.sqrt(sums.squared_fix / n_fixes),
         "innovation_nll": (sums.nis + sums.log_determinant) / n_fixes / 2 + math.log(2 * math.pi),
         "innovation_t": (sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail) / n_fixes / 2
@@ -274,7 +275,7 @@ def _tracking_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
 
 
 def _outage_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
-    ends = _counts(replay.targets.n_positions for replay in replays)
+    ends = _counts(replay.targets.position_weight for replay in replays)
     return {"outage_drift": np.sqrt(sums.squared_position / ends)}
 
 
@@ -290,7 +291,7 @@ _SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts":
 """What the sums of each pass say, each of shape (n_drives, n_sets)."""
 
 
-def _counts(each: Iterable[int]) -> Array:
+def _counts(each: Iterable[float]) -> Array:
     """Of each replay, shape (m, 1); NaN for none, so that a mean over nothing is not known."""
     counts = np.array(list(each), dtype=np.float64)[:, np.newaxis]
     return np.where(counts > 0, counts, np.nan)

@@ -5,6 +5,7 @@ import numpy as np
 from sigmaswarm.drives.drive import Array, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.scoring.doubt import is_known
 from sigmaswarm.scoring.score import truth_at
 
 
@@ -22,7 +23,7 @@ class TrueMotion:
 
     def heading_error(self, time: Array, theta: Array) -> Array:
         """Deg; NaN where truth is not known."""
-        true = np.interp(time, self._truth.time, self._theta, left=np.nan, right=np.nan)
+        true = np.where(is_known(self._truth, time), np.interp(time, self._truth.time, self._theta), np.nan)
         return np.degrees(wrap_angle(theta - true))
 
 

@@ -14,8 +14,16 @@ from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.doubt import root_mean
 from sigmaswarm.scoring.records import DriftRecord
-from sigmaswarm.scoring.targets import Seed, drift_reference, outage_replay, outage_windows, placements
+from sigmaswarm.scoring.targets import (
+    Seed,
+    drift_counts,
+    drift_reference,
+    outage_replay,
+    outage_windows,
+    placements,
+)
 
 SMOOTHED = "smoothed"
 """The method that is the tuned filter in hindsight."""
@@ -58,8 +66,10 @@ class Outages:
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int) -> None:
         self._ready, self._length = ready, length
-        self.seeds = placements(ready.drive, ready.initial, length=length, seed=seed)
-        self._ends = [self._windows(each)[:, 1] for each in self.seeds]
+        placed = placements(ready.drive, ready.initial, length=length, seed=seed)
+        ends = [(each, self._windows(each)[:, 1]) for each in placed]
+        self.seeds = [each for each, at in ends if len(at)]
+        self._ends = [at for _, at in ends if len(at)]
         self._each: dict[str, list[float]] = {}
         self.failed: set[str] = set()
 
@@ -102,7 +112,8 @@ class Outages:
             self.failed.add(method)
         reference = drift_reference(self._ready)
         true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
-        of.append(float(np.sqrt(np.mean(np.square(places - np.column_stack(true)).sum(axis=1)))))
+        squares = np.square(places - np.column_stack(true)).sum(axis=1)
+        of.append(root_mean(squares, drift_counts(self._ready, ends)))
 
     def drift(self, method: str) -> float:
         """RMS over the outages of all placements, m; NaN where none fits or the method failed."""
@@ -127,4 +138,4 @@ def rms_drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> flo
         np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
         for i, column in enumerate((reference.x, reference.y))
     ]
-    return float(np.sqrt(np.mean(np.square(errors).sum(axis=0))))
+    return root_mean(np.square(errors).sum(axis=0), drift_counts(ready, ends))

@@ -26,6 +26,7 @@ from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
@@ -151,6 +152,20 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
         if drive.seen_s
     ]
     return f"{called} (NOT {'all ' if len(data) > 1 else ''}held out: {'; '.join(told)})"
+
+
+ALL_OF_IT = 0.99
+"""Share of a drive from which on nobody needs to be told that truth lacks somewhere."""
+
+
+def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
+    """A sentence for each drive of which truth is known in parts only."""
+    return tuple(
+        f"errors on {drive.name} are those of {drive.truth_share:.0%} of the time from the filters' start on: "
+        "truth is not known of the rest"
+        for drive in data
+        if drive.has_truth and drive.truth_share is not None and drive.truth_share < ALL_OF_IT
+    )
 
 
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
@@ -535,7 +550,9 @@ def _evaluated(
         innovations=innovations,
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),
-        data=described(drive) | {"scored_from_s": round(ready.initial.time - float(drive.imu.time[0]), 3)},
+        data=described(drive)
+        | {"scored_from_s": round(ready.initial.time - float(drive.imu.time[0]), 3)}
+        | {"truth_share": share_known(drive.truth, ready.initial.time, float(drive.imu.time[-1]))},
         restarts=restarts,
         frozen=int(ready.frozen.sum()),
         drifts={measure: of.record for measure, of in outages.items() if of.seeds},

@@ -1,8 +1,8 @@
 """Errors against truth: the plain definitions, in NumPy, for one estimate.
 
 error = estimate - truth, at truth times from the start common to all methods (`InitialState.time`) to the last
-IMU sample, the estimate linearly interpolated to the truth time. `targets.py` feeds the same definitions to
-the compiled batch; tests hold the two together.
+IMU sample, the estimate linearly interpolated to the truth time. Where truth states its deviation, a moment counts by
+it: see `doubt.py`. `targets.py` feeds the same definitions to the compiled batch; tests hold the two together.
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.scoring.doubt import counts_at, heading_counts, is_known, position_counts, root_mean
 
 HEADING_COUNTS_ABOVE = 2.0
 """m/s: below this true speed the heading error is not scored."""
@@ -37,7 +38,7 @@ class Score:
     innovation_t : nats, the same under Student's t: see `negative_log_t`, with v = 4
     forecast_t : nats, the same over the hidden fixes of ``forecast_rmse``, with v = 8
     mean_nis : mean of nu^T S^-1 nu over the fixes; 2 where the covariance is right
-    mean_nees : mean of e^T P^-1 e of the position; 2 where the covariance is right
+    mean_nees : mean of e^T P^-1 e of the position; 2 where the covariance is right. P with truth's own variances
     failed : bool
     """
 
@@ -98,6 +99,7 @@ class PieceErrors:
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
         self._parts: list[Array] = []
         self._turned: list[Array] = []
+        self._counts: list[tuple[Array | None, Array | None]] = []
 
     def add(self, time: Array, mean: Array) -> None:
         """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
@@ -108,7 +110,10 @@ class PieceErrors:
         pose[:, THETA] = np.unwrap(pose[:, THETA])
         x, y, theta = (np.interp(truth.time, nodes, pose[:, i]) for i in (0, 1, THETA))
         self._parts.append(np.hypot(x - truth.x, y - truth.y))
-        self._turned.append(wrap_angle(theta - truth.theta)[_heading_counts(truth)])
+        fast = _fast(truth)
+        self._turned.append(wrap_angle(theta - truth.theta)[fast])
+        turned = heading_counts(truth)
+        self._counts.append((position_counts(truth), None if turned is None else turned[fast]))
         self._next, self._time, self._pose = stop, time[-1], pose[-1]
 
     @property
@@ -123,11 +128,14 @@ class PieceErrors:
             return Score()
         off, wrong = np.concatenate(self._parts), np.concatenate(self._turned)
         median, most = quantiles_of(off)
+        counts, turned = (
+            [one for one in each if one is not None] for each in zip(*self._counts, strict=True)
+        )
         return Score(
-            position_rmse=_rms(off),
+            position_rmse=root_mean(off**2, np.concatenate(counts) if counts else None),
             position_median=median,
             position_95=most,
-            heading_rmse=_rms(wrong),
+            heading_rmse=root_mean(wrong**2, np.concatenate(turned) if turned else None),
         )
 
 
@@ -138,9 +146,10 @@ def scored_truth(truth: Truth, start: float, end: float) -> Truth:
 
 
 def truth_at(truth: Truth, time: Array) -> tuple[Array, Array]:
-    """True x and y (m), linearly interpolated; NaN outside the truth's time."""
-    x = np.interp(time, truth.time, truth.x, left=np.nan, right=np.nan)
-    y = np.interp(time, truth.time, truth.y, left=np.nan, right=np.nan)
+    """True x and y (m), linearly interpolated; NaN where truth is not known."""
+    known = is_known(truth, time)
+    x = np.where(known, np.interp(time, truth.time, truth.x), np.nan)
+    y = np.where(known, np.interp(time, truth.time, truth.y), np.nan)
     return x, y
 
 
@@ -155,7 +164,7 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
     return replace(errors.score, failed=estimate.failure is not None)
 
 
-def _heading_counts(truth: Truth) -> NDArray[np.bool_]:
+def _fast(truth: Truth) -> NDArray[np.bool_]:
     return np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
 
 
@@ -166,9 +175,10 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
     x, y = truth_at(drive.truth, gps.time)
     error = np.hypot(gps.x - x, gps.y - y)
-    error = error[np.isfinite(error)]
+    told = np.isfinite(error)
+    error, counts = error[told], counts_at(drive.truth, gps.time[told])
     median, most = quantiles_of(error)
-    return Score(position_rmse=_rms(error), position_median=median, position_95=most)
+    return Score(position_rmse=root_mean(error**2, counts), position_median=median, position_95=most)
 
 
 def quantiles_of(errors: Array) -> tuple[float, float]:
@@ -177,7 +187,3 @@ def quantiles_of(errors: Array) -> tuple[float, float]:
         return float("nan"), float("nan")
     median, most = np.quantile(errors, [0.5, 0.95])
     return float(median), float(most)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

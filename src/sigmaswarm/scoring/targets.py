@@ -9,6 +9,7 @@ from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_win
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.replay import Replay, Targets
+from sigmaswarm.scoring.doubt import counts_at, heading_counts, is_known, position_counts
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
 
 OUTAGE_LENGTH = 5.0
@@ -41,13 +42,23 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
     reference = drift_reference(ready)
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
     headings = np.zeros_like(ends), np.zeros(len(ends), dtype=np.bool_)
-    return Replay(timeline, ready.initial, Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends)))
+    counts, doubts = drift_counts(ready, ends), np.empty((0, 4))
+    if counts is not None:
+        doubts = np.column_stack([counts, *np.zeros((3, len(ends)))])
+    targets = Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends), doubts)
+    return Replay(timeline, ready.initial, targets)
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
     """What the drift over outages is told from: truth, or else the fixes, but for frozen ones."""
     drive = ready.drive
     return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
+
+
+def drift_counts(ready: PreparedDrive, ends: Array) -> Array | None:
+    """What the error at the end of each outage counts, (k,); None: 1."""
+    truth = ready.drive.truth
+    return None if truth is None else counts_at(truth, ends)
 
 
 def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
@@ -74,7 +85,10 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 
 
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
-    """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0."""
+    """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0.
+
+    Where truth states its deviation, windows that end in its gaps are left out.
+    """
     reference = (drive.gps if drive.truth is None else drive.truth).time
     last = min(drive.imu.time[-1], reference[-1])
     windows = random_windows(
@@ -87,7 +101,8 @@ def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: 
         first_after=OUTAGE_FIRST_AFTER,
         apart=OUTAGE_APART,
     )
-    return snap_ends(windows, drive.imu.time[drive.imu.time <= last])
+    windows = snap_ends(windows, drive.imu.time[drive.imu.time <= last])
+    return windows if drive.truth is None else windows[is_known(drive.truth, windows[:, 1])]
 
 
 def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
@@ -98,7 +113,11 @@ def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time))
+    doubts, position, heading = np.empty((0, 4)), position_counts(truth), heading_counts(truth)
+    if position is not None and truth.std_x is not None and truth.std_y is not None:
+        heading = np.ones(len(truth)) if heading is None else heading
+        doubts = np.column_stack([position, heading, truth.std_x**2, truth.std_y**2])
+    return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time), doubts)
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:

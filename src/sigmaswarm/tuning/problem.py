@@ -30,6 +30,7 @@ from sigmaswarm.tuning.receiver import (
     said_of_accuracy,
     said_of_noise,
     said_of_prior,
+    stated,
 )
 from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
@@ -160,11 +161,13 @@ class CarProblem:
     def doubts(self, point: Array) -> list[str]:
         """What plays no part, what is left free, and, where no truth was looked at, whether R can be."""
         parameters = self.parameters(point)
-        # a look at the fixes' noise takes as long as reading a drive: not where nothing can be said of it
-        found = [] if parameters.accuracy_scale is None else said_of_accuracy(parameters, self._fix_noise)
+        weighs = parameters.accuracy_scale is not None
+        found = said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else []
         found += said_of_scale(self.objective.name, parameters, self.replays)
         known = all(drive.truth for drive in self.equipment)
-        if not (known and self.objective.needs_truth):
+        if not (
+            known and self.objective.needs_truth
+        ):  # a look at the fixes' noise takes as long as reading a drive
             found += self._held(point) or said_of_noise(parameters, self._fix_noise)
         return found
 

@@ -40,8 +40,10 @@ def kept(column: Array) -> Array:
     return view
 
 
-_NOTHING = kept(np.empty(0))
-NO_TARGETS = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_)
+TargetColumns = tuple[Array, Array, Array, Array, NDArray[np.bool_], Array]
+"""See `replay.Targets.columns`."""
+_NOTHING, NO_DOUBTS = kept(np.empty(0)), kept(np.empty((0, 4)))
+NO_TARGETS: TargetColumns = _NOTHING, _NOTHING, _NOTHING, _NOTHING, np.empty(0, dtype=np.bool_), NO_DOUBTS
 """For a run that is compared with nothing."""
 
 
@@ -81,9 +83,29 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
         w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
+def _score_doubtful(
+    w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
+):
+    """As `_score` where truth states its own deviation: a moment counts by it, and the NEES is that of P with it.
+
+    Apart from `_score`, which a factor of 1 would let round otherwise.
+    """
+    for l in range(LANES):
+        x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
+        y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
+        turn = w[heading, l] - w[R.BEFORE_T, l]
+        turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
+        wrong = w[R.BEFORE_T, l] + weight * turn - true_theta
+        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
+        w[R.SQ_POSITION, l] += counts * (x * x + y * y)
+        w[R.SQ_HEADING, l] += scores_heading * heading_counts * wrong * wrong
+        xx, xy, yy = w[R.XX, l] + var_x, w[R.XY, l], w[R.YY, l] + var_y
+        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+
+
 def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
-    *, step, state, n_axes, heading, score,
+    *, step, state, n_axes, heading, score, score_doubtful,
 ):  # fmt: skip
     """The steps from a place to a stop; w holds what the filters are and remember, before and after.
 
@@ -98,7 +120,7 @@ def _run(
     n_recorded = 0
     since = place[SINCE]
     interval_starts = True
-    weight, true_x, true_y, true_theta, scores_heading = targets
+    weight, true_x, true_y, true_theta, scores_heading, doubts = targets
     for s in range(int(place[NEXT_STEP]), stop):
         if interval_starts:
             for l in range(LANES):
@@ -134,7 +156,13 @@ def _run(
         interval_starts = (happens & IMU) != 0
         while n_targets < target_end[s]:
             t = n_targets
-            score(w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0)
+            if doubts.shape[0] == 0:
+                score(w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0)
+            else:
+                score_doubtful(
+                    w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0,
+                    doubts[t, 0], doubts[t, 1], doubts[t, 2], doubts[t, 3],
+                )  # fmt: skip
             n_targets += 1
         if interval_starts and record.shape[0] > 0:
             for l in range(record.shape[2]):
@@ -245,7 +273,7 @@ def _kernel_of(model, step, rows, name):
     heading = R.HEADING if described.tilts else R.T
     steps_to = kernel(
         _run, step=step, state=rows, n_axes=len(described.imu),
-        heading=heading, score=kernel(_score, heading=heading),
+        heading=heading, score=kernel(_score, heading=heading), score_doubtful=kernel(_score_doubtful, heading=heading),
     )  # fmt: skip
     return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), name)
 
@@ -271,7 +299,7 @@ def run_lanes(
     fixes: Array,
     speeds: Array,
     lever: Array,
-    targets: tuple[Array, Array, Array, Array, NDArray[np.bool_]],
+    targets: TargetColumns,
     target_end: NDArray[np.int32],
     rows: Array,
     place: Array,

@@ -39,6 +39,7 @@ GUESS = Guess(
         )
     },
     ("NMEA: times are UTC; altitudes are above the ellipsoid where GGA states the geoid",),
+    fixed="quality == 4",
 )
 
 

@@ -46,7 +46,8 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
         "--gps-offset 18 (leap seconds since 2017)",
         "UTC": f"{path.name}: times are UTC",
     }
-    guess = Guess({"gps": (Part("solution", {"t": "t", **targets}),)}, (notes[system],))
+    fixed = "Q == 1" if "Q" in columns else ""
+    guess = Guess({"gps": (Part("solution", {"t": "t", **targets}),)}, (notes[system],), fixed=fixed)
     utc: Callable[[float], float] = (
         (lambda s: float(gps_to_unix(np.array([s]))[0])) if system == "GPST" else float
     )

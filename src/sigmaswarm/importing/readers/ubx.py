@@ -41,6 +41,7 @@ GUESS = Guess(
         )
     },
     ("NAV-PVT: times are UTC; the stated horizontal accuracy is split evenly between east and north",),
+    fixed="gnssFixOk == 1 and carrSoln == 2",
 )
 
 

@@ -1,0 +1,119 @@
+"""Fixes of another receiver than the drive's own, put on the drive's clock and plane: of a log, or of another drive."""
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array, Drive, Gps
+from sigmaswarm.drives.places import read_place
+from sigmaswarm.drives.reader import has_table
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.assemble import placed_fixes
+from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, with_only_table
+from sigmaswarm.importing.formats import open_log
+from sigmaswarm.importing.gather import check_part, gather
+from sigmaswarm.importing.joining import Say, Values, join
+from sigmaswarm.wording import names_shown
+
+CLOCK = "time_origin_s"
+"""The key of drive.toml that says when t = 0 was, s since 1970."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReceiverLog:
+    """What a receiver said, on a drive's clock and plane.
+
+    Attributes
+    ----------
+    gps : Gps
+    sure : (n,) bool
+        Where it says that its solution is its best: carrier phases fixed. All, where the format does not say it.
+    notes : what was assumed, one sentence each
+    """
+
+    gps: Gps
+    sure: NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
+
+
+def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
+    """Read the fixes of a log in any format that `sigmaswarm import` knows, or of a drive.
+
+    Parameters
+    ----------
+    path : Path
+        A log, or a drive's folder.
+    drive : Drive
+        On whose clock (``time_origin_s`` of its drive.toml) and plane (its ``origin``) they are put.
+    offset : float
+        s, added to their times.
+
+    Raises
+    ------
+    InputError
+        Nothing can be read, there are no fixes in it, or they can't be put on the drive's plane.
+    """
+    if has_table(path, "gps"):
+        return _of_drive(read_place(path)[0], drive, offset)  # what looks wrong was told when it was made
+    notes: list[str] = []
+    time, values, sure = _gathered(path, notes.append)
+    counted = bool(time[len(time) // 2] >= LONG_AGO)
+    zero = int(drive.metadata.get(CLOCK, 0)) if counted else 0
+    gps = _placed(values, (time - zero * SECOND) / SECOND + offset, drive, path, notes.append)
+    return ReceiverLog(gps, sure, tuple(dict.fromkeys(notes)))
+
+
+def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
+    """Times, columns, and which of the rows the receiver is sure of."""
+    request = Request(source=path)
+    with ExitStack() as stack:
+        source = stack.enter_context(open_log(path, None, request.limits))
+        guess = guess_of(source, request)
+        parts = complete_recipe(request, {path: guess}).roles.get("gps", ()) or guess.roles.get("truth", ())
+        if not parts:
+            there = names_shown(source.tables)
+            raise InputError(
+                f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive of it with "
+                "sigmaswarm import and name that"
+            )
+        parts = [with_only_table(part, source) for part in parts]
+        for part in parts:
+            check_part(part, source, "gps")
+        fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []
+        read = gather(source, [*parts, *fixed], _unwatched, request.limits)
+        for note in (*guess.notes, *source.remarks):
+            say(note)
+    time, values = join(read[: len(parts)], "gps", (), say)
+    sure = np.isin(time, read[-1].time) if fixed else np.ones(len(time), dtype=np.bool_)
+    return time, values, sure
+
+
+def _unwatched(done: float) -> None:
+    """A receiver's log is read in seconds."""
+
+
+def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
+    """The fixes of another drive."""
+    clocks = [one.metadata.get(CLOCK) for one in (other, drive)]
+    apart = clocks[0] - clocks[1] if clocks[0] is not None and clocks[1] is not None else 0.0
+    gps = replace(other.gps, time=other.gps.time + apart + offset)
+    if other.origin != drive.origin:
+        values = {k: v for k, v in vars(gps).items() if k != "time" and v is not None}
+        if gps.lat is not None:
+            values = {k: v for k, v in values.items() if k not in ("x", "y")}
+        gps = _placed(values, gps.time, drive, Path(other.name), lambda _: None)
+    return ReceiverLog(gps, np.ones(len(gps), dtype=np.bool_))
+
+
+def _placed(values: Values, time: Array, drive: Drive, path: Path, say: Say) -> Gps:
+    if "lat" in values and drive.origin is None:
+        raise InputError(
+            f"{path}: gives degrees, and {drive.name} does not say where its x = y = 0 is; write "
+            "origin = [lat, lon, alt] into its drive.toml"
+        )
+    placed, _ = placed_fixes(values, drive.origin, say)
+    return Gps(time, **placed)

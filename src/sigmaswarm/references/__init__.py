@@ -1,0 +1,1 @@
+"""Truth for drives that have none: what a good receiver beside the cheap one knows."""
