@@ -49,9 +49,9 @@ def test_r_is_held_against_the_receiver_and_the_scatter(std: float, noise: FixNo
 @pytest.mark.parametrize(("scale", "said"), [(None, False), (0.004, True), (0.1, False), (1.0, False)])
 def test_a_stated_accuracy_that_plays_no_part_is_named(scale: float | None, said: bool):
     filters = replace(with_r(1.0), accuracy_scale=scale)
-    found = said_of_accuracy(filters, [FixNoise(1.0, 1.0)])
+    found = said_of_accuracy(filters, [1.0])
     assert ["`accuracy` plays no part" in one for one in found] == [True] * said
-    assert said_of_accuracy(filters, [FixNoise(NONE, 1.0)]) == []
+    assert said_of_accuracy(filters, [NONE]) == []
 
 
 def test_a_drive_tells_what_is_stated_and_how_the_fixes_scatter():
@@ -79,3 +79,12 @@ def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():
     assert "gps-noise" not in diagnose(smooth).codes
     assert "gps-correlated" in diagnose(smooth).codes
     assert "gps-noise" in diagnose(stating(BLIND, 30.0)).codes  # white noise shows whole
+
+
+def test_of_a_long_drive_the_middle_is_looked_at():
+    """Fixes that are wild in its first and last minutes, and calm between: its scatter is that of the middle."""
+    drive = simulate("urban", seed=4, duration=900.0, gps="f9p-rtk")
+    early_late = (drive.gps.time < 120) | (drive.gps.time > 780)
+    wild = np.where(early_late, np.random.default_rng(0).normal(0, 3, len(drive.gps)), 0.0)
+    rough = replace(drive, gps=replace(drive.gps, x=drive.gps.x + wild))
+    assert fix_noise(rough).scatter == pytest.approx(fix_noise(drive).scatter)

@@ -9,6 +9,7 @@ from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.noise import stated_std
+from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import UNSTATED_GPS_STD
@@ -17,6 +18,8 @@ FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
 NO_PART = 0.05
 """Share of R below which the stated accuracy of a fix does nothing."""
+LOOK = 600.0
+"""s of a drive that are looked at for its fixes' scatter: minutes tell it, and hours take seconds."""
 SMOOTH = 0.5
 """m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
 REMEDY = (
@@ -42,13 +45,18 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
-    """What a drive says of its fixes' errors; truth is not looked at."""
-    stated = float(np.mean(stated_std(drive) or np.nan))
+    """What a drive says of its fixes' errors, in its middle where it is long; truth is not looked at."""
+    middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
-        scatter = gather(drive).scatter or np.nan
+        scatter = gather(clip(drive, middle - LOOK / 2, middle + LOOK / 2)).scatter or np.nan
     except DriveError:
         scatter = np.nan
-    return FixNoise(stated, float(scatter))
+    return FixNoise(stated(drive), float(scatter))
+
+
+def stated(drive: Drive) -> float:
+    """m per axis, the median of what a drive's receiver states; NaN where it states nothing."""
+    return float(np.mean(stated_std(drive) or np.nan))
 
 
 def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
@@ -98,12 +106,12 @@ def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list
     return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
 
 
-def said_of_accuracy(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
-    """Where the filter hardly goes by what the receiver states of each fix, though it was asked to."""
-    stated = _median([one.stated for one in drives])
-    if parameters.accuracy_scale is None or not np.isfinite(stated):
+def said_of_accuracy(parameters: FilterParameters, each: Sequence[float]) -> list[str]:
+    """Where the filter hardly goes by what the receivers state, `stated` of each drive, though it was asked to."""
+    std = _median(each)
+    if parameters.accuracy_scale is None or not np.isfinite(std):
         return []
-    share = parameters.accuracy_scale * stated**2
+    share = parameters.accuracy_scale * std**2
     share /= share + float(np.mean(parameters.measurement_noise))
     if share > NO_PART:
         return []
@@ -113,6 +121,6 @@ def said_of_accuracy(parameters: FilterParameters, drives: Sequence[FixNoise]) -
     ]
 
 
-def _median(values: list[float]) -> float:
+def _median(values: Sequence[float]) -> float:
     known = [v for v in values if np.isfinite(v)]
     return float(np.median(known)) if known else float("nan")

@@ -23,8 +23,14 @@ from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
 
 P = TypeVar("P", default=FilterParameters)
-NOT_VALIDATED = "no drives were held back, so nothing is known of other drives; add --validation DRIVE..."
+NOT_VALIDATED = (
+    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
+)
 """The remark that an evaluation answers."""
+MARGIN_TAKEN = (
+    "all process noises are {:.3g} times those of the lowest cost, for roads that the tuning has not seen: the "
+    "objective hardly tells the two apart, but on the same roads outages cost more for it; --margin 0 leaves it out"
+)
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
 
@@ -120,6 +126,7 @@ class Tuning(Generic[P]):
         """What a user should know before trusting the result, in sentences."""
         remarks = [
             *self.doubts,
+            *([MARGIN_TAKEN.format(self.raised_by)] if self.raised_by != 1.0 else []),
             *(
                 f"{touched}: the optimum may lie outside the box"
                 for touched in self.touched_bounds

@@ -52,5 +52,6 @@ def _unseen(evidence: Evidence) -> Finding:
     )
     return Finding(
         "unseen-clock", "note", f"an offset between the clocks of IMU and GPS {how}", "gps.csv, t",
-        evidence.span, 0.95, "use a drive with turns, starts and stops to see less",
+        evidence.span, 0.95,
+        "use a drive with turns, starts and stops to see less, or let the tuning find it (--use latency)",
     )  # fmt: skip

@@ -27,6 +27,7 @@ from sigmaswarm.scoring.evaluation import (
     Measure,
     measures,
     method_names,
+    partly_scored,
     restarted,
     said_of_drives,
     worse_than_raw,
@@ -42,8 +43,8 @@ LINES = ("truth", *ALSO, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
-    "fixes are hidden from it, measured against those fixes, and whether its forecasts miss the fixes by as "
-    "much as it says (NIS)."
+    "fixes are hidden from it, measured against those fixes (whose own errors are in these figures, too), and whether "
+    "its forecasts miss the fixes by as much as it says (NIS)."
 )
 SHOWN = ("truth", "tuned", *ALSO, OWN, "datasheet", "raw_gps")
 """Those that are shown from the start."""
@@ -122,8 +123,12 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
         if any(drive.seen_s for drive in data)
         else []
     )
+    if len(data) == 1 and data[0].duration_s:
+        said.append(
+            f"all figures are of one drive of {data[0].duration_s:.0f} s: another road or day may give others"
+        )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
-    said += [*worse_than_raw(scores), *restarted(scores)]
+    said += [*worse_than_raw(scores), *restarted(scores), *partly_scored(data)]
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "lasting", "unknown") if kind in told]
 
 
