@@ -1,0 +1,73 @@
+"""What the prior on R is worth where truth has no say: tuned without truth, with the prior and without it.
+
+    python benchmarks/prior.py ../shared/drives [--seeds 10] [--only kingston-1 ...]
+
+The filter is what `tune` takes by itself for the drives; each drive with truth is held out as in `defaults.py`. Prints
+Markdown, medians over the seeds, with R's standard deviation per axis (of the median fix) and the RMS error per axis
+of the test part's fixes, frozen ones included.
+"""
+
+import argparse
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from defaults import cases, figures
+from real_drives import KITTI
+from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, tune
+from sigmaswarm.scoring.score import truth_at
+from sigmaswarm.tuning.prior import receiver_std, typical_variance
+
+CASES = ("colorado-1", "kingston-1", "comma2k19", *KITTI)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--only", nargs="+", default=CASES, choices=CASES)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    print(
+        "| tested on | prior | position RMSE, m | heading, deg | 5 s drift, m | NEES | R, m | fixes err by, m |"
+    )
+    print("|---" * 8 + "|")
+    found = cases(options.drives)
+    with ThreadPoolExecutor() as pool:
+        for name in options.only:
+            training, test = found[name]()
+            for prior in (1.0, 0.0):
+                rows = list[list[float]]()
+                for seed in range(options.seeds):
+                    p = tune(
+                        training, objective="innovation-t", seed=seed, executor=pool, prior=prior
+                    ).parameters
+                    rmse, _, _, heading, drift, *_, nees = figures(test, p)
+                    rows.append([rmse, heading, drift, nees, deviation(p, test)])
+                cells = " | ".join(f"{v:.2f}" for v in np.median(rows, axis=0))
+                print(f"| {name} | {'yes' if prior else 'no'} | {cells} | {errors(test):.2f} |", flush=True)
+
+
+def deviation(parameters: FilterParameters, drives: Sequence[Drive]) -> float:
+    """R's standard deviation per axis, m, of the median fix."""
+    std = np.array([receiver_std(drive) for drive in drives])
+    return float(np.sqrt(np.mean(typical_variance([parameters], std))))
+
+
+def errors(drives: Sequence[Drive]) -> float:
+    """RMS error of fixes per axis, m."""
+    off = list[float]()
+    for drive in drives:
+        assert drive.truth is not None
+        x, y = truth_at(drive.truth, drive.gps.time)
+        off += [*np.square(drive.gps.x - x), *np.square(drive.gps.y - y)]
+    return float(np.sqrt(np.nanmean(off)))
+
+
+if __name__ == "__main__":
+    main()
