@@ -34,15 +34,16 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from distributed.protocol.pickle import dumps
 
+from asked_of_workers import costs, forget, timed
 from dask_processes import Processes
 from sigmaswarm import read_drive, simulate, tune, write_drive
 from sigmaswarm.fleets.connection import Cluster, connected
 from sigmaswarm.fleets.fleet import Fleet
 from sigmaswarm.fleets.sources import At
-from sigmaswarm.scoring import fleet as scoring
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
+os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for workers: `asked_of_workers`
 PROGRAM = "from sigmaswarm.cli import main; main()"
 EVERY_OPTION = ("velocity", "lateral", "standstill", "odometer", "gate", "latency", "accuracy")
 NOT_THE_SAME = {"timings.json", "times.csv", "runtime.csv", "runtime.md", "runtime.tex"}
@@ -218,18 +219,6 @@ def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> Non
     print(f"ratio of processor seconds, busiest worker and client: {min(worked[1]) / min(worked[2]):.2f}")
 
 
-def forget(kept: Sequence[Any], _: Any) -> None:
-    for one in kept:
-        one.made.clear()
-
-
-def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
-    """A worker's answer, and the seconds that it took there."""
-    began = time.perf_counter()
-    answer = scoring._taken(kept, pool, *sent)
-    return answer, time.perf_counter() - began
-
-
 def overhead(folder: Path, most: int) -> None:
     folders = drives_of(folder, DIFFERENT, 60.0)
     config = TuneConfig(model="planar8", objective="truth-rmse")
@@ -239,6 +228,10 @@ def overhead(folder: Path, most: int) -> None:
         client.wait_for_workers(2)
         for count in (count for count in (1, 10, 100, 1000) if count <= most):
             fleet = Fleet.read(Cluster(client), [At(folders[i % DIFFERENT]) for i in range(count)])
+            ms = 1e3 * np.quantile([_of_dask_alone(fleet) for _ in range(200)], [0.5, 0.9])
+            print(
+                f"Dask alone: a call of {len(fleet.yard.hosts)} workers, {ms[0]:.1f} {ms[1]:.1f}", flush=True
+            )
             problem = car_problem(fleet, config)
             low, high = problem.space.low, problem.space.high
             sets = problem.space.decode(low + points[:, : len(low)] * (high - low))
@@ -250,6 +243,14 @@ def overhead(folder: Path, most: int) -> None:
                     ms = 1e3 * np.quantile(each[2:], [0.5, 0.9])
                     print(f"{count:6d} {min(calls, count):6d}  {ms[0]:8.1f} {ms[1]:8.1f}", flush=True)
             del problem, fleet
+
+
+def _of_dask_alone(fleet: Fleet) -> float:
+    """Seconds of a call of each worker's actor, by the methods that Dask gives it, that asks for nothing."""
+    began = time.perf_counter()
+    for called in [host.actor.drop([]) for host in fleet.yard.hosts.values()]:
+        called.result()
+    return time.perf_counter() - began
 
 
 def _overhead(replays: Any, sets: Sequence[Any], calls: int) -> float:
@@ -267,10 +268,6 @@ def _overhead(replays: Any, sets: Sequence[Any], calls: int) -> float:
         _, seconds = yard.wait(host, future)
         busy[host.worker.address] = busy.get(host.worker.address, 0.0) + seconds
     return time.perf_counter() - began - max(busy.values())
-
-
-def costs(scores: Any) -> Any:
-    return scores.position_rmse
 
 
 def memory(folder: Path, drives: int | None) -> None:
