@@ -3,7 +3,6 @@
 Those of the demo come from the demo itself; those of measured figures from the tables in these pages.
 """
 
-import re
 import subprocess
 import sys
 import tempfile
@@ -29,7 +28,7 @@ def demo(folder: Path) -> None:
 
 
 def held_out() -> dict[str, dict[str, tuple[float, float]]]:
-    """Of each real drive of docs/results.md's first table, and how its filter was tuned: position RMSE, 5 s drift, m."""
+    """Position RMSE and 5 s drift, m, by real drive and tuning: docs/results.md's first table."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     text = (DOCS / "results.md").read_text()
     table = text[text.index("| tested on | filter, tuned |") :].partition("\n\n")[0]

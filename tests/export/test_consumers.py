@@ -10,6 +10,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 
@@ -22,6 +23,7 @@ from sigmaswarm.export import check
 from sigmaswarm.export.check import check_export
 from sigmaswarm.export.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.geodesy import geodetic_to_enu
 from support import quickly
 
 needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not installed")
@@ -187,6 +189,25 @@ def test_the_readme_shows_c_that_compiles(tmp_path: Path, p: FilterParameters):
     (tmp_path / "loop.c").write_text(code)
     flags = [flag for flag in WARNINGS if flag != "-pedantic"]
     run("gcc", *flags, "-c", tmp_path / "loop.c", "-o", tmp_path / "loop.o")
+
+
+@needs_gcc
+def test_the_readme_s_metres_are_ours(tmp_path: Path):
+    export_filter(EVERY[0], "c99", tmp_path)
+    (code,) = re.findall(r"```c\n(.*?)```", (tmp_path / "README.md").read_text(), re.DOTALL)
+    asked = [(44.25, -76.5), (44.2, -76.3), (44.31, -76.61)]
+    lines = "".join(
+        f'    east_north({lat}, {lon}, 44.2312, -76.486, &x, &y); printf("%.6f %.6f\\n", x, y);\n'
+        for lat, lon in asked
+    )
+    main = f"#include <stdio.h>\n{code}\nint main(void)\n{{\n    double x, y;\n{lines}    return 0;\n}}\n"
+    (tmp_path / "loop.c").write_text(main)
+    sources = [tmp_path / f"{name}.c" for name in ("loop", "ins_gps", "ins_gps_align")]
+    run("gcc", "-std=c99", *sources, "-lm", "-o", tmp_path / "loop")
+    told = subprocess.run([tmp_path / "loop"], capture_output=True, text=True, check=True).stdout
+    found = np.array([line.split() for line in told.splitlines()], float)
+    lat, lon = np.transpose(asked)
+    assert np.abs(found - geodetic_to_enu(lat, lon, 0.0, (44.2312, -76.486, 0.0))[:, :2]).max() < 1e-5
 
 
 CHECKED: dict[str, tuple[FilterParameters, Drive]] = {

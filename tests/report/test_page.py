@@ -259,8 +259,8 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[0].tables
-    assert "outages; one placement alone says" in report.lead[0]
-    assert [c.title for c in spread.columns[2:]] == ["outages", "5 s outage drift", "one placement alone"]
+    assert " placements; a single placement says" in report.lead[0]
+    assert [c.title for c in spread.columns[2:]] == ["outages", "5 s outage drift", "a single placement"]
     for row in spread.rows:
         (low, high), drift = row[4], row[3]
         assert low <= drift <= high and row[2] >= 8, row

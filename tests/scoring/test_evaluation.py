@@ -100,7 +100,8 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert told.each["tuned"][0] == pytest.approx(first, rel=1e-12)
     said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
-    assert said == f"{told.outages} outages; one placement alone says {low:.3g} to {high:.3g} m"
+    of = f"{told.outages} outages in 8 placements"
+    assert said == f"{of}; a single placement says {low:.3g} to {high:.3g} m"
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
     assert len(placements(long, initial_state(long), length=5.0, seed=0)) == 2  # each has 240 outages
 
@@ -208,6 +209,23 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
     )
 
 
+def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
+    (here,) = evaluation.worse_than_manual  # `GOOD` is none that was tuned, and the data sheet's suits these drives
+    assert "the data sheet's filter, which nobody tuned: position RMSE 0.8" in here
+    others = dict.fromkeys(METHODS, Score())
+
+    def said(tuned: float, manual: float) -> tuple[str, ...]:
+        manuals = {"datasheet": Score(outage_drift=manual), "defaults": Score(outage_drift=400.0)}
+        drives = {"town": Evaluated(others | manuals | {"tuned": Score(outage_drift=tuned)})}
+        return Evaluation(drives).worse_than_manual
+
+    assert said(47.8, 18.5) == (
+        "the tuned filter is WORSE than the data sheet's filter, which nobody tuned: 5 s outage drift 47.8 m against "
+        "18.5 m",
+    )
+    assert said(18.5, 47.8) == said(18.6, 18.5) == ()
+
+
 def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
     said = evaluation.to_dict()
     for method in METHODS[:3]:
@@ -237,7 +255,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert found.drives[aside.name].restarts["tuned"] == times
     assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
     (said,) = found.restarted
-    assert said.startswith(f"on {aside.name} the tuned filter lost its way and started anew")
+    assert said.startswith(f"the tuned filter lost its way on {aside.name} and started anew")
     assert f"t = {times[0]:.1f}" in said
     plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
     rmse = found.value(aside.name, "tuned", "position_rmse_m")

@@ -276,7 +276,7 @@ def print_evaluation(
         if drift is not None and (spread := told.drift_said(name)):
             console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
     console.print(f"{HOW_MANUAL}; name your own with --against.")
-    for said in (*evaluation.worse_than_raw, *evaluation.restarted):
+    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_manual, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 
 

@@ -106,7 +106,10 @@ def tune(
     console = stdout()
     if chosen:  # only now, for a mistake is to be told in one line
         console.print(f"model:    {chosen}")
-    console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}) on {len(read)} drive(s)")
+    margin = (
+        f"; {tuning.trials[tuning.best_trial].cost:.4f} before the margin" if tuning.raised_by != 1.0 else ""
+    )
+    console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}{margin}) on {len(read)} drive(s)")
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
         console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")

@@ -192,6 +192,13 @@ class Recovery:
         return start
 
 
+def said_of_restarts(drive: str, times: Sequence[float]) -> str:
+    """What a filter did on a drive, to follow its name."""
+    at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
+    often = f"{len(times)} times" if len(times) > 1 else "once"
+    return f"lost its way on {drive} and started anew {often}, at t = {at} s"
+
+
 class _Contradiction:
     """How long looks have contradicted a filter without a break."""
 

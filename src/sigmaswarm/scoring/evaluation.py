@@ -19,6 +19,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
@@ -130,13 +131,11 @@ POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "pos
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
     """A sentence for each drive on which the tuned filter lost its way."""
-    said: list[str] = []
-    for drive, found in scores.restarts.items():
-        if times := found.get("tuned"):
-            at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
-            often = f"{len(times)} times" if len(times) > 1 else "once"
-            said.append(f"on {drive} the tuned filter lost its way and started anew {often}, at t = {at} s")
-    return tuple(said)
+    return tuple(
+        f"the tuned filter {said_of_restarts(drive, found['tuned'])}"
+        for drive, found in scores.restarts.items()
+        if found.get("tuned")
+    )
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
@@ -184,6 +183,28 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
         if worse:
             said.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
     return tuple(said)
+
+
+MANUAL = {"datasheet": "the data sheet's filter", "defaults": "the filter with everything left at one"}
+"""What a sentence calls the filters that nobody tuned."""
+NOTABLE = 0.9
+"""Share of the tuned filter's error below which another's is said to be less."""
+
+
+def worse_than_manual(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
+    """A sentence for each manual filter that is better than the tuned one on average over the drives, by what."""
+    compared = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
+    told: list[str] = []
+    for method, called in MANUAL.items():
+        worse: list[str] = []
+        for measure in compared:
+            tuned, other = scores.mean_of("tuned", measure), scores.mean_of(method, measure)
+            if tuned is not None and other is not None and other < NOTABLE * tuned:
+                unit = shown[measure].unit
+                worse.append(f"{shown[measure].title} {tuned:.3g} {unit} against {other:.3g} {unit}")
+        if worse:
+            told.append(f"the tuned filter is WORSE than {called}, which nobody tuned: {', '.join(worse)}")
+    return tuple(told)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,6 +320,11 @@ class Evaluation:
     def worse_than_raw(self) -> tuple[str, ...]:
         """See the function of that name."""
         return worse_than_raw(self.record)
+
+    @property
+    def worse_than_manual(self) -> tuple[str, ...]:
+        """See the function of that name."""
+        return worse_than_manual(self.record, self.measures)
 
     @property
     def record(self) -> ScoresRecord:

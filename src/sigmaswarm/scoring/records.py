@@ -55,7 +55,7 @@ class DriftRecord(BaseModel):
     each: dict[str, list[float | None]]
 
     def spread(self, method: str) -> tuple[float, float] | None:
-        """The least and the greatest that one placement alone would have said, m."""
+        """The least and the greatest that a single placement would have said, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None
 
@@ -73,7 +73,7 @@ class ScoresRecord(BaseModel):
     """By drive and measure: how many outages there were, and what each placement of them says."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
-        """Of how many outages a drift is the RMS, and what one placement alone would have said.
+        """Of how many outages a drift is the RMS, and what a single placement would have said.
 
         Empty if unknown, or where the method failed in any placement: what the others say is of other outages.
         """
@@ -84,8 +84,8 @@ class ScoresRecord(BaseModel):
         if not count:
             return ""
         means = [sum(one[i] for one in each) / len(each) for i in range(count)]
-        outages = sum(one.outages for one in found)
-        return f"{outages} outages; one placement alone says {min(means):.3g} to {max(means):.3g} m"
+        said = f"{sum(one.outages for one in found)} outages in {count} placements"
+        return f"{said}; a single placement says {min(means):.3g} to {max(means):.3g} m"
 
     def mean_of(self, method: str, measure: str) -> float | None:
         """Over the drives that have it; None where it can't be said."""

@@ -44,11 +44,17 @@ def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Equipment]) -> t
     found = suited(drives)
     model = asked.get("model") or _with_kind(found.model, asked.get("kind"))
     if "use" in asked:
-        return {**asked, "model": model}, f"{model}: {found.because}"
+        return {**asked, "model": model}, f"{_called(model, asked['use'])}, as asked: {found.because}"
     use = [] if model == PLAIN else [option for option in found.use if _goes(option, asked, model)]
-    said = f"{model} with {', '.join(use) or 'position fixes alone'}"
+    said = _called(model, use) + (", as asked" if "model" in asked else "")
     because = "the paper's; name what it may use with --use" if model == PLAIN else found.because
+    if "model" in asked and model not in (PLAIN, found.model):
+        because = f"{found.model} is what suits the logs: {because}"
     return {**asked, "model": model, "use": tuple(use)}, f"{said}: {because}"
+
+
+def _called(model: str, use: Sequence[str]) -> str:
+    return f"{model} with {', '.join(use) or 'position fixes alone'}"
 
 
 def _with_kind(model: str, kind: str | None) -> str:

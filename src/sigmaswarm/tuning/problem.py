@@ -22,6 +22,7 @@ from sigmaswarm.scoring.batch import Replays, Scores
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.lost import restarts_of, said_of_lost
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
 from sigmaswarm.tuning.receiver import (
@@ -159,10 +160,12 @@ class CarProblem:
         return self.replays.held.of_each(equipment)
 
     def doubts(self, point: Array) -> list[str]:
-        """What plays no part, what is left free, and, where no truth was looked at, whether R can be."""
+        """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
         parameters = self.parameters(point)
+        watched = partial(restarts_of, parameters=parameters, as_recorded=self.config.as_recorded)
+        lost = said_of_lost(self.replays.held.of_each(watched))
         weighs = parameters.accuracy_scale is not None
-        found = said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else []
+        found = [*lost, *(said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else [])]
         found += said_of_scale(self.objective.name, parameters, self.replays)
         known = all(drive.truth for drive in self.equipment)
         if not (

@@ -101,7 +101,8 @@ def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list
     if std == UNSTATED_GPS_STD:
         return [
             f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
-            f"{std:.2g} m per axis; where yours is another, write gps_std_m into drive.toml"
+            f"{std:.2g} m per axis, and NIS will be low where its fixes are smoothed; where yours is another, write "
+            "gps_std_m into drive.toml"
         ]
     return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
 

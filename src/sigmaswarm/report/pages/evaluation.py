@@ -24,12 +24,14 @@ from sigmaswarm.scoring.drifts import OWN
 from sigmaswarm.scoring.evaluation import (
     ALSO,
     HOW_MANUAL,
+    MANUAL,
     Measure,
     measures,
     method_names,
     partly_scored,
     restarted,
     said_of_drives,
+    worse_than_manual,
     worse_than_raw,
 )
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
@@ -38,7 +40,6 @@ from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
 
-MANUAL = ("defaults", "datasheet")
 LINES = ("truth", *ALSO, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
@@ -85,7 +86,7 @@ def evaluation_report(folder: Path) -> Report:
         lead=(_result(scores, data, asked.outage_length_s), *without, what_was_tuned(file)),
         figures=_figures(scores, shown),
         remarks=(
-            *_remarks(scores, data),
+            *_remarks(scores, data, shown),
             *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
         ),
         sections=(
@@ -117,7 +118,7 @@ def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> 
     return drive.model_copy(update={"seen_s": drive.duration_s or 0.0, "seen_in": same})
 
 
-def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
+def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord], shown: Mapping[str, Measure]) -> list[str]:
     said = (
         ["the filter was tuned on some of what it is evaluated on: that flatters it"]
         if any(drive.seen_s for drive in data)
@@ -128,7 +129,12 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord]) -> list[str]:
             f"all figures are of one drive of {data[0].duration_s:.0f} s: another road or day may give others"
         )
     told = verdicts([c and c.summary for c in scores.consistency.values()])
-    said += [*worse_than_raw(scores), *restarted(scores), *partly_scored(data)]
+    said += [
+        *worse_than_raw(scores),
+        *worse_than_manual(scores, shown),
+        *restarted(scores),
+        *partly_scored(data),
+    ]
     return said + [told[kind] for kind in ("optimistic", "pessimistic", "lasting", "unknown") if kind in told]
 
 
@@ -218,7 +224,8 @@ def _comparison(
         else ""
     )
     text = (
-        f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse}",
+        f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse} IMU only "
+        "takes no fix after the drive's start, so its drift is what has gathered since then.",
         f"{HOW_MANUAL}. To compare with a filter of yours: sigmaswarm evaluate --against mine.toml.",
     )
     if scores.drifts:
@@ -227,11 +234,11 @@ def _comparison(
 
 
 def _drifts(scores: ScoresRecord, names: Mapping[str, str], shown: Mapping[str, Measure]) -> Table:
-    """Each drift with the number of its outages, and the least and greatest that one placement alone would say."""
+    """Each drift with the number of its outages, and the least and greatest that a single placement would say."""
     known = [m for m in shown if any(m in of for of in scores.drifts.values())]
     columns = [Column("drive"), Column("method")]
     for m in known:
-        columns += [Column("outages"), Column(shown[m].title, "m"), Column("one placement alone", "m")]
+        columns += [Column("outages"), Column(shown[m].title, "m"), Column("a single placement", "m")]
     rows: list[tuple[Cell, ...]] = []
     for drive, of in scores.drifts.items():
         for method, name in names.items():
