@@ -10,7 +10,7 @@ import pytest
 
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, fixes_late
-from sigmaswarm import Diagnosis, Drive, Gps, Imu
+from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
 from sigmaswarm.simulation.outliers import with_outliers
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
@@ -318,6 +318,16 @@ def test_the_options_follow_from_the_log():
     x[200] += 40.0
     outlier = replace(drive, gps=replace(drive.gps, x=x))
     assert found_of(outlier, "use") == f"{six}1 fix lies far off the path; {tilts}"
+
+
+@needs_shared
+def test_a_velocity_that_fits_better_later_is_not_recommended():
+    whole = recorded("dresden")
+    assert "speed and course are 0.55 s later" in (found_of(whole, "velocity-delay") or "")
+    rest = split_time(whole, 0.7)[1]  # too little of it for a warning
+    for drive in (whole, rest):
+        assert "velocity" not in (found_of(drive, "use") or "")
+    assert not found_of(rest, "velocity-delay")
 
 
 @needs_shared

@@ -210,7 +210,9 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
 
 
 def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
-    (here,) = evaluation.worse_than_manual  # `GOOD` is none that was tuned, and the data sheet's suits these drives
+    (here,) = (
+        evaluation.worse_than_manual
+    )  # `GOOD` is none that was tuned, and the data sheet's suits these drives
     assert "the data sheet's filter, which nobody tuned: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())
 

@@ -26,10 +26,12 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if chosen.model == "tilted12":
         reasons["model"] = "az, gx and gy are there, which tell hills from motion"
     because = "; ".join(filter(None, reasons.values()))
-    sound = drive.gps.speed is not None and drive.gps.course is not None and not any(velocity.check(evidence))
+    may = (
+        "; you may add velocity to --use: the receiver gives speed and course"
+        if velocity.agrees(evidence)
+        else ""
+    )
     yield Finding(
-        "use", "note",
-        f"tune takes {chosen.options}" + (f": {because}" if because else "")
-        + ("; you may add velocity to --use: the receiver gives speed and course" if sound else ""),
+        "use", "note", f"tune takes {chosen.options}{f': {because}' if because else ''}{may}",
         "imu.csv, gps.csv", evidence.span, 0.9, "see the options of `sigmaswarm tune`",
     )  # fmt: skip

@@ -67,8 +67,30 @@ def _convention(angle: Array, direction: Array, span: tuple[float, float]) -> It
     )  # fmt: skip
 
 
+def agrees(evidence: Evidence) -> bool:
+    """Whether the receiver gives a speed and course that fit the positions beside them best, so that both are used."""
+    gps = evidence.drive.gps
+    if gps.speed is None or gps.course is None or evidence.course is None or any(check(evidence)):
+        return False
+    late, _ = _delay_of(evidence, gps.speed[evidence.used])
+    return abs(late) < LATE
+
+
 def _delay(evidence: Evidence, speed: Array) -> Iterator[Finding]:
     """A delay of speed and course against the positions of the same rows."""
+    best, share = _delay_of(evidence, speed)
+    if abs(best) >= LATE and share < 0.8:
+        way = "later" if best > 0 else "earlier"
+        yield Finding(
+            "velocity-delay", "warning", f"speed and course are {abs(best):.2f} s {way} than the positions beside them",
+            "gps.csv, speed, course", evidence.span, 0.95,
+            "a filter takes them as of one moment: leave speed and course out, or give them a time of their own (in a "
+            "recipe a second [[gps]] of the same table, its t moved), and see on another drive what they are worth",
+        )  # fmt: skip
+
+
+def _delay_of(evidence: Evidence, speed: Array) -> tuple[float, float]:
+    """The delay, s, that fits best, and the misfit with it over that without."""
     gps, course = evidence.drive.gps, evidence.course
     assert gps.course is not None
     assert course is not None
@@ -78,11 +100,4 @@ def _delay(evidence: Evidence, speed: Array) -> Iterator[Finding]:
         float(np.mean(np.abs(told - course.velocity)[course.moving]))
         for told in (smoothed(course.time, velocity, course.time + d, course.span) for d in late)
     ]
-    best = float(late[int(np.argmin(apart))])
-    if abs(best) >= LATE and min(apart) < 0.8 * apart[len(late) // 2]:
-        way = "later" if best > 0 else "earlier"
-        yield Finding(
-            "velocity-delay", "warning", f"speed and course are {abs(best):.2f} s {way} than the positions beside them",
-            "gps.csv, speed, course", evidence.span, 0.95,
-            "give each its own time, or leave speed and course out: a filter takes them as of one moment",
-        )  # fmt: skip
+    return float(late[int(np.argmin(apart))]), min(apart) / apart[len(late) // 2]
