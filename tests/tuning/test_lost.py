@@ -3,11 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from sigmaswarm import SigmaswarmError, run_filter, simulate
+from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import said_of_lost
+from sigmaswarm.tuning.lost import drifts_of, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.problem import car_problem
+from support import DRIVES, needs_shared
 
 CONFIG = TuneConfig(model="planar8", kind="ekf", use=("lateral", "gate"), objective="innovation-t")
 DRIVE = simulate("urban", run=1, gps="white-1m", duration=150)
@@ -26,13 +28,42 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
             lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
         except SigmaswarmError:
             continue
-        said = [doubt for doubt in problem.doubts(point) if doubt.startswith("DON'T USE IT")]
+        said = [doubt for doubt in problem.doubts(point) if "the tuned filter lost its way" in doubt]
         assert bool(said) == any(lost.values())
         assert all(
             (f"lost its way on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
         )
         seen.add(bool(said))
     assert seen == {True, False}
+
+
+def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
+    good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
+    assert not [doubt for doubt in good.doubts if "DON'T" in doubt]
+    found = [drifts_of(DRIVE, good.parameters, as_recorded=False)]
+    assert said_of_drifts(found) == []
+    q = list(good.parameters.process_noise)
+    q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
+    bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
+    (tuned, other) = drifts_of(DRIVE, bad, as_recorded=False)
+    assert tuned > found[0][0]
+    (said,) = said_of_drifts([(100.0, 20.0), (np.nan, np.nan)])
+    assert said.startswith("DON'T USE IT: over 30 s without fixes the tuned filter drifts 100 m")
+    assert said_of_drifts([(29.0, 20.0)]) == said_of_drifts([]) == []
+    whole = evaluate([DRIVE], bad)
+    assert (tuned, other) == pytest.approx(
+        [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "datasheet")]
+    )
+
+
+@needs_shared
+def test_a_search_that_ended_in_a_corner_is_noticed():
+    first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
+    tuning = tune([first], objective="innovation-t", model="planar8", seed=0)
+    assert [
+        remark for remark in tuning.remarks if "over 30 s without fixes the tuned filter drifts" in remark
+    ]
+    assert not [r for r in tune([first], objective="innovation-t", seed=0).remarks if "DON'T" in r]
 
 
 def test_it_names_three_drives_and_counts_the_others():

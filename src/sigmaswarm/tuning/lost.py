@@ -1,19 +1,35 @@
 """Whether a tuned filter keeps its way on the drives that it was tuned on: an objective hardly sees where it does not.
 
 While it is tuned a filter is not set right where it is lost, so that its cost there is that of a wrong track; but a
-likelihood that bears outliers bears a lost filter, too.
+likelihood that bears outliers bears a lost filter, too. And forecasts of the next fix say little of the next minute: a
+search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts a kilometre.
 """
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.run import replay_of
+from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 
 NAMED = 3
-"""Drives in one message."""
+"""Drives in one message, and that are looked at for their drifts."""
+LOOK = 600.0
+"""s of a drive that are looked at for its drift, its middle."""
+FAR = 1.5
+"""Times the drift of a filter that nobody tuned, to be told."""
+REMEDY = (
+    "leave --model and --use out, which then suit the logs, or tune with more --trials, or on more drives"
+)
 
 
 def restarts_of(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> tuple[str, list[float]]:
@@ -29,6 +45,31 @@ def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
         return []
     more = f"; and on {len(lost) - NAMED} more drives" if len(lost) > NAMED else ""
     return [
-        f"DON'T USE IT: the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there; leave --model "
-        "and --use out, which then suit the logs, or tune on more drives"
+        f"DON'T USE IT: the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there; {REMEDY}"
+    ]
+
+
+def drifts_of(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> tuple[float, float]:
+    """What a filter and the data sheet's drift over the long outages, m; NaN where none fits."""
+    middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
+    try:
+        ready = PreparedDrive(clip(drive, middle - LOOK / 2, middle + LOOK / 2), as_recorded=as_recorded)
+    except InputError:  # the car stands there
+        return np.nan, np.nan
+    outages = Outages(ready, length=LONG_OUTAGE_LENGTH, seed=0)
+    outages.run({"tuned": parameters, "datasheet": datasheet(drive)})
+    return outages.drift("tuned"), outages.drift("datasheet")
+
+
+def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
+    """The same of one that drifts much further than a filter that nobody tuned, over all drives together."""
+    known = np.array([pair for pair in found if np.isfinite(pair).all()])
+    if not len(known):
+        return []
+    tuned, other = np.sqrt(np.mean(known**2, axis=0))
+    if tuned <= FAR * other:
+        return []
+    return [
+        f"DON'T USE IT: over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was "
+        f"tuned, the data sheet's, which nobody tuned, {other:.3g} m; {REMEDY}"
     ]

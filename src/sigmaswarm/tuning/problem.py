@@ -22,7 +22,7 @@ from sigmaswarm.scoring.batch import Replays, Scores
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import restarts_of, said_of_lost
+from sigmaswarm.tuning.lost import NAMED, drifts_of, restarts_of, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
 from sigmaswarm.tuning.receiver import (
@@ -162,8 +162,7 @@ class CarProblem:
     def doubts(self, point: Array) -> list[str]:
         """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
         parameters = self.parameters(point)
-        watched = partial(restarts_of, parameters=parameters, as_recorded=self.config.as_recorded)
-        lost = said_of_lost(self.replays.held.of_each(watched))
+        lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None
         found = [*lost, *(said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else [])]
         found += said_of_scale(self.objective.name, parameters, self.replays)
@@ -173,6 +172,15 @@ class CarProblem:
         ):  # a look at the fixes' noise takes as long as reading a drive
             found += self._held(point) or said_of_noise(parameters, self._fix_noise)
         return found
+
+    def _lost(self, parameters: FilterParameters) -> list[str]:
+        """Where a filter loses its way, or else, where the objective hides no fixes, drifts further than it should."""
+        held, recorded = self.replays.held, self.config.as_recorded
+        said = said_of_lost(held.of_each(partial(restarts_of, parameters=parameters, as_recorded=recorded)))
+        if said or self.objective.needs_outages:
+            return said
+        few = held.subset(range(min(len(held), NAMED)))
+        return said_of_drifts(few.of_each(partial(drifts_of, parameters=parameters, as_recorded=recorded)))
 
     def _held(self, point: Array) -> list[str]:
         """Where the prior held R near what is known of a receiver."""
