@@ -1,5 +1,6 @@
 # make demo      set everything up and show the whole way: simulate, tune, evaluate, pictures
 # make test      set everything up and run the tests
+# make install   set the command up, and nothing else: source .venv/bin/activate
 # make test-long  run the cases that the tests leave out to be quick
 # make check     the checks beside the tests: style, types, layers
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
@@ -18,10 +19,12 @@ DOCS := .venv-docs
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: demo test test-long check bench parity fuzz docs pictures dist dist-check notebook clean
+.PHONY: demo install test test-long check bench parity fuzz docs pictures dist dist-check notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
+
+install: $(VENV)/installed
 
 test: $(VENV)/test-installed
 	$(BIN)/python tests/warm.py

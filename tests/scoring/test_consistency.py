@@ -76,7 +76,8 @@ def test_an_evaluation_tells_of_it():
 
 def test_the_verdicts_count_the_drives_of_each_kind():
     band = (1.8, 2.2)
-    optimistic, pessimistic, right = (2.3, band, 2.5), (1.0, band, 1.1), (2.0, band, float("nan"))
+    optimistic, pessimistic = (2.3, band, 2.5, 0.0), (1.0, band, 1.1, 0.9)
+    right = (2.0, band, float("nan"), 0.0)
     said = verdicts([optimistic, pessimistic, pessimistic, right, None])
     assert {kind: line.split(":")[0] for kind, line in said.items()} == {
         "optimistic": "on 1 of 5 drives the filter is too sure of its forecasts",
@@ -87,24 +88,27 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     alone = verdicts([pessimistic])["pessimistic"]
     assert "they miss the fixes by less than its covariances say" in alone
     assert "not errors" not in alone  # there is truth
-    blind = verdicts([(1.0, band, None)])["pessimistic"]
+    blind = verdicts([(1.0, band, None, 0.4)])["pessimistic"]
     assert "by less than its covariances say (these are forecasts of fixes, not errors" in blind
     assert verdicts([]) == {}
+    alike = verdicts([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
+    assert list(alike) == ["pessimistic", "alike", "consistent"]
+    assert "That is no sign of safety" in alike["alike"]
 
 
 def test_a_truth_that_contradicts_the_fixes_is_told():
     """Errors that neighbouring fixes share hide from NIS."""
-    said = verdicts([(0.43, (1.8, 2.2), 15.4)])
+    said = verdicts([(0.43, (1.8, 2.2), 15.4, 0.9)])
     assert list(said) == ["pessimistic", "optimistic_position"]
     assert "too careful" in said["pessimistic"]
     assert "too sure of its position all the same" in said["optimistic_position"]
-    assert list(verdicts([(3.0, (1.8, 2.2), 15.4)])) == ["optimistic"]
+    assert list(verdicts([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
 
 
 def test_fixes_whose_errors_last_are_told():
     """They agree with each other, so NIS is low, and the filter is right about the truth all the same."""
     band = (1.8, 2.2)
-    said = verdicts([(0.2, band, 2.1)])
+    said = verdicts([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
     assert "low NIS with the right NEES: the fixes' errors last" in said["lasting"]
     for nis, nees in (
@@ -112,7 +116,7 @@ def test_fixes_whose_errors_last_are_told():
         (0.9, 1.6),
         (0.2, None),
     ):  # careful of both, or nothing is known of the truth
-        assert list(verdicts([(nis, band, nees)])) == ["pessimistic"]
-    assert list(verdicts([(0.2, band, 2.1), (2.0, band, 2.0), (1.0, band, 1.1)])) == [
+        assert list(verdicts([(nis, band, nees, 0.1)])) == ["pessimistic"]
+    assert list(verdicts([(0.2, band, 2.1, 0.0), (2.0, band, 2.0, 0.0), (1.0, band, 1.1, 0.0)])) == [
         "pessimistic", "lasting", "consistent",
     ]  # fmt: skip

@@ -280,7 +280,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "odometer_latency": "s",
         "gate": "NIS, dimensionless",
         "latency": "s",
-        "accuracy_scale": "dimensionless",
+        "accuracy_scale": "of the stated variance, dimensionless",
         "robust_dof": "dimensionless",
     }
     stated = parameters.to_dict()

@@ -25,7 +25,7 @@ RIGHT_NEES = 1.5
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
-Summary = tuple[float, tuple[float, float], float | None] | None
+Summary = tuple[float, tuple[float, float], float | None, float] | None
 """Of a filter on one drive: mean NIS, its 95% band, mean NEES or None; None where nothing can be said."""
 
 
@@ -67,7 +67,8 @@ class Consistency:
     @property
     def summary(self) -> Summary:
         """What `verdicts` looks at."""
-        return self.mean_nis, self.nis_band, None if np.isnan(self.mean_nees) else self.mean_nees
+        nees = None if np.isnan(self.mean_nees) else self.mean_nees
+        return self.mean_nis, self.nis_band, nees, float(self.autocorrelation[0])
 
 
 def consistency(
@@ -100,17 +101,27 @@ def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) ->
     )
 
 
-Kind = Literal["optimistic", "pessimistic", "lasting", "consistent", "optimistic_position", "unknown"]
+Kind = Literal[
+    "optimistic", "pessimistic", "alike", "lasting", "consistent", "optimistic_position", "unknown"
+]
 """Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less.
 
+Alike: by less, and each fix by much what the one before was missed by, so that, without truth, nothing can be said.
 Lasting: by less, and the errors against truth are as large as they say; what the fixes share hides from forecasts.
 """
+ALIKE = 0.5
+"""Correlation of an innovation to the next one from which on they are much alike."""
 FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
 """What has to be said beside the verdicts where no truth is known."""
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is too sure of its forecasts: they miss the fixes by more than its covariances say",
     "pessimistic": "is too careful of its forecasts: they miss the fixes by less than its covariances say",
+    "alike": (
+        "misses each fix by much the same as the one before, and by less than its covariances say: the receiver "
+        "smooths its fixes, or their errors last. That is no sign of safety: how far off they are together no log "
+        "without truth can tell"
+    ),
     "lasting": (
         "has a low NIS with the right NEES: the fixes' errors last, so that neighbours share them; its covariances are "
         "right about the position, and should not be made smaller"
@@ -126,26 +137,28 @@ VERDICTS: dict[Kind, str] = {
 def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
     """What the consistency on several drives says of a filter, a sentence for each kind that holds for a drive."""
     known = [entry for entry in found if entry]
-    optimistic = sum(nis > high for nis, (_, high), _ in known)
-    low_nis = sum(nis < low for nis, (low, _), _ in known)
+    optimistic = sum(nis > high for nis, (_, high), *_ in known)
+    low_nis = sum(nis < low for nis, (low, _), *_ in known)
     lasting = sum(
         nis < low and nees is not None and RIGHT_NEES <= nees <= FAR_NEES and nees > 2 * nis
-        for nis, (low, _), nees in known
+        for nis, (low, _), nees, _ in known
     )
+    alike = sum(nis < low and nees is None and next_one > ALIKE for nis, (low, _), nees, next_one in known)
     counts: dict[Kind, int] = {
         "optimistic": optimistic,
-        "pessimistic": low_nis - lasting,
+        "pessimistic": low_nis - lasting - alike,
+        "alike": alike,
         "lasting": lasting,
         "consistent": len(known) - optimistic - low_nis,
         "optimistic_position": sum(
-            nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees in known
+            nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees, _ in known
         ),
         "unknown": len(found) - len(known),
     }
-    blind = bool(known) and all(nees is None for *_, nees in known)
+    blind = bool(known) and all(nees is None for _, _, nees, _ in known)
     return {
         kind: f"on {count} of {len(found)} drives the filter {VERDICTS[kind]}"
-        + (f" ({FORECASTS})" if blind and kind != "unknown" else "")
+        + (f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else "")
         for kind, count in counts.items()
         if count
     }

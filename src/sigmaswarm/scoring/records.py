@@ -42,7 +42,7 @@ class ConsistencyRecord(BaseModel):
     @property
     def summary(self) -> Summary:
         """What `verdicts` looks at."""
-        return self.mean_nis, self.nis_band_95, self.mean_nees
+        return self.mean_nis, self.nis_band_95, self.mean_nees, self.autocorrelation[0]
 
 
 class DriftRecord(BaseModel):

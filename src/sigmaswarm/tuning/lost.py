@@ -23,6 +23,8 @@ from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 
 NAMED = 3
 """Drives in one message, and that are looked at for their drifts."""
+WATCHED = 3600.0
+"""s of a drive that a filter is watched over: of more, steps would take more memory than all else."""
 LOOK = 600.0
 """s of a drive that are looked at for its drift, its middle."""
 FAR = 1.5
@@ -33,8 +35,8 @@ REMEDY = (
 
 
 def restarts_of(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> tuple[str, list[float]]:
-    """A drive's name, and when a filter that is watched started anew on it, s."""
-    replay = replay_of(drive, as_recorded=as_recorded)
+    """A drive's name, and when a filter that is watched started anew in its first `WATCHED`, s."""
+    replay = replay_of(clip(drive, end=float(drive.imu.time[0]) + WATCHED), as_recorded=as_recorded)
     return drive.name, Recording(replay, parameters, recover=True).finished().restarts
 
 

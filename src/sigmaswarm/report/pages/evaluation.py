@@ -135,7 +135,9 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord], shown: Mapping[s
         *restarted(scores),
         *partly_scored(data),
     ]
-    return said + [told[kind] for kind in ("optimistic", "pessimistic", "lasting", "unknown") if kind in told]
+    return said + [
+        told[kind] for kind in ("optimistic", "pessimistic", "alike", "lasting", "unknown") if kind in told
+    ]
 
 
 def _result(scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: float) -> str:
