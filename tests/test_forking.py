@@ -46,7 +46,7 @@ if __name__ == "__main__":
     queue = multiprocessing.get_context(method).Queue()
     child = fork(int(depth), queue, method)
     try:
-        print(queue.get(timeout=40))
+        print(queue.get(timeout=150))
     finally:
         child.kill()
 """

@@ -167,11 +167,15 @@ def tune_problem(
     held_back: Problem[P] | None = None,
     folder: ResultFolder | None = None,
     progress: Callable[[Progress], None] | None = None,
+    doubted: bool = True,
 ) -> Tuning[P]:
-    """Run, resume or look up the trials of a tuning, and write its tuning.toml; without an executor in this thread."""
+    """Run, resume or look up the trials of a tuning, and write its tuning.toml; without an executor in this thread.
+
+    ``doubted``: hold the result against what the objective does not see, for somebody who is to use it.
+    """
     search = Search(config, problem, executor, folder, progress)
     trials = tuple(search.trial(i) for i in range(config.trials))
-    tuning = _chosen(trials, problem, held_back, config, executor)
+    tuning = _chosen(trials, problem, held_back, config, executor, doubted=doubted)
     if folder is not None:
         tuning.save(folder.path / "tuning.toml")
     return tuning
@@ -245,6 +249,8 @@ def _chosen(
     held_back: Problem[P] | None,
     config: SearchConfig,
     executor: Executor | None,
+    *,
+    doubted: bool,
 ) -> Tuning[P]:
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost = trials[best].point, trials[best].cost
@@ -270,7 +276,7 @@ def _chosen(
         config=config,
         data=problem.data,
         seen=problem.seen,
-        doubts=tuple(problem.doubts(point)),
+        doubts=tuple(problem.doubts(point)) if doubted else (),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         steps_per_set=int(problem.steps.sum()),

@@ -185,7 +185,7 @@ class _Job:
             problem = self.problems[asked.rival]
             config = problem.config.model_copy(update={"seed": asked.seed})
             kept = tuning_folder(folder, problem, config, resume=True)
-            tuning = tune_problem(problem, config, folder=kept, progress=lambda _: tell(0))
+            tuning = tune_problem(problem, config, folder=kept, progress=lambda _: tell(0), doubted=False)
             outcome = _outcome(tuning, self.held_out)
             if fresh:  # of a run that was interrupted only the last part is known
                 self._note(asked, time.thread_time() - start)
