@@ -168,12 +168,18 @@ def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin
     assert_close(got.drive.imu, imu, "time", 1e-3 if unit == "ms" else 1e-6)
 
 
-@pytest.mark.parametrize("name", ["boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed"])
-def test_a_loggers_own_clock_is_the_time_where_there_is_no_other(tmp_path: Path, name: str):
+@pytest.mark.parametrize(
+    ("name", "ticks"),
+    [
+        *((name, 1e3) for name in ("boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed")),
+        *(("time_of_day", 1e3), ("tod_s", 1.0), ("seconds_of_week", 1.0)),
+    ],
+)
+def test_a_loggers_own_clock_is_the_time_where_there_is_no_other(tmp_path: Path, name: str, ticks: float):
     imu, gps = foreign_imu().drop("stamp"), foreign_gps()
     places = gps.with_columns(lat=pl.col("la") * 1e-7, lon=pl.col("lo")).drop("when", "la", "lo")
-    imu.with_columns(pl.Series(name, 1e3 * DRIVE.imu.time)).write_csv(tmp_path / "imu.csv")
-    places.with_columns(pl.Series(name, 1e3 * DRIVE.gps.time)).write_csv(tmp_path / "gps.csv")
+    imu.with_columns(pl.Series(name, ticks * DRIVE.imu.time)).write_csv(tmp_path / "imu.csv")
+    places.with_columns(pl.Series(name, ticks * DRIVE.gps.time)).write_csv(tmp_path / "gps.csv")
     drive = imported(tmp_path).drive
     np.testing.assert_allclose(np.diff(drive.imu.time), np.diff(DRIVE.imu.time), atol=1e-9)
     imu.with_columns(boot_ms=-1.0).write_csv(tmp_path / "imu.csv")  # what does not run is no clock

@@ -14,7 +14,7 @@ _TIME = (
     "t|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
 )
 _CLOCK = (
-    "boot|up_?time|ticks?|elapsed|i?tow|"
+    "boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times that are taken where a table has none of the usual ones."""
@@ -45,7 +45,7 @@ _NAMES: tuple[tuple[str, str], ...] = (
     ("theta", "theta|yaw"),
 )
 _UNITS: tuple[tuple[str, str], ...] = (
-    ("deg/s", r"deg/s(?:ec)?|°/s|dps|degps|deg_s"),
+    ("deg/s", r"deg/s(?:ec)?|°/s|dps|degps|degs|deg_s"),
     ("rad/s", r"rad/s(?:ec)?|radps|rps|rad_s"),
     ("m/s2", r"m/s\^?2|m/s²|m/s/s|mps2|ms2|m_s2|m_s_2|ms-2"),
     ("km/h", r"km/h|kmh|kph"),

@@ -65,7 +65,7 @@ LENGTHS = {(), ("m",), ("mm",), ("cm",)}
 UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
     *(
         (words, "radians({})")
-        for words in (("dps",), ("deg", "s"), ("deg", "sec"), ("degps",), ("deg", "per", "s"))
+        for words in (("dps",), ("degs",), ("deg", "s"), ("deg", "sec"), ("degps",), ("deg", "per", "s"))
     ),
     *(
         (words, "{}")
