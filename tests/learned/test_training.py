@@ -27,7 +27,7 @@ from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
 from sigmaswarm.learned.outage_lstm import untrained
 from support import make_drive
 
-pytest.importorskip("jax", reason="JAX is not installed (extra learned)")
+pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
 
 ALL = OPTIONS["all"] | {"velocity_noise": None}
 
@@ -114,6 +114,16 @@ def test_one_step_of_adam_is_that_of_the_paper():
     gradient = 2 * (1.5 - 1.7) * x[0]
     step = gradient / np.abs(gradient)  # m / sqrt(v), both corrected, after one step
     np.testing.assert_allclose(found.weights["w"], 0.5 - 0.01 * (step + 1e-4 * 0.5), rtol=1e-6)
+
+
+def test_a_step_that_is_not_finite_is_not_taken():
+    x = np.array([[1.0, 2.0], [np.inf, 0.0]])
+    example = (x[:1], np.array([1.7]))
+    options = {"learning_rate": 0.01, "epochs": 1, "batch": 1, "patience": 5, "seed": 0}
+    start = {"w": np.array([0.5, 0.5])}
+    both = fit(_square, start, (x, np.array([1.7, 0.0])), example, **options)
+    alone = fit(_square, start, example, example, **options)
+    np.testing.assert_array_equal(both.weights["w"], alone.weights["w"])
 
 
 @cache
@@ -270,7 +280,8 @@ def test_the_commands(quick, sigmaswarm, tmp_path: Path):
         load_learned(out)
 
 
-def test_a_missing_library_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    monkeypatch.setitem(__import__("sys").modules, "jax", None)
+@pytest.mark.parametrize("library", ["jax", "optax"])
+def test_a_missing_library_is_told_in_one_line(library: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setitem(__import__("sys").modules, library, None)
     with pytest.raises(InputError, match=r"pip install 'sigmaswarm\[learned\]'"):
         learn("noise-gru", parameters("planar8"), drives(), out=tmp_path / "learned")

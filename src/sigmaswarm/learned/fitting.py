@@ -1,6 +1,6 @@
 """Fitting weights by gradients: Adam with early stopping, the same bits each time, and resumable after each epoch.
 
-The only file beside the losses that uses JAX: the extra ``learned``.
+The only file beside the losses that uses JAX, and the only one that uses Optax: the extra ``learned``.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,8 +18,6 @@ from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
 """Of weights and of a batch: its mean loss."""
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
-"""Of Adam: D. Kingma and J. Ba, ICLR 2015."""
 DECAY = 1e-4
 """What weights lose a step, times the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
@@ -53,12 +51,15 @@ def exact() -> AbstractContextManager[Any]:
     Raises
     ------
     InputError
-        Where JAX is not installed.
+        Where JAX or Optax is not installed.
     """
     try:
         import jax
+        import optax  # noqa: F401
     except ImportError:
-        raise InputError("learning needs JAX; install it with pip install 'sigmaswarm[learned]'") from None
+        raise InputError(
+            "learning needs JAX and Optax; install them with pip install 'sigmaswarm[learned]'"
+        ) from None
     return jax.enable_x64(True)
 
 
@@ -98,22 +99,20 @@ def fit(
     with exact():
         import jax
 
-        state = _State.start(weights, float(jax.jit(loss)(dict(weights), held_back)))
+        optimizer = _optimizer(learning_rate)
+        state = _State.start(weights, optimizer, float(jax.jit(loss)(dict(weights), held_back)))
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if saved is not None:
-            state = _State.restored(saved[0])
+            state = state.restored(saved[0])
         size = min(batch, len(examples[0]))
-        run = jax.jit(partial(_epoch, loss, learning_rate))
+        run = jax.jit(partial(_epoch, loss, optimizer))
         test = jax.jit(loss)
         while state.epoch < epochs and state.epoch - int(np.argmin(state.losses[:, 1])) < patience:
             order = np.random.default_rng([seed, state.epoch]).permutation(len(examples[0]))
             order = order[: len(order) // size * size].reshape(-1, size)
-            moving, mean = run(
-                (state.weights, state.first, state.second, state.steps), tuple(e[order] for e in examples)
-            )
-            told = float(mean), float(test(moving[0], held_back))
-            weights, first, second, steps = jax.tree.map(np.asarray, moving)
-            state = state.after(weights, first, second, steps, told)
+            moved, moments, mean = run(state.weights, state.moments, tuple(e[order] for e in examples))
+            told = float(mean), float(test(moved, held_back))
+            state = state.after(*jax.tree.map(np.asarray, (moved, moments)), told)
             if checkpoint:
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:
@@ -121,70 +120,72 @@ def fit(
     return Fit(state.best, state.losses)
 
 
-def _epoch(loss: Loss, learning_rate: float, state: Any, batches: Any) -> Any:
-    """One pass over the batches, (steps, batch, ...) each; the state after it, and the mean loss."""
+def _optimizer(learning_rate: float) -> Any:
+    """Adam whose weights decay, on gradients of bounded length; a step that is not finite is not taken."""
+    import optax
+
+    steps = optax.chain(
+        optax.clip_by_global_norm(LARGEST_GRADIENT), optax.adamw(learning_rate, weight_decay=DECAY)
+    )
+    return optax.apply_if_finite(steps, max_consecutive_errors=np.iinfo(np.int32).max)
+
+
+def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any) -> Any:
+    """One pass over the batches, (steps, batch, ...) each; weights and moments after it, and the mean loss."""
     import jax
-    import jax.numpy as jnp
+    import optax
 
     def step(state: Any, batch: Any) -> Any:
-        weights, first, second, k = state
+        weights, moments = state
         value, gradient = jax.value_and_grad(loss)(weights, batch)
-        length = jnp.sqrt(sum(jnp.sum(g**2) for g in gradient.values()))
-        sound = jnp.isfinite(length)
-        shrink = jnp.where(sound, jnp.minimum(1.0, LARGEST_GRADIENT / (length + 1e-30)), 0.0)
-        gradient = {name: jnp.where(sound, g * shrink, 0.0) for name, g in gradient.items()}
-        k = k + 1.0
-        first = {n: BETA1 * first[n] + (1 - BETA1) * g for n, g in gradient.items()}
-        second = {n: BETA2 * second[n] + (1 - BETA2) * g**2 for n, g in gradient.items()}
-        weights = {
-            n: w
-            - learning_rate
-            * (first[n] / (1 - BETA1**k) / (jnp.sqrt(second[n] / (1 - BETA2**k)) + EPSILON) + DECAY * w)
-            for n, w in weights.items()
-        }
-        return (weights, first, second, k), value
+        change, moments = optimizer.update(gradient, moments, weights)
+        return (optax.apply_updates(weights, change), moments), value
 
-    state, losses = jax.lax.scan(step, state, batches)
-    return state, jnp.mean(losses)
+    (weights, moments), losses = jax.lax.scan(step, (weights, moments), batches)
+    return weights, moments, losses.mean()
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """All that a training goes on from."""
+    """All that a training goes on from; ``moments`` are the optimizer's."""
 
     weights: dict[str, Any]
-    first: dict[str, Any]
-    second: dict[str, Any]
-    steps: Any
+    moments: Any
     best: dict[str, Any]
     losses: Array
 
     @classmethod
-    def start(cls, weights: Mapping[str, Array], loss: float) -> "_State":
+    def start(cls, weights: Mapping[str, Array], optimizer: Any, loss: float) -> "_State":
         own = {name: np.asarray(w, np.float64) for name, w in weights.items()}
-        zero = {name: np.zeros_like(w) for name, w in own.items()}
-        return cls(own, zero, zero, np.float64(0.0), own, np.array([[np.nan, loss]]))
+        return cls(own, optimizer.init(own), own, np.array([[np.nan, loss]]))
 
     @property
     def epoch(self) -> int:
         return len(self.losses) - 1
 
-    def after(self, weights: Any, first: Any, second: Any, steps: Any, told: tuple[float, float]) -> "_State":
+    def after(self, weights: Any, moments: Any, told: tuple[float, float]) -> "_State":
         train, test = (value if np.isfinite(value) else np.inf for value in told)
         better = test < np.min(self.losses[:, 1])
         losses = np.vstack([self.losses, [train, test]])
-        return _State(weights, first, second, steps, weights if better else self.best, losses)
+        return _State(weights, moments, weights if better else self.best, losses)
 
     def arrays(self) -> dict[str, Any]:
-        parts = {"weights": self.weights, "first": self.first, "second": self.second, "best": self.best}
-        named = {f"{part}/{name}": array for part, of in parts.items() for name, array in of.items()}
-        return {**named, "steps": self.steps, "losses": self.losses}
+        import jax
 
-    @classmethod
-    def restored(cls, arrays: dict[str, Any]) -> "_State":
+        parts = {"weights": self.weights, "best": self.best}
+        named = {f"{part}/{name}": array for part, of in parts.items() for name, array in of.items()}
+        numbered = {
+            f"moments/{k}": np.asarray(array) for k, array in enumerate(jax.tree.leaves(self.moments))
+        }
+        return {**named, **numbered, "losses": self.losses}
+
+    def restored(self, arrays: dict[str, Any]) -> "_State":
+        """The state that was saved, of a training that begins as this one."""
+        import jax
+
         def part(name: str) -> dict[str, Any]:
             return {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}
 
-        return cls(
-            part("weights"), part("first"), part("second"), arrays["steps"], part("best"), arrays["losses"]
-        )
+        leaves, structure = jax.tree.flatten(self.moments)
+        moments = structure.unflatten([arrays[f"moments/{k}"] for k in range(len(leaves))])
+        return _State(part("weights"), moments, part("best"), arrays["losses"])
