@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,8 @@ def exact() -> AbstractContextManager[Any]:
     """
     try:
         import jax
-        import optax  # noqa: F401
+
+        import_module("optax")
     except ImportError:
         raise InputError(
             "learning needs JAX and Optax; install them with pip install 'sigmaswarm[learned]'"
@@ -112,7 +114,8 @@ def fit(
             order = order[: len(order) // size * size].reshape(-1, size)
             moved, moments, mean = run(state.weights, state.moments, tuple(e[order] for e in examples))
             told = float(mean), float(test(moved, held_back))
-            state = state.after(*jax.tree.map(np.asarray, (moved, moments)), told)
+            moved, moments = jax.tree.map(np.asarray, (moved, moments))
+            state = state.after(moved, moments, told)
             if checkpoint:
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:

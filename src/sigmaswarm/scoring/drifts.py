@@ -1,6 +1,6 @@
 """What methods drift while fixes are hidden: outages placed again and again, for one placement is a draw of chance."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Protocol
 
@@ -11,7 +11,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Piece, Recording
-from sigmaswarm.filters.replay import Replay, joined
+from sigmaswarm.filters.replay import Replay, joined, run_replays
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.doubt import root_mean
@@ -80,20 +80,38 @@ class Outages:
         """What an estimate drifts that never sees a fix: it needs no run of its own for that."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
-    def run(self, filters: Mapping[str, FilterParameters], also: Runs = MappingProxyType({})) -> None:
-        """Run filters with the fixes hidden, and what else there is. No steps are kept."""
+    def run(
+        self,
+        filters: Mapping[str, FilterParameters],
+        also: Runs = MappingProxyType({}),
+        *,
+        watched: Collection[str] = WATCHED,
+    ) -> None:
+        """Run filters with the fixes hidden, and what else there is. No steps are kept.
+
+        Those of ``watched`` start anew where they lost their way; the others share the lanes of one run.
+        """
+        alone = {m: p for m, p in filters.items() if m in watched}
+        together = {m: p for m, p in filters.items() if m not in watched}
         for seed in self.seeds:
             self._ready.forget()
-            self._run_placed(seed, filters, also)
+            self._run_placed(seed, alone, together, also)
         self._ready.forget()
 
-    def _run_placed(self, seed: Seed, filters: Mapping[str, FilterParameters], also: Runs) -> None:
+    def _run_placed(
+        self,
+        seed: Seed,
+        alone: Mapping[str, FilterParameters],
+        together: Mapping[str, FilterParameters],
+        also: Runs,
+    ) -> None:
         """One placement; a function of its own, so that its steps are gone before the next one's are made."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
-        recordings = [Recording(outages, p, recover=m in WATCHED) for m, p in filters.items()]
-        sums = joined([recording.finished().sums for recording in recordings], axis=1)
-        scores = scores_of({"outages": [outages]}, {"outages": sums})
-        for i, method in enumerate(filters):
+        sums = [Recording(outages, p, recover=True).finished().sums for p in alone.values()]
+        if together:
+            sums.append(run_replays([outages], [*together.values()]))
+        scores = scores_of({"outages": [outages]}, {"outages": joined(sums, axis=1)})
+        for i, method in enumerate([*alone, *together]):
             self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
             if scores[i, 0].failed:
                 self.failed.add(method)
