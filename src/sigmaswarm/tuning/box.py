@@ -77,8 +77,8 @@ class Box:
         return np.zeros(len(self.names), dtype=np.bool_)
 
     @property
-    def process_noises(self) -> NDArray[np.bool_]:
-        """Which of those are the process's, shape (d,)."""
+    def doubted(self) -> NDArray[np.bool_]:
+        """Which of those a `margin` raises, shape (d,)."""
         return np.zeros(len(self.names), dtype=np.bool_)
 
     def values(self, points: Array) -> Array:

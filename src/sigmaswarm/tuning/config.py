@@ -66,7 +66,7 @@ class TuneConfig(SearchConfig):
     prior: float | None = Field(default=DEFAULTS["prior"], ge=0, le=100)
     """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins, else it is 0."""
     margin: float | None = Field(default=DEFAULTS["margin"], ge=0, le=1)
-    """None: `MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
+    """None: `MARGIN` or `TILTED_MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
 
     @model_validator(mode="before")
     @classmethod
@@ -82,7 +82,7 @@ class TuneConfig(SearchConfig):
     @model_validator(mode="after")
     def _margin_needs_logarithms(self) -> Self:
         if self.margin and self.scale != "log10":
-            raise ValueError("margin raises all process noises by one factor, which needs scale = log10")
+            raise ValueError("margin raises noises by one factor, which needs scale = log10")
         return self
 
 

@@ -12,6 +12,7 @@ from typing_extensions import TypeVar
 from sigmaswarm import notebook
 from sigmaswarm.drives.overlap import Landmarks
 from sigmaswarm.files import write_whole
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
@@ -28,8 +29,8 @@ NOT_VALIDATED = (
 )
 """The remark that an evaluation answers."""
 MARGIN_TAKEN = (
-    "all process noises are {:.3g} times those of the lowest cost, for roads that the tuning has not seen: the "
-    "objective hardly tells the two apart, but on the same roads outages cost more for it; --margin 0 leaves it out"
+    "{} {:.3g} times those of the lowest cost, for roads and IMUs that the tuning has not seen: the objective hardly "
+    "tells the two apart, but on the same roads outages cost a little for it; --margin 0 leaves it out"
 )
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
@@ -89,7 +90,7 @@ class Tuning(Generic[P]):
     steps_per_set : int
         Filter steps that one parameter set takes on all drives.
     raised_by : float
-        The factor by which the option ``margin`` has raised all process noises; 1 without it.
+        The factor by which the option ``margin`` has raised what is doubted: see `tuning.margin`; 1 without it.
     """
 
     parameters: P
@@ -126,7 +127,7 @@ class Tuning(Generic[P]):
         """What a user should know before trusting the result, in sentences."""
         remarks = [
             *self.doubts,
-            *([MARGIN_TAKEN.format(self.raised_by)] if self.raised_by != 1.0 else []),
+            *([MARGIN_TAKEN.format(self._doubted, self.raised_by)] if self.raised_by != 1.0 else []),
             *(
                 f"{touched}: the optimum may lie outside the box"
                 for touched in self.touched_bounds
@@ -169,6 +170,13 @@ class Tuning(Generic[P]):
         held = not isinstance(p, FilterParameters) or p.lateral_noise or p.velocity_noise
         return not held and "truth-pose" not in self.config.objective
 
+    @property
+    def _doubted(self) -> str:
+        """What a margin has raised."""
+        p = self.parameters
+        walks = isinstance(p, FilterParameters) and MODELS[p.model].tilts
+        return "the walks of the biases are" if walks else "all process noises are"
+
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""
         ranges = {
@@ -182,7 +190,7 @@ class Tuning(Generic[P]):
                 "objective": self.config.objective,
                 "objective_meaning": self._meaning(),
                 **({} if self.validation is None else self.validation.to_dict()),
-                **({} if self.raised_by == 1.0 else {"process_noises_raised_by": self.raised_by}),
+                **({} if self.raised_by == 1.0 else {"margin_raised_by": self.raised_by}),
                 "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,

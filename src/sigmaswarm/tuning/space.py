@@ -25,7 +25,7 @@ class Dimension:
     """One parameter that is searched: where it goes in FilterParameters, and its range.
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten.
+    number. ``spread``: it spans powers of ten. ``walk``: it is how much a bias walks.
     """
 
     name: str
@@ -34,6 +34,7 @@ class Dimension:
     lowest: float
     highest: float
     spread: bool = True
+    walk: bool = False
 
 
 SCALING = (
@@ -102,9 +103,10 @@ class SearchSpace(Box):
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
-    def process_noises(self) -> NDArray[np.bool_]:
-        """Which of those are the process's, shape (d,)."""
-        return np.array([d.field == "process_noise" for d in self.dimensions])
+    def doubted(self) -> NDArray[np.bool_]:
+        """Which of those a `margin` raises, shape (d,): all of Q, of a model that knows tilts the walks of biases."""
+        tilts = MODELS[self.fixed["model"]].tilts
+        return np.array([d.walk if tilts else d.field == "process_noise" for d in self.dimensions])
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
@@ -180,7 +182,8 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        yield Dimension(f"q_{name}", "process_noise", len(alike), scale * lowest, scale * highest)
+        box, walk = (scale * lowest, scale * highest), alike[0].bias_of is not None
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, walk=walk)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)

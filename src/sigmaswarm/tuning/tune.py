@@ -17,13 +17,14 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.fleets.held import Held
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.margin import MARGIN, with_margin
+from sigmaswarm.tuning.margin import MARGIN, TILTED_MARGIN, with_margin
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
 from sigmaswarm.tuning.paper import papers_config
@@ -217,13 +218,14 @@ def _settled(config: C, data: Sequence[Equipment | Log]) -> C:
 
 
 def with_guards(config: C) -> C:
-    """The configuration of a filter for cars, guarded where truth has no say: a prior on R, a margin for Q."""
+    """The configuration of a filter for cars, guarded where truth has no say: a prior on R, a margin."""
     if not isinstance(config, TuneConfig):
         return config
     objective = objective_named(config.objective)
     alone = objective.likelihood and not objective.needs_truth
     prior = float(alone) if config.prior is None else config.prior
-    doubt = MARGIN if alone and config.scale == "log10" else 0.0
+    usual = TILTED_MARGIN if MODELS[config.model].tilts else MARGIN
+    doubt = usual if alone and config.scale == "log10" else 0.0
     margin = doubt if config.margin is None else config.margin
     return config.model_copy(update={"prior": prior, "margin": margin})
 
