@@ -77,9 +77,9 @@ class Box:
         return np.zeros(len(self.names), dtype=np.bool_)
 
     @property
-    def doubted(self) -> NDArray[np.bool_]:
-        """Which of those a `margin` raises, shape (d,)."""
-        return np.zeros(len(self.names), dtype=np.bool_)
+    def doubts(self) -> Array:
+        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
+        return np.zeros(len(self.names))
 
     def values(self, points: Array) -> Array:
         """The parameters themselves, shape (..., d), of points in search coordinates."""

@@ -29,7 +29,7 @@ NOT_VALIDATED = (
 )
 """The remark that an evaluation answers."""
 MARGIN_TAKEN = (
-    "{} {:.3g} times those of the lowest cost, for roads and IMUs that the tuning has not seen: the objective hardly "
+    "{} times those of the lowest cost, for roads and IMUs that the tuning has not seen: the objective hardly "
     "tells the two apart, but on the same roads outages cost a little for it; --margin 0 leaves it out"
 )
 LARGE_GAP = 0.2
@@ -127,7 +127,7 @@ class Tuning(Generic[P]):
         """What a user should know before trusting the result, in sentences."""
         remarks = [
             *self.doubts,
-            *([MARGIN_TAKEN.format(self._doubted, self.raised_by)] if self.raised_by != 1.0 else []),
+            *([MARGIN_TAKEN.format(self._raised)] if self.raised_by != 1.0 else []),
             *(
                 f"{touched}: the optimum may lie outside the box"
                 for touched in self.touched_bounds
@@ -171,11 +171,13 @@ class Tuning(Generic[P]):
         return not held and "truth-pose" not in self.config.objective
 
     @property
-    def _doubted(self) -> str:
-        """What a margin has raised."""
-        p = self.parameters
-        walks = isinstance(p, FilterParameters) and MODELS[p.model].tilts
-        return "the walks of the biases are" if walks else "all process noises are"
+    def _raised(self) -> str:
+        """What a margin has raised, and how much."""
+        p, factor = self.parameters, f"{self.raised_by:.3g}"
+        if not isinstance(p, FilterParameters) or not MODELS[p.model].tilts:
+            return f"all process noises are {factor}"
+        root = f"{self.raised_by**0.5:.3g}"
+        return f"the walks of the biases are {factor}, the noises of position and velocity {root}"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, as tuning.toml holds them."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.filters.models import MODELS, SENSORS
+from sigmaswarm.filters.models import MODELS, SENSORS, CarModel, State
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.tuning.box import Box
@@ -25,7 +25,8 @@ class Dimension:
     """One parameter that is searched: where it goes in FilterParameters, and its range.
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten. ``walk``: it is how much a bias walks.
+    number. ``spread``: it spans powers of ten. ``doubt``: how many
+    decades a margin raises it by where it raises what is doubted most by one.
     """
 
     name: str
@@ -34,7 +35,7 @@ class Dimension:
     lowest: float
     highest: float
     spread: bool = True
-    walk: bool = False
+    doubt: float = 0.0
 
 
 SCALING = (
@@ -103,10 +104,9 @@ class SearchSpace(Box):
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
-    def doubted(self) -> NDArray[np.bool_]:
-        """Which of those a `margin` raises, shape (d,): all of Q, of a model that knows tilts the walks of biases."""
-        tilts = MODELS[self.fixed["model"]].tilts
-        return np.array([d.walk if tilts else d.field == "process_noise" for d in self.dimensions])
+    def doubts(self) -> Array:
+        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
+        return np.array([d.doubt for d in self.dimensions])
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
@@ -182,8 +182,8 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        box, walk = (scale * lowest, scale * highest), alike[0].bias_of is not None
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, walk=walk)
+        box, doubt = (scale * lowest, scale * highest), _doubt(alike[0], described)
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, doubt=doubt)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
@@ -193,3 +193,10 @@ def _dimensions(
     for option in OPTIONS:
         if option in use:
             yield from OPTION_DIMENSIONS[option]
+
+
+def _doubt(state: State, model: CarModel) -> float:
+    """Of a state's noise: see `tuning.margin`, which says what was measured."""
+    if not model.tilts or state.bias_of:
+        return 1.0
+    return 0.0 if state.unit == "rad" else 0.5
