@@ -4,7 +4,7 @@ A filter that is tuned on one drive trusts its model as far as that drive bears 
 with another IMU it is then sure of what is wrong, and takes the fixes for outliers. As statisticians take the simplest
 model within one standard error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section
 3.4.3), so of all filters that the objective hardly tells from the best that one is taken which doubts most. The longer
-the drives, the less they leave open, and the less the share.
+the drives, the less they leave open, and the less the share; drives of less than `PER` bear no more.
 
 What is doubted: of a planar model all process noises by one factor, since the velocity's stands for roads that tilt.
 Of one that knows tilts the walks of its IMU's biases, which it takes for constant otherwise, and the noises of position
@@ -24,7 +24,10 @@ from sigmaswarm.tuning.problem import Problem
 MARGIN, TILTED_MARGIN = 0.05, 0.02
 """What is usual where truth has no say, of a planar model and of one that knows tilts."""
 PER = 100.0
-"""s of driving that a margin is said for; twice as many leave half as much open, and bear half the share."""
+"""s of driving that a margin is said for; twice as many leave half as much open, and bear half the share.
+
+Less bear no more: on 60 s of a motorway 0.086 in place of 0.05 made drifts over 5 s on other roads 1.2 times as large.
+"""
 DECADES = 4.0
 """The largest factor is 10 to that power."""
 STEP = 0.1
@@ -45,7 +48,7 @@ def with_margin(
     cost : float
         There.
     margin : float
-        Share by which the cost may rise on `PER` seconds of driving.
+        Share by which the cost may rise on `PER` seconds of driving, or less.
     executor : concurrent.futures.Executor or None
 
     Returns
@@ -61,7 +64,7 @@ def with_margin(
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)
     points = np.minimum(point + decades[:, None] * space.doubts, np.maximum(space.high, point))
     costs = problem.costs(points, executor)
-    share = margin * PER / sum(entry["duration_s"] for entry in problem.data)
+    share = margin * min(1.0, PER / sum(entry["duration_s"] for entry in problem.data))
     within = np.logical_and.accumulate(problem.rise(costs, cost) <= share)
     last = int(within.sum()) - 1 if within.any() else 0
     return points[last], float(costs[last]), float(10 ** decades[last])
