@@ -136,8 +136,8 @@ class TuneOptions(SearchOptions, FilterOptions, total=False):
     margin: Annotated[
         float | None,
         Doc(
-            "Share by which the cost may rise on up to 100 s of driving (half of it on 200 s) while all process noises are "
-            "raised together, of tilted12 the walks of its biases and, by half as many decades, the noises of "
+            "Share by which the cost may rise on up to 100 s of driving (half of it on 200 s) while all process noises "
+            "are raised together, of tilted12 the walks of its biases and, by half as many decades, the noises of "
             "position and velocity: a filter that doubts its model more bears roads and IMUs that the tuning has not "
             "seen. By default 0.05, of tilted12 0.02, where the fixes' likelihood alone decides, else 0."
         ),
