@@ -11,6 +11,7 @@ import pytest
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, fixes_late
 from sigmaswarm import Diagnosis, Drive, Gps, Imu, split_time
+from sigmaswarm.doctor.checks.sampling import clock_jumps
 from sigmaswarm.simulation.outliers import with_outliers
 from support import DRIVES, limited_memory, make_drive, needs_shared, quickly
 
@@ -371,3 +372,31 @@ def test_a_clock_that_jumps_is_told_from_a_logger_that_pauses(jumped: bool):
     assert "IMU and fixes both miss 1.3 s" in found[code].what
     assert found[code].span[0] == pytest.approx(begin, abs=0.05)
     assert {"clock-jump", "logger-pause"}.isdisjoint(sigmaswarm.diagnose(drive).codes)
+
+
+@pytest.mark.parametrize("jumped", [True, False])
+@pytest.mark.parametrize("every", [1, 5])  # fixes at 5 and at 1 Hz
+def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
+    """White errors of a meter: a step of two fixes alone says a wrong speed, as on a drive of KITTI's."""
+    drive = simulated("icm-20602")
+    drive = replace(drive, gps=drive.gps.select(np.arange(len(drive.gps)) % every == 0), truth=None)
+    named = wrong = 0
+    for begin in np.arange(12.03, drive.gps.time[-1] - 12, 1.0):
+        imu, gps = (
+            replace(t, time=np.where(t.time > begin, t.time + 1.6, t.time))
+            if jumped
+            else t.select((t.time <= begin) | (t.time > begin + 1.6))
+            for t in (drive.imu, drive.gps)
+        )
+        for found in clock_jumps(imu.time, gps):
+            unsure = "can't tell" in found.what
+            named += not unsure
+            wrong += not unsure and (found.code == "clock-jump") != jumped
+    assert wrong == 0
+    assert named >= 20
+
+
+def test_a_pause_in_a_real_log_is_no_jump():
+    found = sigmaswarm.diagnose(recorded("kitti-09-30-0018")).codes
+    assert "logger-pause" in found
+    assert "clock-jump" not in found

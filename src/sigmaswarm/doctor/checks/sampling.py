@@ -8,6 +8,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
 from sigmaswarm.drives.drive import Array, Gps, Imu
+from sigmaswarm.drives.noise import motion_in_noise, white_noise
 
 SLOW_IMU = 8.0
 """Hz: slower, turns are lost between samples."""
@@ -20,8 +21,10 @@ LONG_GAP = 0.5
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
 """Of the usual time between fixes: so much longer is the interval in which they miss what the IMU misses."""
-LEAST_WAY = 3.0
-"""m that a car would have gone in the missing time, to tell a pause from a jump."""
+AROUND = 2.0
+"""s on each side of a gap that say how fast the car was."""
+SIGMAS = 3.0
+"""By which a pause has to lie off a jump to be told from it, each from the middle between them."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -36,7 +39,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield from _gaps(
         "gps", gps.time, GPS_GAP, "a filter runs on the IMU alone there; nothing to do if it was so meant"
     )
-    yield from _clock_jumps(imu.time, gps)
+    yield from clock_jumps(imu.time, gps)
     yield from _held(imu)
     yield from _stale(evidence)
 
@@ -68,11 +71,8 @@ def _gaps(sensor: str, time: Array, limit: tuple[float, float], remedy: str) -> 
     yield Finding(f"{sensor}-gap", severity, what, f"{sensor}.csv, t", span, 1.0, remedy)
 
 
-def _clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
-    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not.
-
-    Where the car went no farther between the two fixes than in a usual interval, no time has passed.
-    """
+def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
+    """Moments that both sensors miss alike: the logger paused, or its clock jumped while the car did not."""
     interval, fix_interval = np.diff(imu), np.diff(gps.time)
     usual, fix_usual = float(np.median(interval)), float(np.median(fix_interval))
     for i in np.flatnonzero(interval > max(IMU_GAP[0] * usual, IMU_GAP[1])):
@@ -82,16 +82,15 @@ def _clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         missed, fix_missed = float(interval[i]) - usual, float(fix_interval[j]) - fix_usual
         if abs(missed - fix_missed) > 1.1 * fix_usual or fix_missed < LEAST_MISSED * fix_usual:
             continue
-        before, across = (
-            float(np.hypot(*(np.diff(v[k : k + 2])[0] for v in (gps.x, gps.y)))) for k in (j - 1, j)
-        )
-        speed = before / float(fix_interval[j - 1])
-        stood = speed * missed < LEAST_WAY
-        jumped = not stood and across < before + 0.5 * speed * missed
-        if stood:
-            what = "the logger paused, or its clock jumped: the car stood, so nobody can tell"
+        passed, std = _time_passed(gps, j)
+        jumped = passed < fix_usual + 0.5 * fix_missed
+        if 0.5 * fix_missed < SIGMAS * std:
+            what, jumped = (
+                "the logger paused, or its clock jumped: the car's speed around it can't tell",
+                False,
+            )
         elif jumped:
-            what = "the logger's clock jumped: between these fixes the car went no farther than usual"
+            what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
         else:
             what = "the logger paused: the car drove on"
         yield Finding(
@@ -105,6 +104,33 @@ def _clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             if jumped
             else "nothing to do, or split the drive there",
         )
+
+
+def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
+    """How long the car was on its way from fix j to the next at the speed around them, s; and its standard deviation.
+
+    By a line through the fixes of `AROUND` seconds on each side: one fix more or less off says nothing. Where the two
+    sides' speeds differ, the car may have gone at either of them.
+    """
+    position, time = gps.x + 1j * gps.y, gps.time
+    noise = max(white_noise(position), motion_in_noise(float(np.median(np.diff(time)))))
+    before = (time <= time[j]) & (time >= time[j] - AROUND)
+    after = (time >= time[j + 1]) & (time <= time[j + 1] + AROUND)
+    if min(before.sum(), after.sum()) < 2:
+        return 0.0, np.inf
+    ends, speeds, variance = [], [], 0.0
+    for side, at in ((before, time[j]), (after, time[j + 1])):
+        columns = np.column_stack([np.ones(side.sum()), time[side] - at])
+        (end, speed), *_ = np.linalg.lstsq(columns, position[side], rcond=None)
+        ends.append(end)
+        speeds.append(speed)
+        variance += noise**2 * float(np.linalg.inv(columns.T @ columns)[0, 0])
+    speed = (speeds[0] + speeds[1]) / 2
+    if speed == 0.0:
+        return 0.0, np.inf
+    along = (ends[1] - ends[0]) * np.conj(speed) / abs(speed)
+    variance += (abs(speeds[1] - speeds[0]) / 4 * float(time[j + 1] - time[j])) ** 2
+    return float(along.real / abs(speed)), float(np.sqrt(variance) / abs(speed))
 
 
 def _held(imu: Imu) -> Iterator[Finding]:
