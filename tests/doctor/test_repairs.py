@@ -1,6 +1,7 @@
 """What is mended is as good as the original: the planted fault is gone, and the numbers agree."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -68,6 +69,48 @@ def test_two_faults_at_once():
     np.testing.assert_allclose(mended.imu.ay, good.imu.ay, atol=1e-9)
     np.testing.assert_allclose(mended.imu.gz, good.imu.gz, atol=1e-12)
     assert set(mended.metadata["repaired"]) == {"accelerometer-unit", "accelerometer-axes", "gyro-unit"}
+
+
+def test_jumps_of_the_clock_are_closed():
+    """Two of them: the second one is named by a time that the first one has put off."""
+    good = sigmaswarm.simulate("urban", gps="white-1m", duration=120, seed=3)
+    truth = good.truth
+    assert truth is not None
+    steady = np.convolve(np.hypot(np.gradient(truth.x), np.gradient(truth.y)), np.ones(400), "same")
+    half = len(steady) // 2
+    moments = [float(truth.time[k + int(np.argmax(steady[k : k + half]))]) for k in (0, half)]
+    jumps = 4.0, 2.5
+
+    def jumped(time: np.ndarray) -> np.ndarray:
+        return time + sum(jump * (time > moment) for jump, moment in zip(jumps, moments, strict=True))
+
+    sick = replace(
+        good,
+        **{
+            name: replace(getattr(good, name), time=jumped(getattr(good, name).time))
+            for name in ("imu", "gps", "truth")
+        },
+    )
+    found = sigmaswarm.diagnose(sick)
+    assert [f.code for f in found.findings].count("clock-jump") == 2
+    mended = sigmaswarm.repair(sick, found)
+    for name in ("imu", "gps", "truth"):
+        np.testing.assert_allclose(getattr(mended, name).time, getattr(good, name).time, rtol=0, atol=1e-9)
+    assert mended.metadata["repaired"].count("clock-jump") == 1
+
+
+def test_what_was_lost_beside_a_jump_is_not_made_up():
+    """Of 4 s that both clocks miss the car drove for 2."""
+    good = sigmaswarm.simulate("cruise", gps="white-1m", seed=3)
+    imu, gps = (t.select((t.time <= 15.0) | (t.time > 17.0)) for t in (good.imu, good.gps))
+    imu, gps = (replace(t, time=np.where(t.time > 15.0, t.time + 3.0, t.time)) for t in (imu, gps))
+    (found,) = (
+        f
+        for f in sigmaswarm.diagnose(replace(good, imu=imu, gps=gps)).findings
+        if f.code in {"clock-jump", "logger-pause"}
+    )
+    assert found.code == "clock-jump"
+    assert found.repair is None
 
 
 def test_nothing_to_mend_changes_nothing():

@@ -65,6 +65,14 @@ def test_seventy_percent_of_the_time_by_default():
     assert train.imu.time[-1] > 13.98
 
 
+def test_at_a_moment_of_the_drive_s_own_clock():
+    train, test = split_time(replace(DRIVE, imu=replace(DRIVE.imu, time=DRIVE.imu.time + 100.0)), at=103.0)
+    assert train.imu.time[-1] < 103.0 <= test.imu.time[0]
+    assert train.imu.time[-1] > 102.98
+    with pytest.raises(DriveError, match=r"leaves no drive; choose times within t = 0 to"):
+        split_time(DRIVE, at=103.0)
+
+
 def test_clips_that_meet_share_nothing():
     t = DRIVE.imu.time[1000]
     before, after = clip(DRIVE, end=t), clip(DRIVE, start=t)

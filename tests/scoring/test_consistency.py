@@ -92,7 +92,7 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     assert "by less than its covariances say (these are forecasts of fixes, not errors" in blind
     assert verdicts([]) == {}
     alike = verdicts([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
-    assert list(alike) == ["pessimistic", "alike", "consistent"]
+    assert list(alike) == ["pessimistic", "alike", "correlated"]
     assert "That is no sign of safety" in alike["alike"]
 
 
@@ -103,6 +103,16 @@ def test_a_truth_that_contradicts_the_fixes_is_told():
     assert "too careful" in said["pessimistic"]
     assert "too sure of its position all the same" in said["optimistic_position"]
     assert list(verdicts([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
+
+
+def test_a_right_size_is_not_all():
+    """Errors that are each partly the one before average out less than a filter of the right NIS believes."""
+    band = (1.8, 2.2)
+    said = verdicts([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
+    assert list(said) == ["correlated", "consistent"]
+    assert "on 1 of 2 drives" in said["correlated"]
+    assert "in part like the one before" in said["correlated"]
+    assert list(verdicts([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
 
 
 def test_fixes_whose_errors_last_are_told():

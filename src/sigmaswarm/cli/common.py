@@ -212,7 +212,9 @@ def print_evaluation(
     from sigmaswarm.scoring.drifts import OWN
     from sigmaswarm.scoring.evaluation import HOW_MANUAL, partly_scored, said_of_drives
 
-    console, measures = stdout(), evaluation.measures
+    console, record = stdout(), evaluation.record
+    methods, known = record.told(evaluation.names, evaluation.measures)
+    measures, names = {m: evaluation.measures[m] for m in known}, {m: evaluation.names[m] for m in methods}
     # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
     table = Table(
         title=f"On {said_of_drives(evaluation.asked.data)} (lower is better)",
@@ -230,20 +232,20 @@ def print_evaluation(
 
     for drive in evaluation.scores:
         table.add_row(Text(drive, "italic"))
-        for method, name in evaluation.names.items():
+        for method, name in names.items():
             failed = " (failed)" if evaluation.scores[drive][method].failed else ""
             row(name + failed, method, (evaluation.value(drive, method, m) for m in measures))
         table.add_section()
     if len(evaluation.scores) > 1:
         table.add_row(Text("mean", "italic"))
-        for method, name in evaluation.names.items():
+        for method, name in names.items():
             row(name, method, (evaluation.mean(method, m) for m in measures))
     console.print(table)
     late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
     if late:
-        told = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
+        starts = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
         console.print(
-            f"Filters start, and scores with them, {told}: at the first fix with 4 s and 20 m of forward driving "
+            f"Filters start, and scores with them, {starts}: at the first fix with 4 s and 20 m of forward driving "
             "behind it, which tell the heading."
         )
     for said in partly_scored(evaluation.asked.data):
@@ -270,10 +272,9 @@ def print_evaluation(
                 f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
                 f"than {evaluation.names[over]}."
             )
-    told = evaluation.record
     for name, measure in measures.items():
         drift = evaluation.mean("tuned", name)  # None, too, where the filter failed but in no outage
-        if drift is not None and (spread := told.drift_said(name)):
+        if drift is not None and (spread := record.drift_said(name)):
             console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
     console.print(f"{HOW_MANUAL}; name your own with --against.")
     for said in (*evaluation.worse_than_raw, *evaluation.worse_than_manual, *evaluation.restarted):

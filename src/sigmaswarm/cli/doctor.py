@@ -55,12 +55,17 @@ def doctor(
             folder = fix / drive.name
             copy = sigmaswarm.repair(drive, diagnosis)
             sigmaswarm.write_drive(copy, folder)
-            mended = [finding.code for finding in diagnosis.findings if finding.repair]
+            mended = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair))
             diagnosis = sigmaswarm.diagnose(copy)
             told["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if not json:
-                stdout().print(f"wrote {folder}, mended: {', '.join(mended) or 'nothing'}. What is left:\n")
-                print_diagnosis(diagnosis)
+                if mended:
+                    stdout().print(f"wrote {folder}, mended: {', '.join(mended)}. What is left:\n")
+                    print_diagnosis(diagnosis)
+                else:
+                    stdout().print(
+                        f"wrote {folder}, a plain copy: there is nothing that the doctor can mend\n"
+                    )
         result.append(told)
         serious |= diagnosis.serious
     if json:

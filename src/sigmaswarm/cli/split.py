@@ -11,7 +11,8 @@ def split(
     /,
     *,
     out: Path,
-    train_fraction: float = 0.7,
+    train_fraction: float | None = None,
+    at: float | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Split one long drive in time: the first part to tune on, the rest to test on.
@@ -29,15 +30,19 @@ def split(
     out
         Folder in which the two drive folders are made.
     train_fraction
-        Share of the drive's time that goes to the first part.
+        Share of the drive's time that goes to the first part; 0.7 by default.
+    at
+        s on the drive's clock (`t` in its files): split there, as where the doctor saw a pause.
     json
         Print what was written for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
 
+    if at is not None and train_fraction is not None:
+        raise sigmaswarm.InputError("give --at or --train-fraction, not both: each says where to split")
     whole = read_known(drive)
-    parts = sigmaswarm.split_time(whole, train_fraction)
+    parts = sigmaswarm.split_time(whole, 0.7 if train_fraction is None else train_fraction, at=at)
     for part in parts:
         sigmaswarm.write_drive(part, out / part.name)
     if json:

@@ -23,6 +23,7 @@ Action = Literal[
     "odometer",
     "shift-odometer",
     "drop-readings",
+    "close-jump",
 ]
 
 

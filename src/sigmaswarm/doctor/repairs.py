@@ -1,4 +1,4 @@
-"""Mending a drive as its findings say. The drive handed in stays as it is; truth stays as it is."""
+"""Mending a drive as its findings say. The drive handed in stays as it is; what truth says stays as it is."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Action, Diagnosis
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import wrap_angle
 
 Values = tuple[float, ...]
@@ -30,13 +30,14 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     Drive
         Under the same name; ``repaired`` in its metadata lists the findings that were mended.
     """
-    mended = {f.code: f.repair for f in diagnosis.findings if f.repair is not None}
-    for order in ACTIONS:
-        for fix in mended.values():
-            if fix.action == order:
-                drive = ACTIONS[order](drive, fix.values)
-    if not mended:
+    repairs = [f.repair for f in diagnosis.findings if f.repair is not None]
+    if not repairs:
         return drive
+    for action, mend in ACTIONS.items():
+        # The latest first, so that a moment that is named by its time still has it.
+        for fix in sorted((r for r in repairs if r.action == action), key=lambda r: r.values, reverse=True):
+            drive = mend(drive, fix.values)
+    mended = dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None)
     before = list(drive.metadata.get("repaired", []))
     return replace(drive, metadata={**drive.metadata, "repaired": [*before, *mended]})
 
@@ -134,6 +135,23 @@ def _drop_readings(drive: Drive, values: Values) -> Drive:
     return replace(drive, odometer=(wheels and without(wheels, spans)) or None)
 
 
+def _close_jump(drive: Drive, values: Values) -> Drive:
+    """A moment, s, and by how much, s, all later times are too late."""
+    moment, jump = values
+
+    def closed(time: Array) -> Array:
+        return np.where(time > moment, time - jump, time)
+
+    truth, wheels = drive.truth, drive.odometer
+    return replace(
+        drive,
+        imu=replace(drive.imu, time=closed(drive.imu.time)),
+        gps=replace(drive.gps, time=closed(drive.gps.time)),
+        truth=truth and replace(truth, time=closed(truth.time)),
+        odometer=wheels and replace(wheels, time=closed(wheels.time)),
+    )
+
+
 ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "drop-samples": _drop_samples,
     "drop-fixes": _drop_fixes,
@@ -148,5 +166,6 @@ ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "drop-readings": _drop_readings,
     "odometer": _odometer,
     "shift-odometer": _shift_odometer,
+    "close-jump": _close_jump,
 }
 """In the order in which they are done: rows are named by the times they came with."""

@@ -36,7 +36,7 @@ def split_drives(
     return train, [drive for i, drive in enumerate(drives) if i not in chosen]
 
 
-def split_time(drive: Drive, train_fraction: float = 0.7) -> tuple[Drive, Drive]:
+def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = None) -> tuple[Drive, Drive]:
     """Split one long drive in time: ``<name>-train`` is its first part, ``<name>-test`` the rest.
 
     Parameters
@@ -45,6 +45,8 @@ def split_time(drive: Drive, train_fraction: float = 0.7) -> tuple[Drive, Drive]
         Stays as it is.
     train_fraction : float
         Of the drive's duration, in (0, 1).
+    at : float, optional
+        s on the drive's clock: split there instead, as where a logger paused.
 
     Returns
     -------
@@ -52,7 +54,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7) -> tuple[Drive, Drive]
         ``cut_from`` in their metadata says of which drive (name, fingerprint) each is which part (s on its clock).
     """
     _require_fraction(train_fraction)
-    cut = drive.imu.time[0] + train_fraction * drive.duration
+    cut = drive.imu.time[0] + train_fraction * drive.duration if at is None else at
     parts = (
         clip(drive, end=cut, name=f"{drive.name}-train"),
         clip(drive, start=cut, name=f"{drive.name}-test"),

@@ -102,15 +102,25 @@ def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) ->
 
 
 Kind = Literal[
-    "optimistic", "pessimistic", "alike", "lasting", "consistent", "optimistic_position", "unknown"
+    "optimistic",
+    "pessimistic",
+    "alike",
+    "lasting",
+    "correlated",
+    "consistent",
+    "optimistic_position",
+    "unknown",
 ]
 """Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less.
 
 Alike: by less, and each fix by much what the one before was missed by, so that, without truth, nothing can be said.
 Lasting: by less, and the errors against truth are as large as they say; what the fixes share hides from forecasts.
+Correlated: by as much as they say, but each by some of what the one before was missed by; without truth.
 """
 ALIKE = 0.5
 """Correlation of an innovation to the next one from which on they are much alike."""
+CORRELATED = 0.2
+"""The same, from which on a consistent NIS does not say all."""
 FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
 """What has to be said beside the verdicts where no truth is known."""
 
@@ -125,6 +135,11 @@ VERDICTS: dict[Kind, str] = {
     "lasting": (
         "has a low NIS with the right NEES: the fixes' errors last, so that neighbours share them; its covariances are "
         "right about the position, and should not be made smaller"
+    ),
+    "correlated": (
+        "misses the fixes by as much as its covariances say, but each fix in part like the one before: the receiver's "
+        "errors last, or the car moved in a way that the model does not know, and the estimate may be off by more "
+        "than it says"
     ),
     "consistent": "is consistent: its forecasts miss the fixes by as much as its covariances say",
     "optimistic_position": (
@@ -144,12 +159,17 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
         for nis, (low, _), nees, _ in known
     )
     alike = sum(nis < low and nees is None and next_one > ALIKE for nis, (low, _), nees, next_one in known)
+    correlated = sum(
+        low <= nis <= high and nees is None and next_one > CORRELATED
+        for nis, (low, high), nees, next_one in known
+    )
     counts: dict[Kind, int] = {
         "optimistic": optimistic,
         "pessimistic": low_nis - lasting - alike,
         "alike": alike,
         "lasting": lasting,
-        "consistent": len(known) - optimistic - low_nis,
+        "correlated": correlated,
+        "consistent": len(known) - optimistic - low_nis - correlated,
         "optimistic_position": sum(
             nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees, _ in known
         ),

@@ -1,6 +1,7 @@
 """What an evaluation leaves in scores.json and evaluation.json."""
 
 import math
+from collections.abc import Iterable
 
 from pydantic import BaseModel, Field
 
@@ -90,6 +91,16 @@ class ScoresRecord(BaseModel):
     def mean_of(self, method: str, measure: str) -> float | None:
         """Over the drives that have it; None where it can't be said."""
         return self.mean.get(method, {}).get(measure)
+
+    def told(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
+        """The methods and measures of which anything is known: without truth no errors, and nothing of raw GPS."""
+        methods, measures = [*methods], [*measures]
+        known = [
+            m for m in measures if any(self.mean_of(method, m) is not None for method in methods)
+        ] or measures
+        return [
+            m for m in methods if m != "raw_gps" or any(self.mean_of(m, k) is not None for k in known)
+        ], known
 
 
 class EvaluationRecord(BaseModel):

@@ -83,12 +83,12 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
         if abs(missed - fix_missed) > 1.1 * fix_usual or fix_missed < LEAST_MISSED * fix_usual:
             continue
         passed, std = _time_passed(gps, j)
-        jumped = passed < fix_usual + 0.5 * fix_missed
-        if 0.5 * fix_missed < SIGMAS * std:
-            what, jumped = (
-                "the logger paused, or its clock jumped: the car's speed around it can't tell",
-                False,
-            )
+        unsure = 0.5 * fix_missed < SIGMAS * std
+        jumped = not unsure and passed < fix_usual + 0.5 * fix_missed
+        # What else was lost with the jump nobody can put back: closed is what both clocks miss alike, and all of it.
+        whole = abs(missed - fix_missed) < 0.5 * fix_usual and passed < fix_usual + SIGMAS * std
+        if unsure:
+            what = "the logger paused, or its clock jumped: the car's speed around it can't tell"
         elif jumped:
             what = f"the logger's clock jumped: the car went as far between these fixes as in {passed:.1f} s"
         else:
@@ -100,9 +100,10 @@ def clock_jumps(imu: Array, gps: Gps) -> Iterator[Finding]:
             "imu.csv, gps.csv, t",
             (float(imu[i]), float(imu[i + 1])),
             0.9,
-            "take the jump off all later times of both files"
+            "take the jump off all later times of all files"
             if jumped
             else "nothing to do, or split the drive there",
+            Repair("close-jump", (float(imu[i]), missed)) if jumped and whole else None,
         )
 
 

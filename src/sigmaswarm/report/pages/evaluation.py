@@ -136,7 +136,9 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord], shown: Mapping[s
         *partly_scored(data),
     ]
     return said + [
-        told[kind] for kind in ("optimistic", "pessimistic", "alike", "lasting", "unknown") if kind in told
+        told[kind]
+        for kind in ("optimistic", "pessimistic", "alike", "lasting", "correlated", "unknown")
+        if kind in told
     ]
 
 
@@ -196,8 +198,7 @@ def _comparison(
     scores: ScoresRecord, names: Mapping[str, str], shown: Mapping[str, Measure], outage_length: float
 ) -> Section:
     """Of what can be told: without truth there is neither a column of errors nor a row of raw GPS."""
-    told = [m for m in shown if any(scores.mean_of(method, m) is not None for method in names)] or [*shown]
-    methods = [m for m in names if m != "raw_gps" or any(scores.mean_of(m, t) is not None for t in told)]
+    methods, told = scores.told(names, shown)
     columns = (
         Column("drive"),
         Column("method"),
@@ -293,7 +294,8 @@ def _consistency(scores: ScoresRecord) -> Section:
         f"Do the tuned filter's {'forecasts and errors' if nees else 'forecasts'} come out as its covariances say? "
         f"{'NIS (of forecasts of the fixes) and NEES (of errors) average' if nees else 'NIS averages'} 2 where they "
         f"do; above 2 it is too sure of itself, below too careful.{'' if nees else f' Beware: {FORECASTS}.'} "
-        "Innovations of a consistent filter are white: no "
-        "correlation from fix to fix.",
+        "Innovations of a consistent filter are white: no correlation from fix to fix. p is how often white ones would "
+        "look as correlated as these (Ljung and Box's test over ten fixes). Where it is below 0.01, each error is "
+        "partly that of the fix before, as of most real receivers, and averages out less than the filter believes.",
     )
     return Section("Consistency", text, (Table("", tuple(columns), tuple(rows)),))
