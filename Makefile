@@ -25,6 +25,7 @@ demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
 
 install: $(VENV)/installed
+	@echo "installed; next: source $(BIN)/activate, then sigmaswarm --help"
 
 test: $(VENV)/test-installed
 	$(BIN)/python tests/warm.py

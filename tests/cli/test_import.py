@@ -63,7 +63,7 @@ def test_from_a_bag_to_an_evaluation(sigmaswarm: Command, here: Path):
     assert "note: /imu/data is in the frame 'imu_link'" in ended.out
     assert "wrote drives/monday: 40.0 s" in ended.out
     assert "importing" in ended.err  # progress
-    then = ended.out.splitlines()[-1]
+    then = ended.out.splitlines()[-2]
     # Its speeds are drawn by chance, which no repair mends.
     assert "next: sigmaswarm doctor drives/monday    (then what it can't mend, mend in the log)" in ended.out
     assert then == "then: sigmaswarm tune drives/monday --out tuned"
@@ -252,6 +252,14 @@ def test_columns_names_can_not_steer_the_terminal(sigmaswarm: Command, here: Pat
     assert ended.code == 0, ended.err
     assert "\\x1b]0;owned\\x07" in ended.out and "log\\x1b[2J.csv" in ended.out
     assert not {"\x1b", "\x07", "\x9b"} & set(ended.out), repr(ended.out)
+
+
+def test_show_says_what_nobody_reads(sigmaswarm: Command, here: Path):
+    rows = [f"{i / 100},0,0,9.81,{20 + i % 3},0,{i},0,3" for i in range(300)]
+    names = ["t", "ax", "ay", "AccelUp", "Engine Temp (C)", "gz", "x", "y", "fix_type"]
+    (here / "log.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
+    said = sigmaswarm("import", "log.csv", "--show").out
+    assert said.endswith("What neither reads:\nlog.csv: Engine Temp (C), fix_type\n"), said
 
 
 @pytest.mark.parametrize("option", ["--max-rows", "--max-columns", "--max-unpacked-mb"])

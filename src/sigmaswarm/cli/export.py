@@ -74,7 +74,7 @@ def export(
 
 def _found(checked: "Checked") -> str:
     """One line on a drive."""
-    line = f"{checked.drive}: C is within {checked.double.state:.1e} of sigmaswarm run, in any state"
+    line = f"{checked.drive}: C is within {checked.double.state:.1e} of sigmaswarm run in any state (relative, above 1)"
     single = checked.single
     if single is None:
         return f"{line}; float can't hold this filter"

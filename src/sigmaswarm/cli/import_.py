@@ -1,5 +1,6 @@
 """`sigmaswarm import`."""
 
+import re
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,9 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.look import Look
     from sigmaswarm.importing.recipe import Recipe
+
+MOST_UNREAD = 12
+"""Names of columns, in a table's line of those that nobody reads."""
 
 _Flag = Annotated[bool, Parameter(negative=())]
 _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
@@ -225,6 +229,7 @@ def _import(
         else:
             stdout().print(f"next: sigmaswarm plot {shlex.quote(str(out))}")
         stdout().print(f"then: sigmaswarm tune {shlex.quote(str(ready))} --out tuned")
+        stdout().print("      (or keep this drive back, to evaluate on it what was tuned on others)")
 
 
 def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
@@ -296,7 +301,9 @@ def _print_look(seen: "Look") -> None:
         if left := len(glance.ranges) - len(told):
             console.print(f"  and {left} columns that are 0")
     console.print("(each column's lowest value, median and highest, over the first rows)")
-    console.print("\nWhat import would do (save it with --save-recipe, change it with --map):", style="bold")
+    console.print(
+        "\nWhat import would do by itself (save it with --save-recipe, change it with --map):", style="bold"
+    )
     recipe = "\n".join(shown(line, 1000) for line in seen.recipe.to_toml().split("\n"))
     console.print(recipe or "nothing was recognized; say what is what with --map")
     for note in seen.notes:
@@ -304,7 +311,19 @@ def _print_look(seen: "Look") -> None:
     if seen.proposal:
         console.print("\nTo read the rest, add to the command:", style="bold")
         console.print(shown(seen.proposal, 4000), markup=False)
-        console.print(f"({shown(seen.evidence, 1000)}; nothing of it is done unless you ask for it)")
+        times = (
+            "; imu.t and gps.t are the times of their rows"
+            if re.search(r"\b(imu|gps)\.t=", seen.proposal)
+            else ""
+        )
+        console.print(f"({shown(seen.evidence, 1000)}{times}; nothing of it is done unless you ask for it)")
+    if seen.unread:
+        console.print("\nWhat neither reads:", style="bold")
+        for table, columns in seen.unread.items():
+            more = f" and {len(columns) - MOST_UNREAD} more" if len(columns) > MOST_UNREAD else ""
+            console.print(
+                f"{shown(table)}: {', '.join(map(shown, columns[:MOST_UNREAD]))}{more}", markup=False
+            )
 
 
 def _short(value: float | None) -> str:

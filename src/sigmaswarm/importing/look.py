@@ -1,5 +1,6 @@
 """A first look at a log: its tables, their rates, their columns' ranges, and how a drive would be made of it."""
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -48,7 +49,8 @@ class Glance:
 class Look:
     """What is in the logs of a request, the recipe that would be used, and what that assumes.
 
-    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them.
+    ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
+    by table, of those that are read, the columns that neither would read.
     """
 
     tables: tuple[Glance, ...]
@@ -56,6 +58,20 @@ class Look:
     notes: tuple[str, ...]
     proposal: str = ""
     evidence: str = ""
+
+    @property
+    def unread(self) -> dict[str, tuple[str, ...]]:
+        """See above."""
+        parts = [part for role in self.recipe.roles.values() for part in role]
+        said = "\n".join([self.proposal, *(text for part in parts for text in part.columns.values())])
+        read = {part.table for part in parts}
+        unread: dict[str, tuple[str, ...]] = {}
+        for glance in self.tables:
+            names = [r.column for r in glance.ranges]
+            left = tuple(c for c in names if not re.search(rf"(?<![\w.]){re.escape(c)}(?![\w.])", said))
+            if left and (glance.table in read or len(left) < len(names)):
+                unread[glance.table] = left
+        return unread
 
 
 def look(request: Request) -> Look:

@@ -29,8 +29,9 @@ NOT_VALIDATED = (
 )
 """The remark that an evaluation answers."""
 MARGIN_TAKEN = (
-    "{} times those of the lowest cost, for roads and IMUs that the tuning has not seen: the objective hardly "
-    "tells the two apart, but on the same roads outages cost a little for it; --margin 0 leaves it out"
+    "{} times those of the lowest cost: the objective hardly tells the two filters apart, and on roads and IMUs that "
+    "the tuning has not seen, the one that doubts more does better. On the same roads it drifts somewhat farther over "
+    "outages; --margin 0 leaves it out"
 )
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""

@@ -97,12 +97,18 @@ def remarks(file: TuningRecord) -> tuple[str, ...]:
     return () if r is None else tuple(r.remarks)
 
 
+SIGMA_POINTS = {"alpha", "beta", "kappa"}
+"""An extended filter has none."""
+
+
 def parameters_section(file: TuningRecord) -> Section:
     """Every parameter with its unit, how far it can move, and what is to be said of it."""
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
     for name, value, unit, density in _parameters(file):
+        if file.filter.get("kind") == "ekf" and name in SIGMA_POINTS:
+            continue
         searched = _searched_as(name, ranges, file)
         low, high = ranges.get(searched, (None, None))
         free = (low, high) == ("-", "-")
@@ -116,7 +122,12 @@ def parameters_section(file: TuningRecord) -> Section:
         rows.append((NOISE_SCALE, 1.0, "", _end(low), _end(high), "", "together, one factor"))
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
-        ("From and to: where the cost has risen by 1%, all other parameters left alone.",) if ranges else ()
+        (
+            "From and to: where the cost has risen by 1%, all other parameters left alone; the box's end, where it has "
+            "not risen so far at the end of what was searched.",
+        )
+        if ranges
+        else ()
     )
     return Section("Parameters", text, (Table("", tuple(map(Column, titles)), tuple(rows)),))
 
