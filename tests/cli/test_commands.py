@@ -231,7 +231,8 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert "RMSE" in shown
     assert "raw GPS" in shown
     reason = (
-        "no truth.csv: only the drift over outages, against hidden fixes, and the consistency can be told"
+        "no truth.csv: only the drift over outages, against hidden fixes whose own errors are in it, "
+        "and the consistency can be told"
     )
     assert f"\nurban-clear-03 has {reason}" in shown
     assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")

@@ -256,7 +256,7 @@ def print_evaluation(
     if without_truth:
         console.print(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
-            "over outages, against hidden fixes, and the consistency can be told.",
+            "over outages, against hidden fixes whose own errors are in it, and the consistency can be told.",
         )
     for name, found in evaluation.drives.items():
         if found.frozen:

@@ -226,6 +226,8 @@ def _comparison(
         if scores.drifts
         else ""
     )
+    if outages and "position_rmse_m" not in told:
+        outages += " Without truth it is against the hidden fixes, and has their own errors in it."
     text = (
         f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse} IMU only "
         "takes no fix after the drive's start, so its drift is what has gathered since then.",
