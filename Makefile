@@ -19,6 +19,9 @@ DOCS := .venv-docs
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
+# Without bytecode each of the hundreds of processes that the tests start would parse all sources anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo install test test-long check bench parity fuzz docs pictures dist dist-check notebook clean
 
 demo: $(VENV)/installed
