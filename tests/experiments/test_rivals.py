@@ -252,11 +252,13 @@ def test_lessons_are_minutes_of_the_trial_s_own_training_drives(whole: Study):
 
 def test_what_a_network_saw_is_in_its_folder(whole: Study):
     for network in NETWORKS:
-        learned = load_learned(whole.folder / f"learned/{network}/trial-000")
-        assert learned is not None
-        assert {entry.name for entry in learned.record.data} == {
-            d.name for d in lessons(whole.design, 0, 2.4).shown
-        }
+        for trial in range(2):
+            learned = load_learned(whole.folder / f"learned/{network}/trial-{trial:03d}")
+            assert learned is not None
+            of = lessons(whole.design, trial, 2.4)
+            assert [entry.name for entry in learned.record.data] == [drive.name for drive in of.shown]
+            assert learned.record.training.held_back == ", ".join(drive.name for drive in of.held_back)
+            assert learned.record.training.seed == trial
 
 
 def test_drives_that_are_too_short_are_told_before_anything_is_tuned(

@@ -119,9 +119,9 @@ def curve_charts(results: Results) -> tuple[Chart, ...]:
     for measure in AWAY:
         marks = [mark for method in methods for mark in _course(results, method, measure)]
         if marks:
-            title = f"{results.measures[measure]}, over what was learned from"
-            y = Axis(results.measures[measure], range=(0.0, None))
-            charts.append(Chart(title, tuple(marks), Axis("minutes; 0: the filter alone"), y, broad=True))
+            x = Axis("minutes learned from; 0: the filter alone")
+            y = Axis(range=(0.0, None))
+            charts.append(Chart(results.measures[measure], tuple(marks), x, y, broad=True))
     return tuple(charts)
 
 
