@@ -409,7 +409,7 @@ def test_drives_of_one_s_own_and_drives_elsewhere(whole: Study, tmp_path: Path):
     )
     study = run_study(config, tmp_path / "out")
     own = [row for row in study.results.rivals.elsewhere if row.method == "noise-gru"]
-    assert {row.place for row in own} == {"elsewhere"}
+    assert {row.place for row in own} == {"as given"}
     assert {row.n_drives for row in own} == {1}
     alone = make_design(config.model_copy(update={"elsewhere": ()}))
     assert designs_elsewhere(alone) == {}

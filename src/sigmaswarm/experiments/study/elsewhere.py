@@ -33,7 +33,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
         drives = [read_drive(place) for place in listed_places(c.elsewhere)]
         own = tuple(drive for drive in home.drives if isinstance(drive, Drive))
         require_apart([landmarks(drive) for drive in (*own, *drives)])
-        return {"elsewhere": _apart(drives, c)}
+        return {"as given": _apart(drives, c)}
     imu = next(name for name in OTHER_IMU if name != c.imu)
     return {
         f"IMU {imu} for {c.imu}": _simulated(c, executor, imu=imu),

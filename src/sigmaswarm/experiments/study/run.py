@@ -145,7 +145,7 @@ def run_study(
         Threads of that pool; as many as the machine has cores by default. The result does not depend on it.
     cluster : distributed.Client, optional
         Of a Dask cluster, whose workers make or read the drives, hold them, and do the work; the threads here only
-        ask. Nor does the result depend on it.
+        ask. Nor does the result depend on it. Not with rivals: networks are trained here.
     progress : callable, optional
         Called with a `StudyProgress` after every generation of every tuning.
 

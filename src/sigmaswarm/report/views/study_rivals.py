@@ -85,8 +85,8 @@ def elsewhere_table(results: Results, place: str) -> Table:
         rows.append(tuple(row))
     drives = max((row.n_drives for row in own), default=0)
     note = (
-        f"The filters and networks of all trials, as they were tuned and trained at home, on {drives} drives "
-        f"of {place}; 95% intervals for new drives (bootstrap over drives and trials)."
+        "The filters and networks of all trials, as they were tuned and trained at home; 95% intervals for new drives "
+        f"(bootstrap over drives and trials). Drives: {drives}."
     )
     return study_table(f"Elsewhere: {place}", columns, rows, results, note)
 
