@@ -50,7 +50,7 @@ def test_a_missing_library_is_told_in_one_line_before_any_work(
     package: str, sigmaswarm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setitem(sys.modules, package, None)
-    ended = sigmaswarm("study", "--out", "out", "--rivals")
+    ended = sigmaswarm("study", "--out", "out", "--rivals", *SMALL)
     assert (ended.code, ended.err.count("\n")) == (2, 1)
     assert "pip install 'sigmaswarm[learned]'" in ended.err
     assert not (here / "out").exists()
