@@ -6,8 +6,8 @@
 Cases: KITTI, each drive held out once; colorado-1 and kingston-1, their first 70% and the rest; simulated drives on
 rolling roads, six to learn from and four held out; and what was learned there on drives of another grade of sensors,
 or another car. All are planar8 with lateral, standstill and robust, tuned with truth. It goes on where it was
-stopped: a line of JSON a row. `sigmaswarm study` repeats the paper's experiment, whose trials are tunings of the same
-budget in the paper's setting; a network's training is none, so this is a table of its own.
+stopped: a line of JSON a row. `sigmaswarm study --rivals` holds them against each other in the paper's setting, planar5
+and planar8 as recorded and tuned for the position; here the filters are those that people would take.
 """
 
 import argparse

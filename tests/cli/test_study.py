@@ -1,5 +1,6 @@
 """`sigmaswarm study` on the command line."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -42,3 +43,29 @@ def test_mistakes_take_one_line(sigmaswarm: Command, here: Path):
         assert ended.code == 2
         assert said in ended.err
         assert ended.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("package", ["jax", "optax"])
+def test_a_missing_library_is_told_in_one_line_before_any_work(
+    package: str, sigmaswarm: Command, here: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    ended = sigmaswarm("study", "--out", "out", "--rivals", *SMALL)
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert "pip install 'sigmaswarm[learned]'" in ended.err
+    assert not (here / "out").exists()
+
+
+def test_mistakes_about_rivals_take_one_line(sigmaswarm: Command, here: Path):
+    (here / "study.toml").write_text('maneuvers = ["turns"]\nenvironments = ["clear"]\n')
+    for arguments, said in (
+        (("--learn-minutes", "5"), "add rivals"),
+        (("--elsewhere", "x"), "add rivals"),
+        (("--rivals", "--learn-minutes", "1"), "learn-minutes"),
+        (("--rivals", "--per-condition"), "leave per_condition out"),
+        (("--rivals", "--cluster", "local:1"), "leave the cluster out"),
+        (("--rivals", "--runs", "2", "--elsewhere", "none"), "none"),
+    ):
+        ended = sigmaswarm("study", "--out", "out", "--config", "study.toml", *arguments)
+        assert ended.code == 2, arguments
+        assert said in ended.err

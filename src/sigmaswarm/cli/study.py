@@ -24,6 +24,9 @@ def study(
     seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
     per_condition: _Flag = False,
     racing: _Flag = False,
+    rivals: _Flag = False,
+    learn_minutes: Annotated[float | None, Parameter(validator=validators.Number(gte=2))] = None,
+    elsewhere: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
     workers: _Count = None,
     cluster: str | None = None,
     resume: _Flag = False,
@@ -44,6 +47,7 @@ def study(
         sigmaswarm study --out study --resume
         sigmaswarm study --out quick --runs 4 --trials 5 --particles 16 --generations 20
         sigmaswarm study --out mine --drives drives --trials 10
+        sigmaswarm study --out rivals --rivals --runs 4 --trials 5
 
     Parameters
     ----------
@@ -69,6 +73,16 @@ def study(
     racing
         Drop the worse candidates of a generation after a few drives, but under the paper's protocol: little more than
         half of the time, and now and then an unlucky tuning.
+    rivals
+        Beside all others tune a UKF whose noises fuzzy rules scale, and a UKF by Bayesian optimization, of at most 100
+        evaluations; and train two networks, outage-lstm and noise-gru, beside planar8 in each trial. Drift over 15, 30
+        and 60 s, what everything takes, drives of another sensor grade and another car, and learning curves are told,
+        too. Needs JAX, Optax and scikit-learn: pip install 'sigmaswarm[learned,bo]'.
+    learn_minutes
+        Of driving that a network learns from, drawn from the trial's training drives; 20 by default. With --rivals.
+    elsewhere
+        With --rivals, drives with truth, of other sensors or another car than those of --drives; without --drives they
+        are simulated by default.
     workers
         Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
     cluster
@@ -93,11 +107,15 @@ def study(
         "seed": seed,
         "per_condition": per_condition or None,
         "racing": racing or None,
+        "rivals": rivals or None,
+        "learn_minutes": learn_minutes,
+        "elsewhere": None if elsewhere is None else tuple(elsewhere),
     }
     changes = {name: value for name, value in named.items() if value is not None}
     started = out / "study.toml"
     asked = read_config(config or (started if resume and started.exists() else None), **changes)
-    with cluster_at(cluster) as client, progress_bar("study", "generations, remaining") as show:
+    counted = "generations and epochs, remaining" if asked.rivals else "generations, remaining"
+    with cluster_at(cluster) as client, progress_bar("study", counted) as show:
         done = run_study(
             asked,
             out,
@@ -112,7 +130,7 @@ def study(
         return
     console = stdout()
     for name, table in study_tables(done.results).items():
-        if name.startswith("table-"):
+        if name.startswith(("table-", "rivals", "elsewhere-", "learning-")):
             console.print(table.to_markdown() + "\n")
     _say_where(done, out)
 

@@ -10,6 +10,7 @@ from sigmaswarm.experiments.study.run import Study
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.report.draw.png import figure_of, save_both
 from sigmaswarm.report.draw.text import Printed
+from sigmaswarm.report.views import study_rivals
 from sigmaswarm.report.views import study_tables as views
 from sigmaswarm.report.views.study_charts import convergence_chart, spread_chart
 from sigmaswarm.report.views.study_drive import error_charts, nis_charts, trajectory_chart
@@ -18,7 +19,10 @@ from sigmaswarm.report.views.study_drive import error_charts, nis_charts, trajec
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
     tables, figures = make_folder(folder / "tables"), make_folder(folder / "figures")
-    runtime = {"runtime": Printed(views.runtime_table(study.results, study.record.live))}
+    record = study.record
+    runtime = {"runtime": Printed(views.runtime_table(record.results, record.live))}
+    if record.results.rivals is not None:
+        runtime["runtime-rivals"] = Printed(study_rivals.rivals_table(record.results, record.rival_times))
     written: list[Path] = []
     for name, table in (study_tables(study.results) | runtime).items():
         for ending, text in (("md", table.to_markdown()), ("tex", table.to_latex()), ("csv", table.to_csv())):
@@ -41,9 +45,11 @@ def study_tables(results: Results) -> dict[str, Printed]:
     -------
     dict of str to Printed
         ``table-1`` to ``table-3`` beside the paper's, ``comparison-honest`` and ``comparison-paper``, three of the
-        conditions, ``optimum``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
+        conditions, ``optimum``; with rivals ``rivals``, ``elsewhere-1`` and so on, and ``learning-curve``. Each has
+        to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
     """
-    return {name: Printed(table) for name, table in views.study_tables(results).items()}
+    tables = views.study_tables(results) | study_rivals.rivals_tables(results)
+    return {name: Printed(table) for name, table in tables.items()}
 
 
 def study_figures(study: Study) -> dict[str, Figure]:
@@ -57,15 +63,17 @@ def study_figures(study: Study) -> dict[str, Figure]:
     -------
     dict of str to matplotlib.figure.Figure
         ``convergence`` (the paper's Fig. 2), ``trajectory`` (its Fig. 3), ``boxes`` (errors over drives), ``errors``
-        (over time) and ``nis``. No global state of pyplot is touched.
+        (over time) and ``nis``; with rivals ``learning-curve``. No global state of pyplot is touched.
     """
     results, spreads, picture = study.results, study.record.spreads, study.picture
     courses = [convergence_chart(results, protocol, [MAIN], "linear") for protocol in results.protocols]
     boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in views.ERRORS]
+    curves = study_rivals.curve_charts(results)
     return {
         "convergence": figure_of(*(c for c in courses if c), size=(10, 4)),
         "trajectory": figure_of(trajectory_chart(picture), size=(6.4, 5.6)),
         "boxes": figure_of(*(c for c in boxes if c), size=(12, 4.6), sharey=True),
         "errors": figure_of(*error_charts(picture), size=(11, 7), columns=2, sharex=True),
         "nis": figure_of(*nis_charts(picture), size=(11, 3.4), sharey=True),
+        **({"learning-curve": figure_of(*curves, size=(11, 7), columns=2)} if curves else {}),
     }

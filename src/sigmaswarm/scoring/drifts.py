@@ -147,7 +147,7 @@ class Outages:
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
-def rms_drift(ready: PreparedDrive, estimate: Estimate, ends: np.ndarray) -> float:
+def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: np.ndarray) -> float:
     """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
     if not len(ends):
         return float("nan")

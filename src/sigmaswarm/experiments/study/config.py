@@ -2,12 +2,22 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+)
 
 from sigmaswarm.errors import InputError, first_mistake
+from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterKind, ModelName
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
 from sigmaswarm.simulation.environments import ENVIRONMENTS
@@ -51,6 +61,21 @@ TUNED_METHODS: dict[str, tuple[ProtocolName, ...]] = {
     BY_DEFAULT: ("honest",),
 }
 """Protocols of every tuned method."""
+BY_BO = "bo-ukf"
+"""The rival that is tuned by Bayesian optimization."""
+SEARCHED_RIVALS: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
+    "pso-fuzzy-ukf": ("fuzzy-ukf", "planar5", ("honest",)),
+    BY_BO: ("ukf", "planar5", ("honest",)),
+}
+"""As `BY_PSO`: what a study with rivals tunes beside."""
+BO_EVALUATIONS = 100
+"""At most: with more points its process takes longer than all of the filters (docs/optimizers.md)."""
+NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
+BESIDE = "pso-planar8"
+"""Beside it networks are trained: `noise-gru` takes no tilted12, and planar5 has no biases that drift could be of."""
+LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
+"""What a study with rivals measures beside: names, and s without fixes."""
+RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 
 class StudyConfig(BaseModel):
@@ -79,6 +104,48 @@ class StudyConfig(BaseModel):
     """Tune each condition by itself instead of one filter for all of them."""
     racing: bool = False
     """Drop the worse candidates of a generation before all drives are tried; not under the paper's protocol."""
+    rivals: bool = False
+    """Tune a fuzzy filter and by Bayesian optimization, and train networks, too."""
+    learn_minutes: float = Field(default=20.0, ge=2)
+    """Of driving, from where filters start, that a network learns from: drawn from the trial's training drives."""
+    elsewhere: tuple[str, ...] = ()
+    """Folders of drives with other sensors or of another car, for what was tuned and trained; by default simulated."""
+
+    @property
+    def tuned_methods(self) -> dict[str, tuple[ProtocolName, ...]]:
+        """Protocols of what this study tunes."""
+        rivals = {method: protocols for method, (_, _, protocols) in SEARCHED_RIVALS.items()}
+        return {**TUNED_METHODS, **(rivals if self.rivals else {})}
+
+    @property
+    def networks(self) -> tuple[NetworkName, ...]:
+        """What this study trains."""
+        return NETWORKS if self.rivals else ()
+
+    @property
+    def long_outages(self) -> dict[str, float]:
+        """Names and lengths, s, of the outages beside the usual one whose drift this study measures."""
+        return LONG_OUTAGES if self.rivals else {}
+
+    @field_validator("rivals")
+    @classmethod
+    def _learn_from_all(cls, rivals: bool, others: ValidationInfo) -> bool:
+        if rivals and others.data.get("per_condition"):
+            raise ValueError("networks learn from all conditions together; leave per_condition out")
+        return rivals
+
+    @field_validator("learn_minutes", "elsewhere")
+    @classmethod
+    def _of_rivals(cls, value: Any, others: ValidationInfo) -> Any:
+        if not others.data.get("rivals"):
+            raise ValueError("is for a study with rivals; add rivals")
+        return value
+
+    @model_serializer(mode="wrap")
+    def _as_asked(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """A study without rivals says what it said before there were any."""
+        told: dict[str, Any] = dump(self)
+        return {name: value for name, value in told.items() if self.rivals or name not in RIVALS_OPTIONS}
 
     def to_toml(self) -> str:
         """The file that `read_config` reads."""

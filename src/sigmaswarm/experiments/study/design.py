@@ -22,10 +22,12 @@ from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
     ALL,
+    BO_EVALUATIONS,
+    BY_BO,
     BY_DEFAULT,
     BY_PSO,
     PROTOCOLS,
-    TUNED_METHODS,
+    SEARCHED_RIVALS,
     ProtocolName,
     StudyConfig,
 )
@@ -60,6 +62,8 @@ class Design:
     config : StudyConfig
     fleet : Fleet or None
         The workers' drives.
+    apart : bool
+        No trial trains on any of them: all are held back.
     """
 
     drives: tuple[Drive | Equipment, ...]
@@ -67,6 +71,7 @@ class Design:
     strata: tuple[str, ...]
     config: StudyConfig
     fleet: Fleet | None = None
+    apart: bool = False
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -97,23 +102,28 @@ class Design:
         )
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
-        """What one of `TUNED_METHODS` is asked for under a protocol."""
+        """What one of the tuned methods is asked for under a protocol."""
         c = self.config
+        particles, generations = c.particles, c.generations
         if method == BY_DEFAULT:
             asked = self._suiting
         else:
-            kind, model, _ = BY_PSO[method]
+            kind, model, _ = (BY_PSO | SEARCHED_RIVALS)[method]
             asked = dict[str, Any](
                 optimizer="pso", kind=kind, model=model, **PROTOCOLS[protocol].model_dump()
             )
+        if method == BY_BO:
+            particles = min(particles, BO_EVALUATIONS)
+            generations = min(generations, BO_EVALUATIONS // particles)
+            asked["optimizer"] = "bo"
         return TuneConfig(
             **asked,
-            particles=c.particles,
-            generations=c.generations,
+            particles=particles,
+            generations=generations,
             trials=c.trials,
             seed=c.seed,
             outage_seed=c.seed,
-            racing=c.racing and protocol != "paper",
+            racing=c.racing and protocol != "paper" and method != BY_BO,
             as_recorded=True,
         )
 
@@ -132,6 +142,8 @@ class Design:
 
     def split(self, trial: int) -> tuple[list[int], list[int]]:
         """Indices of a trial's training and test drives: each condition split by itself."""
+        if self.apart:
+            return [], list(range(len(self.drives)))
         train: list[int] = []
         for stratum in dict.fromkeys(self.strata):
             own = self.members(stratum)
@@ -144,7 +156,7 @@ class Design:
     def tasks(self) -> Iterator["Task"]:
         """All tunings of the study, in the order of their trials."""
         for trial in range(self.config.trials):
-            for method, protocols in TUNED_METHODS.items():
+            for method, protocols in self.config.tuned_methods.items():
                 for protocol in protocols:
                     for group in self.groups:
                         yield Task(protocol, method, group, trial)
@@ -206,11 +218,15 @@ def make_design(
                 seed=config.seed,
             )
         )
-    _check(drives, config)
+    if len(drives) < 2:
+        raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; give more")
+    require_scored(drives)
+    if not config.drives and config.runs < 2 and config.per_condition:
+        raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")
     held = Here([d for d in drives if isinstance(d, Drive)]) if fleet is None else fleet
     if config.drives:  # of those that are simulated no two are the same
-        _check_apart(held.of_each(landmarks))
-    conditions = tuple(held.of_each(_condition))
+        require_apart(held.of_each(landmarks))
+    conditions = tuple(held.of_each(condition_of))
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
@@ -236,7 +252,7 @@ def _identity(ready: PreparedDrive) -> tuple[str, str]:
     return ready.drive.name, fingerprint(ready.drive)
 
 
-def _check_apart(marks: Sequence[Landmarks]) -> None:
+def require_apart(marks: Sequence[Landmarks]) -> None:
     """Refuse drives that share a part: it would be in training and test drives."""
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
@@ -246,15 +262,15 @@ def _check_apart(marks: Sequence[Landmarks]) -> None:
             )
 
 
-def _condition(drive: Drive) -> tuple[str, str]:
+def condition_of(drive: Drive) -> tuple[str, str]:
+    """Maneuver and environment, as its metadata names them."""
     scenario = drive.metadata.get("scenario", {})
     named = scenario if isinstance(scenario, dict) else {}
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
-def _check(drives: Sequence[Drive | Equipment], config: StudyConfig) -> None:
-    if len(drives) < 2:
-        raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; give more")
+def require_scored(drives: Sequence[Drive | Equipment]) -> None:
+    """Refuse drives without truth, and two of one name."""
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:
@@ -267,5 +283,3 @@ def _check(drives: Sequence[Drive | Equipment], config: StudyConfig) -> None:
                 f"{drive.name}: two drives have this name; rename a folder, or set name in its drive.toml"
             )
         names.add(drive.name)
-    if not config.drives and config.runs < 2 and config.per_condition:
-        raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")

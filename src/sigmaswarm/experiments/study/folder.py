@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from sigmaswarm.experiments.study.record import Results
 from sigmaswarm.experiments.study.spread import Spread, read_spreads
@@ -13,10 +13,13 @@ from sigmaswarm.scoring.tracks import Tracks, load_tracks
 
 LiveTimes = Mapping[str, Mapping[str, float]]
 """ms of a live filter's calls, by filter: predict_ms, predict_and_update_ms."""
+RivalTimes = Mapping[str, Mapping[str, float]]
+"""By variant, as honest-pso-ukf: training_s, processor seconds of a trial, and sample_us, of an IMU sample."""
 
 
 class _Timings(BaseModel):
-    live_filter: dict[str, dict[str, float]]
+    live_filter: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
+    rivals: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
 
 
 class _Asked(BaseModel):
@@ -35,6 +38,8 @@ class StudyRecord:
         Of scores.csv.
     live : mapping of filter to mapping of call to ms
         Of timings.json; empty where they were not taken.
+    rival_times : mapping of variant to mapping of what to figure
+        Of timings.json; empty where there are no rivals.
     tracks : list of Tracks
         tracks.npz; empty where there are none.
     versions : mapping of str to str
@@ -44,6 +49,7 @@ class StudyRecord:
     results: Results
     spreads: list[Spread]
     live: LiveTimes = field(default_factory=dict[str, dict[str, float]])
+    rival_times: RivalTimes = field(default_factory=dict[str, dict[str, float]])
     tracks: list[Tracks] = field(default_factory=list[Tracks])
     versions: Mapping[str, str] = field(default_factory=dict[str, str])
 
@@ -57,11 +63,13 @@ class StudyRecord:
             If a file in it is missing or damaged.
         """
         timings, tracks = folder / "timings.json", folder / "tracks.npz"
+        times = load_record(_Timings, timings) if timings.exists() else _Timings()
         configs = sorted(folder.glob("trials/*/config.json"))
         return cls(
             load_record(Results, folder / "results.json"),
             read_spreads(folder),
-            load_record(_Timings, timings).live_filter if timings.exists() else {},
+            times.live_filter,
+            times.rivals,
             load_tracks(tracks) if tracks.exists() else [],
             load_record(_Asked, configs[0]).versions if configs else {},
         )

@@ -13,6 +13,7 @@ It holds (null where a figure can't be said):
     tunings        `TrialTuning`, one a trial
     convergence    `Convergence` of every tuned variant and group
     paper          the paper's figures, as `paper.py` has them
+    rivals         `RivalResults`, of a study with rivals alone
 """
 
 import math
@@ -150,6 +151,51 @@ class Convergence(_Part):
     stable: int
 
 
+class Effort(_Part):
+    """What a tuned or trained method took; means over trials.
+
+    Attributes
+    ----------
+    labelled_s : s of driving whose truth was looked at: all training drives, by the tuning of its filter
+    learned_s : s of driving that its network learned from, without truth; None where there is no network
+    numbers : how many were set by tuning and training
+    """
+
+    protocol: str
+    method: str
+    labelled_s: float
+    learned_s: Figure
+    numbers: float
+
+
+class ElsewhereSummary(VariantSummary):
+    """The statistics of a variant's measure on drives of another sensor grade or another car."""
+
+    place: str
+
+
+class CurvePoint(_Part):
+    """A network that learned from so many minutes, on the drives that the first trial held back; 0: the filter alone.
+
+    ``interval`` of the mean is by bootstrap over drives.
+    """
+
+    method: str
+    minutes: float
+    measure: str
+    mean: Figure
+    interval: Interval
+    n_drives: int
+
+
+class RivalResults(_Part):
+    """What a study with rivals says beside."""
+
+    efforts: list[Effort]
+    elsewhere: list[ElsewhereSummary]
+    curve: list[CurvePoint]
+
+
 class Results(_Part):
     """results.json."""
 
@@ -164,6 +210,7 @@ class Results(_Part):
     tunings: list[TrialTuning]
     convergence: list[Convergence]
     paper: dict[str, Any]
+    rivals: RivalResults | None = None
 
     def label(self, method: str, protocol: str = UNTUNED) -> str:
         """What people call a method, and under which protocol it was tuned."""
@@ -182,7 +229,8 @@ class Results(_Part):
 
     def content(self) -> dict[str, Any]:
         """The content of results.json, in plain types."""
-        return self.model_dump(mode="json", by_alias=True)
+        left_out = {"rivals"} if self.rivals is None else None
+        return self.model_dump(mode="json", by_alias=True, exclude=left_out)
 
     def write(self, folder: Path) -> None:
         """Write results.json."""

@@ -27,12 +27,13 @@ from sigmaswarm.experiments.study.record import (
     PairedComparison,
     PairedStatistics,
     Results,
+    RivalResults,
     ScoreStatistics,
     TrialTuning,
     Variant,
     VariantSummary,
 )
-from sigmaswarm.experiments.study.scores import LABELS, STUDY_MEASURES, ScoreTable
+from sigmaswarm.experiments.study.scores import ScoreTable, labels_of, measures_of
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
@@ -47,6 +48,7 @@ def results_of(
     parameters: Mapping[Task, FilterParameters],
     touched: Mapping[Task, list[TouchedBound]],
     scores: ScoreTable,
+    rivals: RivalResults | None = None,
 ) -> Results:
     """Everything that results.json says."""
     return Results(
@@ -55,13 +57,14 @@ def results_of(
             count=len(design.drives), strata=len(set(design.strata)), fingerprint=design.fingerprint()
         ),
         protocols=PROTOCOLS,
-        methods=LABELS,
-        measures={name: meaning for name, (meaning, _) in STUDY_MEASURES.items()},
+        methods=labels_of(design.config),
+        measures=measures_of(design.config),
         summary=list(_summaries(scores)),
         comparisons=list(_comparisons(scores)),
         tunings=[_tuning(task, trials[task], parameters[task], touched[task]) for task in trials],
         convergence=list(_convergences(trials)),
         paper=PAPER_RESULTS,
+        rivals=rivals,
     )
 
 
@@ -70,7 +73,7 @@ def _ratio(design: Design) -> float:
     return len(test) / len(train)
 
 
-def _rng(design: Design) -> np.random.Generator:
+def resampling(design: Design) -> np.random.Generator:
     """The bootstrap's source of chance: the same for each figure, so that none depends on the others."""
     return np.random.default_rng(design.config.seed)
 
@@ -84,7 +87,7 @@ def _summaries(scores: ScoreTable) -> Iterator[VariantSummary]:
             for place in ((ALL, ALL), *each):
                 chosen = [i for i, c in enumerate(design.conditions) if place in ((ALL, ALL), c)]
                 strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, _ratio(design), _rng(design))
+                found = summarize(values[:, chosen], strata, _ratio(design), resampling(design))
                 if found.n_drives:
                     of = {"protocol": protocol, "method": method, "measure": measure}
                     yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
@@ -111,7 +114,7 @@ def _comparisons(scores: ScoreTable) -> Iterator[PairedComparison]:
     """The PSO-UKF of each protocol against every other method that is untuned or tuned under the same one."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
-        for measure in STUDY_MEASURES:
+        for measure in measures_of(scores.design.config):
             if measure != "nis":  # neither low nor high is better
                 yield from _against(scores, protocol, measure, others)
 
@@ -125,7 +128,7 @@ def _against(
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            found[other[1]] = compare_paired(own, theirs, design.strata, _rng(design))
+            found[other[1]] = compare_paired(own, theirs, design.strata, resampling(design))
     corrected = holm([row.p for row in found.values()])
     for (method, row), p in zip(found.items(), corrected, strict=True):
         yield PairedComparison(

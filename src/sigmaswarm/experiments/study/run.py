@@ -6,15 +6,19 @@ The folder of a study holds
     trials/              a folder for each protocol and tuned method (`tuning/store.py` says what is in it)
     results.json         see `record.py`
     scores.csv           one row per protocol, trial, method, held-out drive and measure
+    learned/             with rivals, a folder for each network and trial, and for each point of a learning curve, as
+                         `sigmaswarm learn` makes it
+    elsewhere/           with rivals, scores.csv of drives of other sensors, and of another car
     tracks.npz           tracks of a few drives that the best trial held back
     best/                a parameter file of the best trial of each tuning
-    timings.json         how long it took and how fast the filters are: it alone, with the table of it,
-                         differs between two runs
+    timings.json         how long it took and how fast the filters are: it alone, with the tables of it,
+                         differs between two runs; with rivals each tuning and training has one, too
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,14 +27,23 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Tell, run_grid
-from sigmaswarm.experiments.study.config import MAIN, TUNED_METHODS, StudyConfig, read_config
+from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Task, kind, make_design
+from sigmaswarm.experiments.study.elsewhere import designs_elsewhere
 from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.experiments.study.network_scores import scores_of_curve
+from sigmaswarm.experiments.study.networks import (
+    epochs_of,
+    require_rivals,
+    train_all,
+    trainings,
+)
 from sigmaswarm.experiments.study.record import Results, Variant
 from sigmaswarm.experiments.study.results import results_of
+from sigmaswarm.experiments.study.rivals import rival_results
 from sigmaswarm.experiments.study.scores import score_all
 from sigmaswarm.experiments.study.spread import spreads_of
-from sigmaswarm.experiments.study.timings import Stopwatch, write_timings
+from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
 from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
@@ -52,7 +65,7 @@ class StudyProgress:
 
     Attributes
     ----------
-    done, total : generations of the swarm, over all tunings
+    done, total : generations of the swarm, over all tunings, and epochs of all trainings of networks
     task : Task that told
     """
 
@@ -132,7 +145,7 @@ def run_study(
         Threads of that pool; as many as the machine has cores by default. The result does not depend on it.
     cluster : distributed.Client, optional
         Of a Dask cluster, whose workers make or read the drives, hold them, and do the work; the threads here only
-        ask. Nor does the result depend on it.
+        ask. Nor does the result depend on it. Not with rivals: networks are trained here.
     progress : callable, optional
         Called with a `StudyProgress` after every generation of every tuning.
 
@@ -143,26 +156,49 @@ def run_study(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
+    if config.rivals:
+        require_rivals()
+        if cluster is not None:
+            raise InputError(
+                "rivals = True: networks are trained on drives that are here; leave the cluster out"
+            )
     watch = Stopwatch()
     with held_folder(Path(out)) as folder, ExitStack() as stack:
         _open_folder(folder, config, resume)
+        if config.rivals:  # bo silences it, but a compiler in another thread may undo that
+            stack.enter_context(warnings.catch_warnings())
+            warnings.filterwarnings("ignore", "The optimal value found for dimension")
         pool = executor or stack.enter_context(ThreadPoolExecutor(workers))
         design = make_design(config, pool, cluster)
-        spaces = _spaces(design)
-        trials = _tune_all(design, spaces, folder, pool, progress)
+        elsewhere = designs_elsewhere(design, pool)
+        spaces, lessons = _spaces(design), trainings(design)
+        tell = _telling(design, sum(map(epochs_of, lessons)), progress)
+        trials = _tune_all(design, spaces, folder, pool, tell)
         watch.lap("tuning")
         boxes = {task: spaces[task.protocol, task.method] for task in trials}
         points = {task: boxes[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
         touched = {task: boxes[task].touched(trial.point) for task, trial in trials.items()}
-        scores = score_all(design, points, pool)
-        results = results_of(design, trials, points, touched, scores)
+        networks = train_all(design, lessons, points, folder, tell)
+        taught = {training.task: found for training, found in networks.items() if training.minutes is None}
+        if networks:
+            watch.lap("training")
+        scores = score_all(design, points, pool, taught)
+        away = {place: score_all(other, points, pool, taught) for place, other in elsewhere.items()}
+        rivals = None
+        if config.rivals:
+            curve = scores_of_curve(design, networks, pool)
+            rivals = rival_results(trials, taught, scores, away, curve)
+        results = results_of(design, trials, points, touched, scores, rivals)
         tracks, picture = follow(design, points, shown_trial(trials))
         scores.write(folder)
+        for place, table in away.items():
+            table.write(make_folder(folder / "elsewhere" / place.replace(" ", "-")))
         results.write(folder)
         save_tracks(tracks, folder / "tracks.npz")
         watch.lap("scoring")
-        live = write_timings(folder, design, watch)
-        record = StudyRecord(results, spreads_of(scores.to_frame()), live, tracks, versions())
+        times = rival_times(folder, design, points, taught) if config.rivals else {}
+        live = write_timings(folder, design, watch, times)
+        record = StudyRecord(results, spreads_of(scores.to_frame()), live, times, tracks, versions())
         best = _write_best(folder, trials, points)
     return Study(folder, design, trials, points, best, record, picture)
 
@@ -204,9 +240,22 @@ def _spaces(design: Design) -> dict[Variant, SearchSpace]:
     interval = usual_interval(design.drives)
     return {
         (protocol, method): car_space(design.tune_config(method, protocol), interval)
-        for method, protocols in TUNED_METHODS.items()
+        for method, protocols in design.config.tuned_methods.items()
         for protocol in protocols
     }
+
+
+def _telling(
+    design: Design, epochs: int, progress: Callable[[StudyProgress], None] | None
+) -> Callable[[int, Task], None]:
+    """What tells how much is done of all generations of all tunings, and of so many epochs after them."""
+    total = len(list(design.tasks)) * design.config.generations + epochs
+
+    def told(done: int, task: Task) -> None:
+        if progress:
+            progress(StudyProgress(done, total, task))
+
+    return told
 
 
 def _tune_all(
@@ -214,7 +263,7 @@ def _tune_all(
     spaces: Mapping[Variant, SearchSpace],
     out: Path,
     pool: Executor,
-    progress: Callable[[StudyProgress], None] | None,
+    progress: Callable[[int, Task], None],
 ) -> dict[Task, Trial]:
     """Every tuning of the study, on the drives of its group that its trial trains on."""
     configs = {(p, m): design.tune_config(m, p) for p, m in spaces}
@@ -229,7 +278,11 @@ def _tune_all(
         train = [i for i in design.members(task.group) if i in splits[task.trial]]
         problem = CarProblem(config, spaces[variant], [], held.subset(train))
         search = Search(config, problem, None, folders[task.folder], lambda told: tell(told.generation))
-        trial = search.trial(task.trial)
+        folder = folders[task.folder]
+        timed = design.config.rivals and folder.finished(task.trial) is None
+        file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
+        with kept_time(file) if timed else nullcontext():
+            trial = search.trial(task.trial)
         if not np.isfinite(trial.cost):
             raise InputError(
                 f"{task.folder}: no parameter set gave a finite cost in trial {task.trial}; "
@@ -237,9 +290,8 @@ def _tune_all(
             )
         return trial
 
-    def told(done: int, total: int, task: Task) -> None:
-        if progress:
-            progress(StudyProgress(done, total, task))
+    def told(done: int, _: int, task: Task) -> None:
+        progress(done, task)
 
     return run_grid(list(design.tasks), one, pool, rounds=design.config.generations, progress=told)
 

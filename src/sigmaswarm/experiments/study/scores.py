@@ -1,6 +1,6 @@
 """The scores of all methods on all drives, each trial's on the drives that it held back."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,20 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import BY_BO, BY_DEFAULT, TUNED_METHODS, UNTUNED, StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.network_scores import scores_of_networks
+from sigmaswarm.experiments.study.networks import Taught
 from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, datasheet
-from sigmaswarm.scoring.batch import Replays, Scores
+from sigmaswarm.scoring.batch import Replayer, Replays, Scores
 from sigmaswarm.scoring.evaluation import score_imu_only
 from sigmaswarm.scoring.score import Score, score_raw_gps
-from sigmaswarm.scoring.targets import OUTAGE_LENGTH
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
 
 LABELS = {
     "imu-only": "IMU only",
@@ -39,7 +42,13 @@ LABELS = {
     "pso-planar8": "PSO-UKF, planar8",
     BY_DEFAULT: "what tune takes by itself",
 }
-"""All methods, and what people call them."""
+"""All methods but the rivals, and what people call them."""
+RIVAL_LABELS = {
+    "pso-fuzzy-ukf": "PSO-fuzzy UKF",
+    BY_BO: "UKF by Bayesian optimization",
+    "outage-lstm": "planar8 with outage-lstm",
+    "noise-gru": "planar8 with noise-gru",
+}
 
 STUDY_MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
     "position_rmse_m": ("position RMSE against truth, m", lambda s: s.position_rmse),
@@ -49,6 +58,17 @@ STUDY_MEASURES: dict[str, tuple[str, Callable[[Scores], Array]]] = {
     "nis": ("mean NIS, 2 where the filter is consistent", lambda s: s.mean_nis),
 }
 """What is measured on each drive, and how it is taken from the compiled scores."""
+
+
+def labels_of(config: StudyConfig) -> dict[str, str]:
+    """All methods of a study, and what people call them."""
+    return LABELS | (RIVAL_LABELS if config.rivals else {})
+
+
+def measures_of(config: StudyConfig) -> dict[str, str]:
+    """All measures of a study, and what they are, with their units."""
+    usual = {name: meaning for name, (meaning, _) in STUDY_MEASURES.items()}
+    return usual | {name: f"drift over a {s:g} s outage, m" for name, s in config.long_outages.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +122,13 @@ def manual(method: str, drive: Drive) -> FilterParameters:
 
 
 def score_all(
-    design: Design, parameters: Mapping[Task, FilterParameters], executor: Executor | None = None
+    design: Design,
+    parameters: Mapping[Task, FilterParameters],
+    executor: Executor | None = None,
+    taught: Mapping[Task, Taught] | None = None,
 ) -> ScoreTable:
-    """Score every method on the drives that each trial held back."""
-    replayer = design.replays(outages=True)
+    """Score every method on the drives that each trial held back, networks (``taught``) too."""
+    measuring = _Measuring.of(design)
     trials = design.config.trials
     tested = np.zeros((trials, len(design.drives)), dtype=np.bool_)
     for trial in range(trials):
@@ -113,50 +136,101 @@ def score_all(
     values: dict[Variant, dict[str, Array]] = {}
     for method in LABELS:
         if method not in TUNED_METHODS:
-            once = _untuned(method, design, replayer, executor)
+            once = _untuned(method, design, measuring, executor)
             values[UNTUNED, method] = {m: np.where(tested, row, np.nan) for m, row in once.items()}
     for protocol, method in dict.fromkeys((task.protocol, task.method) for task in parameters):
         own = {t: p for t, p in parameters.items() if (t.protocol, t.method) == (protocol, method)}
-        each = _tuned(own, design, replayer, executor)
+        each = _tuned(own, design, measuring, executor)
         values[protocol, method] = {m: np.where(tested, array, np.nan) for m, array in each.items()}
+    for protocol, method in dict.fromkeys((task.protocol, task.method) for task in taught or {}):
+        networks = [
+            t for task, t in (taught or {}).items() if (task.protocol, task.method) == (protocol, method)
+        ]
+        held_back = [design.split(trial)[1] for trial in range(trials)]
+        values[protocol, method] = scores_of_networks(design, networks, held_back, executor)
     return ScoreTable(design, values)
 
 
+@dataclass(frozen=True, eq=False)
+class _Measuring:
+    """Drives made ready for all measures: ``long`` has those of the longer outages, and on which drives one fits."""
+
+    usual: Replays
+    long: Mapping[str, tuple[Replays, NDArray[np.bool_]]]
+
+    @classmethod
+    def of(cls, design: Design) -> "_Measuring":
+        """The drives of a study; longer outages are measured here alone, not by a cluster's workers."""
+        long: dict[str, tuple[Replays, NDArray[np.bool_]]] = {}
+        for measure, length in design.config.long_outages.items():
+            seed = design.config.seed
+            replays = Replayer(design.prepared, outages=True, outage_length=length, outage_seed=seed)
+            long[measure] = replays, np.array(design.of_each(partial(_fits, length=length, seed=seed)))
+        return cls(design.replays(outages=True), long)
+
+    def subset(self, drives: Sequence[int]) -> "_Measuring":
+        """Some of the drives, by index."""
+        long = {m: (replays.subset(drives), fits[drives]) for m, (replays, fits) in self.long.items()}
+        return _Measuring(self.usual.subset(drives), long)
+
+    def told(self, sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Array]:
+        """Every measure of parameter sets, shape (sets, drives); ``inf`` where the filter failed."""
+        scores = self.usual.scores(sets, executor)
+        found = {m: np.where(scores.failed, np.inf, take(scores)) for m, (_, take) in STUDY_MEASURES.items()}
+        for measure, (replays, fits) in self.long.items():
+            scores = replays.scores(sets, executor)
+            found[measure] = np.where(scores.failed & fits, np.inf, scores.outage_drift)
+        return found
+
+
+def _fits(ready: PreparedDrive, length: float, seed: int) -> bool:
+    return len(outage_windows(ready.drive, ready.initial, length=length, seed=seed)) > 0
+
+
 def _tuned(
-    parameters: Mapping[Task, FilterParameters], design: Design, replayer: Replays, executor: Executor | None
+    parameters: Mapping[Task, FilterParameters],
+    design: Design,
+    measuring: _Measuring,
+    executor: Executor | None,
 ) -> dict[str, Array]:
     """Scores of one tuned method, shape (trials, drives): on each drive the filter of its own group."""
-    found = {m: np.full((design.config.trials, len(design.drives)), np.nan) for m in STUDY_MEASURES}
+    found = {
+        m: np.full((design.config.trials, len(design.drives)), np.nan) for m in measures_of(design.config)
+    }
     for group in design.groups:
         own = {task.trial: p for task, p in parameters.items() if task.group == group}
         members = design.members(group)
-        scores = replayer.subset(members).scores([own[trial] for trial in sorted(own)], executor)
-        for measure, values in _measured(scores).items():
+        told = measuring.subset(members).told([own[trial] for trial in sorted(own)], executor)
+        for measure, values in told.items():
             found[measure][:, members] = values
     return found
 
 
-def _untuned(method: str, design: Design, replayer: Replays, executor: Executor | None) -> dict[str, Array]:
+def _untuned(
+    method: str, design: Design, measuring: _Measuring, executor: Executor | None
+) -> dict[str, Array]:
     """Scores of an untuned method on all drives, shape (drives,)."""
     if method in ("imu-only", "raw-gps"):
         score = _imu_only if method == "imu-only" else _raw_gps
-        return _of_scores(design.of_each(partial(score, seed=design.config.seed)))
+        usual = partial(score, seed=design.config.seed)
+        drifts: dict[str, Array] = {}
+        for measure, length in design.config.long_outages.items():
+            drifts[measure] = np.array(
+                [s.outage_drift for s in design.of_each(partial(usual, length=length))]
+            )
+        return _of_scores(design.of_each(usual)) | drifts
     by_set: dict[FilterParameters, list[int]] = {}
     for i, parameters in enumerate(design.of_each(partial(_manual, method=method))):
         by_set.setdefault(parameters, []).append(i)
-    found = {m: np.full(len(design.drives), np.nan) for m in STUDY_MEASURES}
+    found = {m: np.full(len(design.drives), np.nan) for m in measures_of(design.config)}
     for parameters, members in by_set.items():
-        for measure, values in _measured(replayer.subset(members).scores([parameters], executor)).items():
+        for measure, values in measuring.subset(members).told([parameters], executor).items():
             found[measure][members] = values[0]
     return found
 
 
 def _manual(ready: PreparedDrive, method: str) -> FilterParameters:
     return manual(method, ready.drive)
-
-
-def _measured(scores: Scores) -> dict[str, Array]:
-    return {m: np.where(scores.failed, np.inf, take(scores)) for m, (_, take) in STUDY_MEASURES.items()}
 
 
 def _of_scores(scores: list[Score]) -> dict[str, Array]:
@@ -168,14 +242,14 @@ def _of_scores(scores: list[Score]) -> dict[str, Array]:
     }
 
 
-def _raw_gps(ready: PreparedDrive, seed: int) -> Score:
-    del seed  # there is nothing to hide
+def _raw_gps(ready: PreparedDrive, seed: int, length: float = OUTAGE_LENGTH) -> Score:
+    del seed, length  # there is nothing to hide
     return replace(score_raw_gps(ready.drive, ready.initial), fix_rmse=0.0)  # what equation 4 compares with
 
 
-def _imu_only(ready: PreparedDrive, seed: int) -> Score:
+def _imu_only(ready: PreparedDrive, seed: int, length: float = OUTAGE_LENGTH) -> Score:
     drive, estimate = ready.drive, run_imu_only(ready)
     gps = drive.gps.select((drive.gps.time > ready.initial.time) & (drive.gps.time <= estimate.time[-1]))
     x, y = (np.interp(gps.time, estimate.time, estimate.mean[:, i]) for i in range(2))
     residual = float(np.sqrt(np.mean((x - gps.x) ** 2 + (y - gps.y) ** 2))) if len(gps) else float("nan")
-    return replace(score_imu_only(ready, estimate, OUTAGE_LENGTH, seed), fix_rmse=residual)
+    return replace(score_imu_only(ready, estimate, length, seed), fix_rmse=residual)

@@ -2,6 +2,8 @@
 
 import json
 import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,14 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.design import Design
+from sigmaswarm.experiments.study.design import Design, Task
+from sigmaswarm.experiments.study.networks import Taught, Training
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterKind, FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.scoring.targets import tracking_replay
 
 LIVE: dict[str, tuple[FilterKind, int]] = {
     "EKF": ("ekf", 5),
@@ -38,7 +43,62 @@ class Stopwatch:
         self._wall, self._processor = wall, processor
 
 
-def write_timings(out: Path, design: Design, watch: Stopwatch) -> dict[str, dict[str, float]]:
+@contextmanager
+def kept_time(file: Path) -> Generator[None]:
+    """Keep the processor seconds that this thread takes in a file of the form of a training's timings.json."""
+    began = time.thread_time()
+    yield
+    write_json(file, {"processor_s": time.thread_time() - began})
+
+
+def rival_times(
+    out: Path, design: Design, parameters: Mapping[Task, FilterParameters], taught: Mapping[Task, Taught]
+) -> dict[str, dict[str, float]]:
+    """Processor time of every tuned or trained variant, as ``honest-pso-ukf``.
+
+    ``training_s``: s of a trial, a network's without its filter's; ``sample_us``: us of an IMU sample, over a whole
+    drive. A training or tuning that was killed counts from where it was gone on with.
+    """
+    folders = {task: out / "trials" / task.folder / f"trial-{task.trial:03d}" for task in parameters}
+    folders |= {task: out / Training(task.method, task.trial).folder for task in taught}  # pyright: ignore
+    spent: dict[str, list[float]] = {}
+    for task, folder in folders.items():
+        spent.setdefault(task.folder, []).append(_spent(folder))
+    known = {name: [s for s in each if np.isfinite(s)] for name, each in spent.items()}
+    found = {name: {"training_s": float(np.mean(each))} if each else {} for name, each in known.items()}
+    ready = design.prepared[design.split(0)[1][0]]
+    for task in folders:
+        if task.trial == 0:
+            run = taught.get(task) or parameters[task]
+            found[task.folder]["sample_us"] = _sample_us(run, ready)
+    return found
+
+
+def _spent(folder: Path) -> float:
+    """Processor seconds; NaN where nobody kept them."""
+    try:
+        return float(json.loads((folder / "timings.json").read_text())["processor_s"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return float("nan")
+
+
+def _sample_us(run: Taught | FilterParameters, ready: PreparedDrive) -> float:
+    """us of processor time an IMU sample, the second time."""
+    took = 0.0
+    for _ in range(2):
+        replay = tracking_replay(ready)
+        began = time.process_time()
+        if isinstance(run, Taught):
+            run.learned.run(replay, run.parameters).finished()
+        else:
+            Recording(replay, run).finished()
+        took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
+    return took
+
+
+def write_timings(
+    out: Path, design: Design, watch: Stopwatch, rivals: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]]:
     """Add this run's laps to timings.json: a study that was interrupted has several, and a killed run leaves none.
 
     Returns the times of the live filters, ms.
@@ -49,7 +109,8 @@ def write_timings(out: Path, design: Design, watch: Stopwatch) -> dict[str, dict
     except (OSError, ValueError, KeyError, TypeError):
         runs: list[Any] = []
     (live,) = design.of_each(_all_live_times, [0])
-    write_json(file, {"runs": [*runs, watch.laps], "live_filter": live})
+    more = {"rivals": rivals} if rivals else {}
+    write_json(file, {"runs": [*runs, watch.laps], "live_filter": live, **more})
     return live
 
 

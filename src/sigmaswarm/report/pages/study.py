@@ -8,6 +8,7 @@ from sigmaswarm.experiments.study.record import PairedComparison, Results, Varia
 from sigmaswarm.report.style import STUDY_LOOKS
 from sigmaswarm.report.views.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.report.views.study_charts import convergence_chart, means_chart, spread_chart
+from sigmaswarm.report.views.study_rivals import curve_charts, curve_table, elsewhere_table, rivals_table
 from sigmaswarm.report.views.study_tables import (
     DRIFT,
     ERRORS,
@@ -60,6 +61,7 @@ def study_report(record: StudyRecord) -> Report:
             _spread(record),
             *_tracks(record),
             _comparisons(results),
+            *_rivals(record),
             *_conditions(results),
             _convergence(results),
             Section("What the search found", (), (optimum_table(results), trials_table(results))),
@@ -248,6 +250,23 @@ def _comparisons(results: Results) -> Section:
         comparison_table(results, p, measure) for p in reversed(results.protocols) for measure in ERRORS
     ]
     return Section("Comparisons", text, tuple(table for table in tables if table.rows))
+
+
+def _rivals(record: StudyRecord) -> tuple[Section, ...]:
+    """What rivals take and drift, on drives elsewhere, and after less to learn from."""
+    results = record.results
+    if results.rivals is None:
+        return ()
+    places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
+    tables = (
+        rivals_table(results, record.rival_times),
+        *(elsewhere_table(results, place) for place in places),
+        curve_table(results),
+    )
+    text = (
+        "Networks are trained in each trial, beside the filter that was tuned in it, on its training drives.",
+    )
+    return (Section("Rivals", (*text, *(table.note for table in tables)), tables, curve_charts(results)),)
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:

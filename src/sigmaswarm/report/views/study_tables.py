@@ -6,7 +6,7 @@ from functools import partial
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, MAIN, TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, MAIN, NETWORKS, SEARCHED_RIVALS, TUNED_METHODS, UNTUNED
 from sigmaswarm.experiments.study.record import Results, TrialTuning, Variant, VariantSummary
 from sigmaswarm.report.views.record import Cell, Column, Table
 
@@ -24,9 +24,9 @@ ROWS: tuple[tuple[str, str, str | None], ...] = (
     (UNTUNED, "ukf-paper", None),
     ("paper", MAIN, MAIN),
     ("honest", MAIN, MAIN),
-    *(("honest", method, None) for method in TUNED_METHODS if method != MAIN),
+    *(("honest", method, None) for method in (*TUNED_METHODS, *SEARCHED_RIVALS, *NETWORKS) if method != MAIN),
 )
-"""Protocol and method of each row, and which of the paper's rows it stands beside."""
+"""Protocol and method of each row that a study may have, and which of the paper's rows it stands beside."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 """Names of the paper's rows in the timings of the live filters."""
 NEW_DRIVES = "95% for new drives"
@@ -47,7 +47,8 @@ def decimals(digits: int, value: float) -> str:
     return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
-def _column(title: str, digits: int = 2, **more: Any) -> Column:
+def figures(title: str, digits: int = 2, **more: Any) -> Column:
+    """A column of figures, printed as the paper prints its own."""
     return Column(title, printed=partial(decimals, digits), **more)
 
 
@@ -55,7 +56,7 @@ def _digits(title: str, digits: int) -> Column:
     return Column(title, printed=lambda value: f"{value:.{digits}g}")
 
 
-def _table(
+def study_table(
     caption: str,
     columns: Sequence[Column],
     rows: Sequence[tuple[Cell, ...]],
@@ -91,12 +92,12 @@ def table_1(results: Results) -> Table:
             paper.get(beside, {}).get("rmse_m"),
             *(_mean(results.summary(protocol, method, m)) for m in ("gps_rmse_m", POSITION)),
         )
-        for protocol, method, beside in ROWS
+        for protocol, method, beside in _rows(results)
         if beside in paper or method == "raw-gps"
     ]
     titles = ("paper", "ours, against the GPS (eq. 4)", "ours, against truth")
     note = "Mean over trials on held-out drives. The paper's RMSE is against the GPS that the filter has absorbed."
-    return _table("Table I. RMSE, m", [Column("method"), *map(_column, titles)], rows, results, note)
+    return study_table("Table I. RMSE, m", [Column("method"), *map(figures, titles)], rows, results, note)
 
 
 def table_2(results: Results) -> Table:
@@ -108,9 +109,14 @@ def table_2(results: Results) -> Table:
         "for new drives: corrected t",
         "for new drives: bootstrap",
     )
-    columns = [Column("method"), _column("paper"), _column("95%", joined=True), *map(_column, titles)]
+    columns = [
+        Column("method"),
+        figures("paper"),
+        figures("95%", joined=True),
+        *map(figures, titles),
+    ]
     rows: list[tuple[Cell, ...]] = []
-    for protocol, method, beside in ROWS:
+    for protocol, method, beside in _rows(results):
         found, theirs = results.summary(protocol, method, POSITION), results.paper["table_2"].get(beside, {})
         if found is not None:
             low_high = theirs.get("interval_m")
@@ -118,16 +124,20 @@ def table_2(results: Results) -> Table:
             said = (theirs.get("rmse_m"), low_high and tuple(low_high), found.mean, found.sd, *intervals)
             rows.append((results.label(method, protocol), *said))
     caption = "Table II. Position RMSE against truth, m, on held-out drives"
-    return _table(caption, columns, rows, results, INTERVALS)
+    return study_table(caption, columns, rows, results, INTERVALS)
 
 
 def table_3(results: Results) -> Table:
     """The paper's Table III without the run time."""
     columns = [Column("method")]
     for what in ("heading", "drift"):
-        columns += [_column(f"{what}: paper"), _column(f"{what}: ours"), _column(NEW_DRIVES, joined=True)]
+        columns += [
+            figures(f"{what}: paper"),
+            figures(f"{what}: ours"),
+            figures(NEW_DRIVES, joined=True),
+        ]
     rows: list[tuple[Cell, ...]] = []
-    for protocol, method, beside in ROWS:
+    for protocol, method, beside in _rows(results):
         row: list[Cell] = [results.label(method, protocol)]
         for measure, key in ((HEADING, "heading_deg"), (DRIFT, "outage_drift_m")):
             found = results.summary(protocol, method, measure)
@@ -139,7 +149,7 @@ def table_3(results: Results) -> Table:
         "In brackets the 95% interval for new drives (bootstrap over drives and trials). "
         "Run times are in runtime.md."
     )
-    return _table(caption, columns, rows, results, note)
+    return study_table(caption, columns, rows, results, note)
 
 
 def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> Table:
@@ -154,13 +164,18 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
         for name, times in live.items()
     ]
     ours = ("ours, an IMU sample", "ours, an IMU sample that absorbs a fix")
-    columns = (Column("filter"), _column("paper"), *(_column(title, 4) for title in ours))
+    columns = (Column("filter"), figures("paper"), *(figures(title, 4) for title in ours))
     note = (
         "Medians over one drive through the live filter, called from Python, on the machine that ran the study. A "
         "tuned filter costs what a manual one costs. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", columns, tuple(rows), note=note)
+
+
+def _rows(results: Results) -> list[tuple[str, str, str | None]]:
+    """The rows of a study's methods."""
+    return [row for row in ROWS if row[1] in results.methods]
 
 
 def _mean(found: VariantSummary | None) -> float | None:
@@ -174,20 +189,20 @@ def consistency_table(results: Results) -> Table:
         (results.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval)
         for r in results.means("nis")
     ]
-    return _table("", list(map(Column, titles)), rows, results)
+    return study_table("", list(map(Column, titles)), rows, results)
 
 
 def comparison_table(results: Results, protocol: str, measure: str) -> Table:
     """The PSO-UKF of a protocol against every other method, drive by drive."""
     columns = (
         Column("against"),
-        _column(f"difference, {'deg' if measure == HEADING else 'm'}"),
-        _column("95%", joined=True),
-        _column("improvement (eq. 5), %"),
-        _column("95%", joined=True),
+        figures(f"difference, {'deg' if measure == HEADING else 'm'}"),
+        figures("95%", joined=True),
+        figures("improvement (eq. 5), %"),
+        figures("95%", joined=True),
         _digits("Wilcoxon p (Holm)", 2),
-        _column("rank-biserial"),
-        _column("drives", 0),
+        figures("rank-biserial"),
+        figures("drives", 0),
     )
     rows = tuple(
         (
@@ -221,7 +236,10 @@ def conditions_table(results: Results, measure: str, variants: Sequence[Variant]
         (ALL if place == (ALL, ALL) else " ".join(place), *(found.get((*place, *v)) for v in shown))
         for place in dict.fromkeys((r.maneuver, r.environment) for r in results.summaries)
     ]
-    columns = [Column("condition"), *(_column(results.label(method, protocol)) for protocol, method in shown)]
+    columns = [
+        Column("condition"),
+        *(figures(results.label(method, protocol)) for protocol, method in shown),
+    ]
     return Table(f"{results.measures[measure]}, in each condition", tuple(columns), tuple(rows))
 
 
@@ -239,7 +257,7 @@ def _by_group(
     """Leaves out the second column, the group of drives, where all drives are one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
-    return _table(caption, columns, rows, results)
+    return study_table(caption, columns, rows, results)
 
 
 def convergence_table(results: Results) -> Table:
