@@ -295,6 +295,33 @@ def test_the_rivals_stand_in_the_tables(whole: Study):
     assert (cells[2], cells[3]) == (f"{driven:.0f}", f"{tuned + weights}")
 
 
+def test_networks_are_told_against_the_filter_that_they_stand_beside(whole: Study):
+    gains = {(c.method, c.measure): c for c in whole.results.rivals.gains}
+    assert {c.against for c in gains.values()} == {"pso-planar8"}
+    assert {method for method, _ in gains} == set(NETWORKS)
+    for measure in ("outage_drift_m", "outage_drift_15_s_m", "heading_rmse_deg"):
+        of_drives: dict[str, list[float]] = {}
+        for trial in range(2):
+            told, alone = (scores(whole.folder, trial, m) for m in ("noise-gru", "pso-planar8"))
+            for drive, what in told:
+                if what == measure:
+                    of_drives.setdefault(drive, []).append(told[drive, what] - alone[drive, what])
+        found = gains["noise-gru", measure]
+        assert found.n_drives == len(of_drives)
+        assert found.mean_difference == pytest.approx(np.mean([np.mean(d) for d in of_drives.values()]))
+    table = study_tables(whole.results)["rivals-gains"].to_markdown()
+    assert "in favor of the network" in table
+
+
+def test_simulated_roads_and_the_shaking_are_the_config_s():
+    few = {"maneuvers": ("turns",), "environments": ("clear",), "runs": 2, "rivals": True}
+    home = make_design(StudyConfig(**few, vibration=1.0, terrain="rolling"))
+    elsewhere = [drive for other in designs_elsewhere(home).values() for drive in other.drives]
+    for drive in (*home.drives, *elsewhere):
+        scenario = drive.metadata["scenario"]
+        assert (scenario["vibration"], scenario["terrain"]) == (1.0, "rolling")
+
+
 def test_times_stand_in_files_of_their_own(whole: Study):
     assert "a sample, us" not in (whole.folder / "tables/rivals.md").read_text()
     text = (whole.folder / "tables/runtime-rivals.md").read_text()
@@ -342,7 +369,8 @@ def test_the_learning_curve_ends_in_the_study_s_own_network(whole: Study):
 def test_the_page_shows_them(whole: Study):
     section = next(s for s in read_report(whole.folder).sections if s.title == "Rivals")
     captions = [table.caption.split(":")[0] for table in section.tables]
-    assert captions == ["Rivals", "Elsewhere", "Elsewhere", "Learning curves"]
+    alone = "Networks against PSO-UKF, planar8 (honest) without them"
+    assert captions == ["Rivals", alone, "Elsewhere", "Elsewhere", "Learning curves"]
     assert "a sample, us" in [column.title for column in section.tables[0].columns]
     assert len(section.charts) == 3  # of 30 s nothing is known
 

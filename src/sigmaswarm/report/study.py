@@ -45,8 +45,8 @@ def study_tables(results: Results) -> dict[str, Printed]:
     -------
     dict of str to Printed
         ``table-1`` to ``table-3`` beside the paper's, ``comparison-honest`` and ``comparison-paper``, three of the
-        conditions, ``optimum``; with rivals ``rivals``, ``elsewhere-1`` and so on, and ``learning-curve``. Each has
-        to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
+        conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
+        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
     """
     tables = views.study_tables(results) | study_rivals.rivals_tables(results)
     return {name: Printed(table) for name, table in tables.items()}

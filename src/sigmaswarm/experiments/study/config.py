@@ -90,6 +90,9 @@ class StudyConfig(BaseModel):
     imu: str = "icm-20602"
     gps: str = "white-1m"
     """The paper does not say its sensors' noise; CARLA's GNSS sensor has white noise."""
+    vibration: float = Field(default=0.0, ge=0)
+    """Shaking of the IMU by road and engine, which a network may hear the speed in; 1 is that of real cars."""
+    terrain: str = "flat"
     drives: tuple[str, ...] = ()
     """Folders of drives to be used instead of simulated ones."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
@@ -110,6 +113,11 @@ class StudyConfig(BaseModel):
     """Of driving, from where filters start, that a network learns from: drawn from the trial's training drives."""
     elsewhere: tuple[str, ...] = ()
     """Folders of drives with other sensors or of another car, for what was tuned and trained; by default simulated."""
+
+    @property
+    def simulated(self) -> dict[str, Any]:
+        """Options of all drives that are simulated."""
+        return self.model_dump(include={"imu", "gps", "vibration", "terrain", "seed"})
 
     @property
     def tuned_methods(self) -> dict[str, tuple[ProtocolName, ...]]:

@@ -213,9 +213,7 @@ def make_design(
                 config.environments,
                 config.runs,
                 executor=executor,
-                imu=config.imu,
-                gps=config.gps,
-                seed=config.seed,
+                **config.simulated,
             )
         )
     if len(drives) < 2:
@@ -239,9 +237,8 @@ def _sources(config: StudyConfig) -> list[Source]:
     """Where a cluster's workers get the drives."""
     if config.drives:
         return sources_of(listed_places(config.drives))
-    options = {"imu": config.imu, "gps": config.gps, "seed": config.seed}
     names = ((m, e, run) for m in config.maneuvers for e in config.environments for run in range(config.runs))
-    return [Simulated(*name, options) for name in names]
+    return [Simulated(*name, config.simulated) for name in names]
 
 
 def _as_it_is(_: Replayer) -> None:

@@ -43,7 +43,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
 
 def _simulated(config: StudyConfig, executor: Executor | None, **other: str) -> Design:
     """Drives of the study's conditions, on other roads: their seed is the next one."""
-    options: dict[str, Any] = {"imu": config.imu, "gps": config.gps, "seed": config.seed + 1, **other}
+    options: dict[str, Any] = {**config.simulated, "seed": config.seed + 1, **other}
     runs = min(config.runs, MOST_RUNS)
     made = simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options)
     return _apart(list(made), config)

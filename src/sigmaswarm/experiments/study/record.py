@@ -189,9 +189,13 @@ class CurvePoint(_Part):
 
 
 class RivalResults(_Part):
-    """What a study with rivals says beside."""
+    """What a study with rivals says beside.
+
+    ``gains``: each network against the filter that it stands beside; ``holm_p`` is of each alone.
+    """
 
     efforts: list[Effort]
+    gains: list[PairedComparison]
     elsewhere: list[ElsewhereSummary]
     curve: list[CurvePoint]
 

@@ -18,7 +18,7 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import ALL, MAIN, PROTOCOLS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, MAIN, PROTOCOLS, UNTUNED, StudyConfig
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.paper import PAPER_RESULTS
 from sigmaswarm.experiments.study.record import (
@@ -114,25 +114,30 @@ def _comparisons(scores: ScoreTable) -> Iterator[PairedComparison]:
     """The PSO-UKF of each protocol against every other method that is untuned or tuned under the same one."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
-        for measure in measures_of(scores.design.config):
-            if measure != "nis":  # neither low nor high is better
-                yield from _against(scores, protocol, measure, others)
+        for measure in compared_measures(scores.design.config):
+            yield from against(scores, (protocol, MAIN), measure, others)
 
 
-def _against(
-    scores: ScoreTable, protocol: str, measure: str, others: Sequence[Variant]
+def compared_measures(config: StudyConfig) -> list[str]:
+    """All but NIS, of which neither low nor high is better."""
+    return [measure for measure in measures_of(config) if measure != "nis"]
+
+
+def against(
+    scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant]
 ) -> Iterator[PairedComparison]:
-    design = scores.design
-    own = scores.values[protocol, MAIN][measure]
+    """A variant against others; p is corrected over these."""
+    design, (protocol, method) = scores.design, variant
+    own = scores.values[variant][measure]
     found: dict[str, PairedStatistics] = {}
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
             found[other[1]] = compare_paired(own, theirs, design.strata, resampling(design))
     corrected = holm([row.p for row in found.values()])
-    for (method, row), p in zip(found.items(), corrected, strict=True):
+    for (other, row), p in zip(found.items(), corrected, strict=True):
         yield PairedComparison(
-            protocol=protocol, measure=measure, method=MAIN, against=method, **dict(row), holm_p=p
+            protocol=protocol, measure=measure, method=method, against=other, **dict(row), holm_p=p
         )
 
 

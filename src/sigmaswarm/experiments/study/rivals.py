@@ -9,8 +9,14 @@ from sigmaswarm.experiments.statistics import bootstrap
 from sigmaswarm.experiments.study.config import ALL, BESIDE
 from sigmaswarm.experiments.study.design import Design, Task
 from sigmaswarm.experiments.study.networks import Taught, Training
-from sigmaswarm.experiments.study.record import CurvePoint, Effort, ElsewhereSummary, RivalResults
-from sigmaswarm.experiments.study.results import resampling, summarize
+from sigmaswarm.experiments.study.record import (
+    CurvePoint,
+    Effort,
+    ElsewhereSummary,
+    PairedComparison,
+    RivalResults,
+)
+from sigmaswarm.experiments.study.results import against, compared_measures, resampling, summarize
 from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.tuning.search import Trial
 
@@ -25,6 +31,7 @@ def rival_results(
     """Everything that results.json says of them."""
     return RivalResults(
         efforts=list(_efforts(scores.design, trials, taught)),
+        gains=list(_gains(scores, taught)),
         elsewhere=[
             row for place, table in elsewhere.items() for row in _summaries(place, table, scores.design)
         ],
@@ -51,6 +58,13 @@ def _efforts(design: Design, trials: Mapping[Task, Trial], taught: Mapping[Task,
             learned_s=float(np.mean([t.driven for t in own])),
             numbers=numbers[protocol, BESIDE] + float(np.mean(learned)),
         )
+
+
+def _gains(scores: ScoreTable, taught: Mapping[Task, Taught]) -> Iterator[PairedComparison]:
+    """Each network against its filter, drive by drive."""
+    for protocol, method in dict.fromkeys((task.protocol, task.method) for task in taught):
+        for measure in compared_measures(scores.design.config):
+            yield from against(scores, (protocol, method), measure, [(protocol, BESIDE)])
 
 
 def _labelled(design: Design, trial: int) -> float:

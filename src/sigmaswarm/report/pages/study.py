@@ -8,7 +8,13 @@ from sigmaswarm.experiments.study.record import PairedComparison, Results, Varia
 from sigmaswarm.report.style import STUDY_LOOKS
 from sigmaswarm.report.views.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.report.views.study_charts import convergence_chart, means_chart, spread_chart
-from sigmaswarm.report.views.study_rivals import curve_charts, curve_table, elsewhere_table, rivals_table
+from sigmaswarm.report.views.study_rivals import (
+    curve_charts,
+    curve_table,
+    elsewhere_table,
+    gains_table,
+    rivals_table,
+)
 from sigmaswarm.report.views.study_tables import (
     DRIFT,
     ERRORS,
@@ -260,6 +266,7 @@ def _rivals(record: StudyRecord) -> tuple[Section, ...]:
     places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
     tables = (
         rivals_table(results, record.rival_times),
+        gains_table(results),
         *(elsewhere_table(results, place) for place in places),
         curve_table(results),
     )

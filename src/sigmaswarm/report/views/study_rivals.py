@@ -3,12 +3,21 @@
 from collections.abc import Mapping
 from math import inf
 
-from sigmaswarm.experiments.study.config import LONG_OUTAGES
+from sigmaswarm.experiments.study.config import BESIDE, LONG_OUTAGES
 from sigmaswarm.experiments.study.record import CurvePoint, Results, RivalResults
 from sigmaswarm.report.style import LOOKS
 from sigmaswarm.report.views.charts import Axis, Band, Chart, Curve, Look, Mark
 from sigmaswarm.report.views.record import Cell, Column, Table
-from sigmaswarm.report.views.study_tables import DRIFT, HEADING, POSITION, figures, study_table
+from sigmaswarm.report.views.study_tables import (
+    DRIFT,
+    HEADING,
+    PAIRED,
+    POSITION,
+    figures,
+    paired_cells,
+    paired_columns,
+    study_table,
+)
 
 LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
 """Of the outages, by measure."""
@@ -38,6 +47,7 @@ def rivals_tables(results: Results) -> dict[str, Table]:
     places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
     return {
         "rivals": rivals_table(results, {}),
+        "rivals-gains": gains_table(results),
         **{f"elsewhere-{k}": elsewhere_table(results, place) for k, place in enumerate(places, 1)},
         "learning-curve": curve_table(results),
     }
@@ -67,6 +77,17 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
         rows.append(tuple(row))
     note = f"{EFFORT} {TIMES}" if times else f"{EFFORT} Times are in runtime-rivals.md."
     return study_table("Rivals: what they take, and their drift over outages", columns, rows, results, note)
+
+
+def gains_table(results: Results) -> Table:
+    """Each network against the filter that it stands beside, drive by drive."""
+    columns = [Column("network"), Column("measure"), figures("difference"), *paired_columns("Wilcoxon p")]
+    rows = [
+        (results.label(c.method), results.measures[c.measure], *paired_cells(c))
+        for c in _rivals(results).gains
+    ]
+    caption = f"Networks against {results.label(BESIDE, 'honest')} without them"
+    return Table(caption, tuple(columns), tuple(rows), note=PAIRED.format("network"))
 
 
 def elsewhere_table(results: Results, place: str) -> Table:
@@ -148,4 +169,4 @@ def _curve(results: Results, method: str, measure: str) -> list[CurvePoint]:
 
 
 def _rivals(results: Results) -> RivalResults:
-    return results.rivals or RivalResults(efforts=[], elsewhere=[], curve=[])
+    return results.rivals or RivalResults(efforts=[], gains=[], elsewhere=[], curve=[])

@@ -7,7 +7,13 @@ from statistics import median
 from typing import Any
 
 from sigmaswarm.experiments.study.config import ALL, MAIN, NETWORKS, SEARCHED_RIVALS, TUNED_METHODS, UNTUNED
-from sigmaswarm.experiments.study.record import Results, TrialTuning, Variant, VariantSummary
+from sigmaswarm.experiments.study.record import (
+    PairedComparison,
+    Results,
+    TrialTuning,
+    Variant,
+    VariantSummary,
+)
 from sigmaswarm.report.views.record import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
@@ -32,7 +38,7 @@ LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
     "One value a drive, the mean over the trials that held it back, of drives on which neither ever failed; 95% "
-    "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the PSO-UKF."
+    "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
     "The interval over trials (as in the paper) says what optimizer and split leave open; it covers the mean of "
@@ -197,31 +203,42 @@ def comparison_table(results: Results, protocol: str, measure: str) -> Table:
     columns = (
         Column("against"),
         figures(f"difference, {'deg' if measure == HEADING else 'm'}"),
-        figures("95%", joined=True),
-        figures("improvement (eq. 5), %"),
-        figures("95%", joined=True),
-        _digits("Wilcoxon p (Holm)", 2),
-        figures("rank-biserial"),
-        figures("drives", 0),
+        *paired_columns("Wilcoxon p (Holm)"),
     )
     rows = tuple(
-        (
-            results.label(c.against),
-            c.mean_difference,
-            c.interval,
-            c.improvement,
-            c.improvement_interval,
-            c.holm_p,
-            c.rank_biserial,
-            c.n_drives,
-        )
+        (results.label(c.against), *paired_cells(c))
         for c in results.comparisons
         if (c.protocol, c.measure) == (protocol, measure)
     )
     caption = (
         f"{results.label(MAIN)} under the protocol {protocol} against each other method: {ERRORS[measure]}"
     )
-    return Table(caption, columns, rows, note=PAIRED)
+    return Table(caption, columns, rows, note=PAIRED.format("PSO-UKF"))
+
+
+def paired_columns(p: str) -> list[Column]:
+    """What `paired_cells` fills, behind the column of the difference."""
+    return [
+        figures("95%", joined=True),
+        figures("improvement (eq. 5), %"),
+        figures("95%", joined=True),
+        _digits(p, 2),
+        figures("rank-biserial"),
+        figures("drives", 0),
+    ]
+
+
+def paired_cells(c: PairedComparison) -> tuple[Cell, ...]:
+    """The difference, and what `paired_columns` names."""
+    return (
+        c.mean_difference,
+        c.interval,
+        c.improvement,
+        c.improvement_interval,
+        c.holm_p,
+        c.rank_biserial,
+        c.n_drives,
+    )
 
 
 def conditions_table(results: Results, measure: str, variants: Sequence[Variant] = ()) -> Table:
