@@ -9,8 +9,8 @@ first 70% of their time, comma2k19 on its first half; colorado-1 also with burst
 simulated drives of 100 s for each grade of sensors, tuned on four, tested on three others. "A > B" is tuned on A, and
 tested on B, whose receiver and IMU it never saw. Every tuning is done with truth and without, and is one line of the
 file as soon as it is done: what the file has is not done again. Prints Markdown: each tuning's scores, medians over the
-seeds; then the geometric mean, over the cases that all filters have, of each score over the lowest of the case. Drift
-is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
+seeds ("auto": what suits logs without truth); then the geometric mean, over the cases that all filters have, of each
+score over the lowest of the case. Drift is the RMS over the windows of seeds 0 to 3 (5 s) and 0 to 5 (30 s).
 """
 
 import argparse
@@ -18,6 +18,7 @@ import json
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -29,7 +30,7 @@ from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, s
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.outliers import with_outliers
-from sigmaswarm.tuning.defaults import with_filter
+from sigmaswarm.tuning.defaults import objective_for, with_filter
 from switches import measured, quantities, raw
 
 CAR = ("lateral", "standstill")
@@ -75,7 +76,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="one line of JSON a tuning")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--with-truth", nargs="*", default=["truth-pose + 0.2 nees"], help="objectives")
-    parser.add_argument("--without-truth", nargs="*", default=["innovation-t"], help="objectives")
+    parser.add_argument("--without-truth", nargs="*", default=["auto"], help="objectives")
     parser.add_argument("--filters", nargs="+", default=list(FILTERS), choices=(*FILTERS, "default"))
     parser.add_argument("--only", nargs="+", help="parts of cases' names")
     parser.add_argument("--table", action="store_true", help="only print what the file has")
@@ -170,7 +171,9 @@ def run(
             return None
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
-    tuning = tune(training, objective=objective, seed=seed, executor=pool, model=model, use=use)
+    blind = [replace(drive, truth=None) for drive in training]
+    taken = objective_for(blind, objective)
+    tuning = tune(training, objective=taken, seed=seed, executor=pool, model=model, use=use)
     return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 
 

@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 
 from sigmaswarm.doctor.suited import suited
 from sigmaswarm.drives.drive import Drive, Odometer
+from sigmaswarm.drives.noise import has_white_errors
+from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.scale import said_of_scale
@@ -78,6 +81,59 @@ def test_of_several_drives_what_all_have_counts():
 def test_it_looks_neither_at_truth_nor_at_errors():
     noisy = replace(PLAIN, truth=None, gps=replace(PLAIN.gps, x=PLAIN.gps.x + 30.0 * np.arange(FIXES)))
     assert suited([noisy]) == suited([PLAIN])
+
+
+def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = None) -> Drive:
+    """Without truth, with fixes that err anew each time; what the receiver states is in drive.toml."""
+    t, truth = drive.gps.time, drive.truth
+    noise = np.random.default_rng(0).normal(0.0, std, (2, len(t)))
+    x, y = (np.interp(t, truth.time, of) + off for of, off in zip((truth.x, truth.y), noise, strict=True))
+    metadata = drive.metadata if stated is None else {**drive.metadata, "gps_std_m": stated}
+    gps = replace(drive.gps, x=x, y=y)
+    return replace(drive, name=name, gps=gps, truth=None, metadata=metadata)
+
+
+def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too():
+    long = make_drive(duration=60.0)
+    forecasts = "0.5 innovation-t + 0.5 forecast-t"
+    white, copying = noisy(long, 1.0), noisy(long, 0.05, "copying")
+    assert objective_for([white], "auto") == forecasts
+    assert objective_for([copying], "auto") == "innovation-t"
+    assert objective_for([noisy(long, 1.0, stated=5.0)], "auto") == "innovation-t"  # most of 5 m lasts
+    assert objective_for([noisy(long, 0.3, stated=0.3)], "auto") == forecasts
+    assert (
+        objective_for([noisy(long, 0.01, stated=0.01)], "auto") == "innovation-t"
+    )  # motion, as far as one can tell
+    assert objective_for([white, copying], "auto") == "innovation-t"
+    assert objective_for([white, copying, noisy(long, 1.0, "other")], "auto") == forecasts  # most of them
+    assert (
+        objective_for([white, noisy(WHOLE, 1.0, "short")], "auto") == "innovation-t"
+    )  # no room to hide fixes
+    for asked in ("innovation-t", "outage-rmse"):
+        assert objective_for([white], asked) == asked
+    assert objective_for([replace(white, truth=long.truth)], "auto") == "truth-pose + 0.2 nees"
+    assert tune(six(white), **SMALL).config.model_dump()["objective"] == forecasts
+
+
+@pytest.mark.parametrize(
+    ("gps", "white"), [("white-1m", True), ("gnss-ins-sim", True), ("ublox-m8", False), ("f9p-rtk", False)]
+)
+@pytest.mark.parametrize("stated", [True, False])
+def test_receivers_whose_errors_last_are_told_from_those_that_err_anew(gps: str, white: bool, stated: bool):
+    drive = simulate("urban", duration=100.0, gps=gps, seed=3)
+    if not stated:
+        drive = replace(drive, gps=replace(drive.gps, std_x=None, std_y=None), metadata={})
+    assert has_white_errors(drive) == white
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "white"),
+    [("colorado-1", True), ("kitti-09-30-0018", True), ("kingston-1", False), ("comma2k19", False)],
+)
+@pytest.mark.filterwarnings("ignore::sigmaswarm.SigmaswarmWarning")
+def test_real_receivers_whose_errors_last(name: str, white: bool):
+    assert has_white_errors(read_drive(DRIVES / name)) == white
 
 
 def test_what_the_user_gives_stays():

@@ -1,6 +1,7 @@
 """The margin raises what is doubted, as far as the cost allows and no farther."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from sigmaswarm import run_batch, simulate, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.margin import STEP
+from sigmaswarm.tuning.margin import STEP, with_margin
+from sigmaswarm.tuning.space import search_space
 
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")
 SEARCH = {"particles": 8, "generations": 6, "objective": "truth-rmse"}
@@ -93,3 +95,47 @@ def test_twice_the_data_bear_half_the_rise():
 def test_a_linear_search_has_no_factor():
     with pytest.raises(InputError, match="margin raises noises by one factor, which needs scale"):
         tune([DRIVE], margin=0.1, scale="linear", **SEARCH)
+
+
+LEAST = {
+    "q_tilt": 1e-10,
+    "q_gyro_bias_z": 1e-12,
+    "q_gyro_bias_xy": 1e-11,
+    "accel_bias_std": 0.02,
+    "gyro_bias_std": 5e-4,
+}
+"""At 100 Hz: 0.01 of what a second has."""
+
+
+@pytest.mark.parametrize("cost_per_decade", [0.0, 100.0])
+@pytest.mark.parametrize("model", POWERS)
+def test_of_a_tilted_model_no_less_than_a_little_is_left(model: str, cost_per_decade: float):
+    """Whether the cost bears a factor or not: what is below it at the optimum stands at it afterwards."""
+    space = search_space(model, "log10", 0.01, kind="ekf", use=("lateral",))
+
+    class Lowest:
+        """Its optimum is where all is as small as can be."""
+
+        data: ClassVar = [{"duration_s": 100.0}]
+
+        def __init__(self):
+            self.space = space
+
+        def costs(self, points, executor=None):
+            return cost_per_decade * np.sum(points - space.low, axis=1)
+
+        def rise(self, costs, cost):
+            return costs - cost
+
+    point, cost, factor = with_margin(Lowest(), space.low, 0.0, 0.02, None)
+    assert cost == Lowest().costs(point[np.newaxis])[0]
+    assert (factor == 1.0) == (cost_per_decade > 0)
+    found = dict(zip(space.names, space.values(point), strict=True))
+    lowest = dict(zip(space.names, space.lowest, strict=True))
+    for name, least in LEAST.items() if model == "tilted12" else ():
+        raised = found[name] > least * (1 + 1e-9)
+        assert found[name] >= least * (1 - 1e-9)
+        assert not raised or (factor > 1.0 and name.startswith("q_"))
+    kept = [name for name in found if model != "tilted12" or name not in LEAST]
+    if factor == 1.0:
+        assert [found[name] for name in kept] == [lowest[name] for name in kept]

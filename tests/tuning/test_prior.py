@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.noise import stated_std
+from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.prior import prior_costs, receiver_std
 from sigmaswarm.tuning.tune import with_guards

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sigmaswarm.drives.checks import GRAVITY
-from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.noise import has_white_errors
 
 VARIES = 1.5
 """95% quantile of the stated deviations over the 5% quantile, from which on they tell good fixes from bad ones."""
+STARTED = 20.0
+"""m from the first fix: the car is under way."""
 NEAR_GRAVITY = 0.3
 """Share of gravity by which az may be off in the median, to be taken for the vertical axis in m/s2."""
 
@@ -57,6 +60,10 @@ class Equipment:
         Whether it has the wheels' speed, and the receiver's stated deviations, and its speed and course.
     spread : (float, float) or None
         See `stated_spread`.
+    white : bool
+        See `sigmaswarm.drives.noise.has_white_errors`.
+    driven : float
+        s that the log goes on after it has moved 20 m.
     """
 
     name: str
@@ -68,6 +75,8 @@ class Equipment:
     accuracy: bool
     velocity: bool
     spread: tuple[float, float] | None
+    white: bool
+    driven: float
 
 
 def equipment(drive: Drive | Equipment) -> Equipment:
@@ -85,7 +94,14 @@ def equipment(drive: Drive | Equipment) -> Equipment:
         accuracy=gps.std_x is not None and gps.std_y is not None,
         velocity=gps.speed is not None and gps.course is not None,
         spread=stated_spread(drive),
+        white=has_white_errors(drive),
+        driven=_driven(drive.gps),
     )
+
+
+def _driven(gps: Gps) -> float:
+    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > STARTED]
+    return float(gps.time[-1] - away[0]) if len(away) else 0.0
 
 
 def suited(drives: Sequence[Drive | Equipment]) -> Suited:

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.noise import stated_std
+from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -25,8 +25,6 @@ PresetName = Literal["defaults", "datasheet", "paper"]
 DEFAULTS = FilterParameters(0.1, 2.0, 0.0, (1.0,) * 5, (1.0,) * 2)
 PAPER = FilterParameters(0.03, 2.5, 0.48, (2.0,) * 5, (0.1,) * 2)
 
-UNSTATED_GPS_STD = 2.1
-"""m per axis: u-blox M8, 2.5 m CEP."""
 MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
 """m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60

@@ -81,6 +81,11 @@ class Box:
         """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
         return np.zeros(len(self.names))
 
+    @property
+    def least(self) -> Array:
+        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        return self.low
+
     def values(self, points: Array) -> Array:
         """The parameters themselves, shape (..., d), of points in search coordinates."""
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)

@@ -37,7 +37,8 @@ class SharedOptions(TypedDict, total=False):
             "hidden fixes. "
             "outage-rmse: forecasts of hidden fixes; needs no truth. nis, nees: consistency, to be added to others. "
             "gps-rmse: the paper's, which rewards copying the GPS. Sums like `truth-pose + 0.2 nees` are objectives, "
-            "too. auto: truth-pose + 0.2 nees where all drives have truth, else innovation-t."
+            "too. auto: truth-pose + 0.2 nees where all drives have truth; else innovation-t, and where fixes err anew "
+            "each time half and half with forecast-t."
         ),
     ]
     worst: Annotated[
@@ -139,7 +140,8 @@ class TuneOptions(SearchOptions, FilterOptions, total=False):
             "Share by which the cost may rise on up to 100 s of driving (half of it on 200 s) while all process noises "
             "are raised together, of tilted12 the walks of its biases and, by half as many decades, the noises of "
             "position and velocity: a filter that doubts its model more bears roads and IMUs that the tuning has not "
-            "seen. By default 0.05, of tilted12 0.02, where the fixes' likelihood alone decides, else 0."
+            "seen. tilted12 is also left no less than a little doubt of its biases and of roll and pitch. By default "
+            "0.05, of tilted12 0.02, where the fixes' likelihood alone decides, else 0."
         ),
     ]
 

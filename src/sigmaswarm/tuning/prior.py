@@ -12,9 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import motion_in_noise, stated_std, white_noise
+from sigmaswarm.drives.noise import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 
 DECADES = 0.5
 """Standard deviation of log10 R below that of the receiver."""

@@ -8,11 +8,10 @@ import numpy as np
 from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import stated_std
+from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import UNSTATED_GPS_STD
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""

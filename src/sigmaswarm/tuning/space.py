@@ -1,5 +1,6 @@
 """The box that is searched, and the way from a point in it to filter parameters."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -26,7 +27,7 @@ class Dimension:
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
     number. ``spread``: it spans powers of ten. ``doubt``: how many
-    decades a margin raises it by where it raises what is doubted most by one.
+    decades a margin raises it by where it raises what is doubted most by one; ``least``: below which it leaves none.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Dimension:
     highest: float
     spread: bool = True
     doubt: float = 0.0
+    least: float = -math.inf
 
 
 SCALING = (
@@ -67,6 +69,15 @@ NOISES = (
     *("process_noise", "measurement_noise", "accuracy_scale"),
     *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
 )
+LEAST = {
+    "tilt": 1e-8,
+    "gyro_bias_z": 1e-10,
+    "gyro_bias_xy": 1e-9,
+    "accel_bias_std": 0.02,
+    "gyro_bias_std": 5e-4,
+}
+"""Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
+and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.margin`."""
 USUAL_INTERVAL = 0.01
 """s: the IMU of a drive that is not known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
@@ -107,6 +118,11 @@ class SearchSpace(Box):
     def doubts(self) -> Array:
         """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
         return np.array([d.doubt for d in self.dimensions])
+
+    @property
+    def least(self) -> Array:
+        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def decode(self, points: Array) -> list[FilterParameters]:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
@@ -183,12 +199,15 @@ def _dimensions(
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
         box, doubt = (scale * lowest, scale * highest), _doubt(alike[0], described)
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, doubt=doubt)
+        least = scale * LEAST.get(name, 0.0) if described.tilts else -math.inf
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, doubt=doubt, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
     for sensor in described.sensors:
-        yield Dimension(f"{sensor}_bias_std", "bias_std", 1, *SENSORS[sensor].start_std)
+        name, box = f"{sensor}_bias_std", SENSORS[sensor].start_std
+        least = LEAST[name] if described.tilts else -math.inf
+        yield Dimension(name, "bias_std", 1, *box, least=least)
     yield from KIND_DIMENSIONS.get(kind, ())
     for option in OPTIONS:
         if option in use:
