@@ -14,6 +14,7 @@ the same car, on another car.
 import argparse
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def main() -> None:
     )
     parser.add_argument("drives", type=Path)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--objective", default="innovation-t")
+    parser.add_argument("--objective", default="auto", help="by default what tune takes")
     parser.add_argument("--model", default="planar8")
     parser.add_argument("--use", nargs="*", default=[])
     parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
@@ -92,7 +93,7 @@ def row(
             use = [option for option in options.use if option != "accuracy" or stated]
             asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
             guards = {"prior": options.prior, "margin": options.margin}
-            filters[stated] = tune([training], executor=pool, **asked, **guards).parameters
+            filters[stated] = tune([replace(training, truth=None)], executor=pool, **asked, **guards).parameters
         ready = PreparedDrive(test)
         estimate = run_filter(ready, filters[stated])
         score, raw = score_estimate(test, estimate), score_raw_gps(test, estimate.initial)
