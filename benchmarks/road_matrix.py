@@ -93,7 +93,9 @@ def row(
             use = [option for option in options.use if option != "accuracy" or stated]
             asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
             guards = {"prior": options.prior, "margin": options.margin}
-            filters[stated] = tune([replace(training, truth=None)], executor=pool, **asked, **guards).parameters
+            filters[stated] = tune(
+                [replace(training, truth=None)], executor=pool, **asked, **guards
+            ).parameters
         ready = PreparedDrive(test)
         estimate = run_filter(ready, filters[stated])
         score, raw = score_estimate(test, estimate), score_raw_gps(test, estimate.initial)
