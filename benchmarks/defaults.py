@@ -172,7 +172,7 @@ def run(
     if (name, "raw fixes", "-", 0) not in done:
         noted(out, done, (name, "raw fixes", "-", 0), [*quantities(raw(test))])
     blind = [replace(drive, truth=None) for drive in training]
-    taken = objective_for(blind, objective)
+    taken = objective_for(blind, objective, model)
     tuning = tune(training, objective=taken, seed=seed, executor=pool, model=model, use=use)
     return noted(out, done, (name, label, objective, seed), figures(test, tuning.parameters))
 

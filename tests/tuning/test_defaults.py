@@ -1,6 +1,7 @@
 """What `tune` takes where nothing is asked for: by what the logs have, and by nothing else."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -95,23 +96,21 @@ def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = 
 
 def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too():
     long = make_drive(duration=60.0)
+    auto = partial(objective_for, asked="auto", model="tilted12")
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
     white, copying = noisy(long, 1.0), noisy(long, 0.05, "copying")
-    assert objective_for([white], "auto") == forecasts
-    assert objective_for([copying], "auto") == "innovation-t"
-    assert objective_for([noisy(long, 1.0, stated=5.0)], "auto") == "innovation-t"  # most of 5 m lasts
-    assert objective_for([noisy(long, 0.3, stated=0.3)], "auto") == forecasts
-    assert (
-        objective_for([noisy(long, 0.01, stated=0.01)], "auto") == "innovation-t"
-    )  # motion, as far as one can tell
-    assert objective_for([white, copying], "auto") == "innovation-t"
-    assert objective_for([white, copying, noisy(long, 1.0, "other")], "auto") == forecasts  # most of them
-    assert (
-        objective_for([white, noisy(WHOLE, 1.0, "short")], "auto") == "innovation-t"
-    )  # no room to hide fixes
+    assert auto([white]) == forecasts
+    assert auto([copying]) == "innovation-t"
+    assert auto([noisy(long, 1.0, stated=5.0)]) == "innovation-t"  # most of 5 m lasts
+    assert auto([noisy(long, 0.3, stated=0.3)]) == forecasts
+    assert auto([noisy(long, 0.01, stated=0.01)]) == "innovation-t"  # motion, as far as one can tell
+    assert auto([white, copying]) == "innovation-t"
+    assert auto([white, copying, noisy(long, 1.0, "other")]) == forecasts  # most of them
+    assert auto([white, noisy(WHOLE, 1.0, "short")]) == "innovation-t"  # no room to hide fixes
     for asked in ("innovation-t", "outage-rmse"):
-        assert objective_for([white], asked) == asked
-    assert objective_for([replace(white, truth=long.truth)], "auto") == "truth-pose + 0.2 nees"
+        assert objective_for([white], asked, "tilted12") == asked
+    assert auto([replace(white, truth=long.truth)]) == "truth-pose + 0.2 nees"
+    assert auto([white], model="planar8") == "innovation-t"  # it would trust these roads too much
     assert tune(six(white), **SMALL).config.model_dump()["objective"] == forecasts
 
 

@@ -23,7 +23,7 @@ from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.fleets.held import Held
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
-from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.defaults import PLAIN, objective_for, with_filter
 from sigmaswarm.tuning.margin import MARGIN, TILTED_MARGIN, with_margin
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.options import SearchOptions, TuneOptions
@@ -214,7 +214,8 @@ def _car_problem(data: Held, others: Held, config: dict[str, Any]) -> tuple[CarP
 
 def _settled(config: C, data: Sequence[Equipment | Log]) -> C:
     """The configuration with what its defaults stand for on this data."""
-    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective)}))
+    model = config.model if isinstance(config, TuneConfig) else PLAIN
+    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, model)}))
 
 
 def with_guards(config: C) -> C:

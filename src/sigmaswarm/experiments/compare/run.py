@@ -101,8 +101,8 @@ def compare(
     training, held_out = held_drives(drives, validation, cluster=cluster)
     trained, tested = training.of_each(equipment), held_out.of_each(equipment)
     everywhere = [*trained, *tested]
-    objective = objective_for(everywhere, config.get("objective", "auto"))
     asked_filter, _ = with_filter({**config}, everywhere)
+    objective = objective_for(everywhere, config.get("objective", "auto"), asked_filter["model"])
     plain = {"prior": 0.0, "margin": 0.0}
     rivals = contenders(optimizers, scales, {**asked_filter, **plain, "objective": objective})
     problem = car_problem(training, rivals[0].config)

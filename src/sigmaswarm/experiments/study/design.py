@@ -130,7 +130,8 @@ class Design:
     @cached_property
     def _suiting(self) -> dict[str, Any]:
         """What `tune` takes for these drives where nothing is asked for."""
-        return {**with_filter({}, self.drives)[0], "objective": objective_for(self.drives, "auto")}
+        found, _ = with_filter({}, self.drives)
+        return {**found, "objective": objective_for(self.drives, "auto", found["model"])}
 
     def members(self, group: str) -> list[int]:
         """Indices of a group's drives."""
