@@ -36,6 +36,14 @@ def stuck(begin: float, length: float, value: float | None = None) -> Fault:
     return plant
 
 
+def slipping(wheels: Odometer) -> Odometer:
+    """Where the car drives the wheels spin up by half for 3 s, and lock for 3 s a minute later."""
+    spun = (wheels.time >= SPUN) & (wheels.time < SPUN + 3.0)
+    locked = (wheels.time >= LOCKED) & (wheels.time < LOCKED + 3.0)
+    return replace(wheels, speed=np.where(spun, 1.5 * wheels.speed, np.where(locked, 0.0, wheels.speed)))
+
+
+SPUN, LOCKED = 75.0, 135.0
 FAULTS: dict[str, tuple[str, Fault]] = {
     "3% high": ("odometer-scale", times(1.03)),
     "5% low": ("odometer-scale", times(0.95)),
@@ -45,6 +53,7 @@ FAULTS: dict[str, tuple[str, Fault]] = {
     "early": ("odometer-clock", shifted(-0.3)),
     "stuck": ("odometer-stuck", stuck(90.0, 15.0, 11.0)),
     "stuck at zero": ("odometer-stuck", stuck(60.0, 15.0, 0.0)),
+    "slipping": ("odometer-slip", slipping),
 }
 
 
@@ -71,7 +80,7 @@ def test_nothing_is_said_of_a_sound_odometer():
     assert not list(subject.check(replace(evidence(), drive=replace(evidence().drive, odometer=None))))
 
 
-ONE_OF_EACH = ("3% high", "backwards", "km/h", "late", "stuck")
+ONE_OF_EACH = ("3% high", "backwards", "km/h", "late", "stuck", "slipping")
 
 
 @pytest.mark.parametrize("name", quickly([(name,) for name in FAULTS], lambda name: name in ONE_OF_EACH))
@@ -86,11 +95,32 @@ def test_each_fault_is_named_and_mended(name: str):
     assert mended is not None and sound is not None
     assert not found(replace(drive, odometer=mended)).findings
     inside = (sound.time > 20) & (sound.time < 280)
-    if code != "odometer-stuck":
+    if code == "odometer-slip":
+        for begin in (SPUN, LOCKED):
+            assert not np.any((mended.time >= begin) & (mended.time < begin + 3.0))
+        assert 6.0 <= (len(sound) - len(mended)) / 83.0 < 6.0 + 8 * subject.WITHIN
+        assert finding.span[0] < SPUN < LOCKED + 3.0 < finding.span[1]
+    elif code != "odometer-stuck":
         again = np.interp(sound.time[inside], mended.time, mended.speed)
         assert np.mean(np.abs(again - sound.speed[inside])) < 0.25
     else:
         assert 0.8 * 15 < (len(sound) - len(mended)) / 83.0 < 1.4 * 15
+
+
+@pytest.mark.parametrize("imu", ["icm-20602", "mpu-6050"])
+@pytest.mark.parametrize("environment", ["clear", "slippery"])
+def test_brakes_hills_and_snow_are_no_slip(imu: str, environment: str):
+    for maneuver in ("brake", "urban"):
+        length = {"duration": 90.0} if maneuver == "urban" else {}
+        wheels = {"odometer": "can", "vibration": 1.0, "terrain": "hilly"}
+        drive = simulate(maneuver, environment, imu=imu, **wheels, **length)
+        assert "odometer-slip" not in diagnose(drive).codes
+
+
+def test_an_accelerometer_that_says_nothing_of_the_wheels_is_not_believed():
+    turned = replace(evidence().drive.imu, ax=-evidence().drive.imu.ax)
+    drive = replace(planted(slipping), imu=turned)
+    assert "odometer-slip" not in {f.code for f in subject.check(replace(evidence(), drive=drive))}
 
 
 def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():

@@ -1,7 +1,7 @@
-"""The wheels' speed against fixes and accelerometer: sign, unit, scale, clock, and a counter that is stuck."""
+"""The wheels' speed against fixes and accelerometer: sign, unit, scale, clock, a counter that is stuck, and slip."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,14 @@ STUCK = 4.0
 APART = 2.5
 """... by so many m/s at the median."""
 
+JUMP = 2.5
+"""m/s that the wheels gain or lose within `WITHIN` and the accelerometer does not feel: they spin up, or lock. A slope
+of 10% passes for 1 m/s, and a sound odometer that is 0.3 s late for 2 m/s in a full braking."""
+WITHIN, LASTS_AT_MOST = 1.0, 10.0
+"""s: over which a jump is looked for, and before which the wheels come back from it."""
+AGREE = 0.5
+"""m/s by which both may differ in the median, if the accelerometer is to say anything of the wheels."""
+
 
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about odometer.csv."""
@@ -44,18 +52,32 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         return
     stuck = _stuck(odometer, course)
     if stuck:
-        spans = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in stuck[:3]) + (" ..." if len(stuck) > 3 else "")
         yield Finding(
             "odometer-stuck", "warning",
-            f"the same reading again and again while the fixes move at another speed: t = {spans}",
+            f"the same reading again and again while the fixes move at another speed: t = {_named(stuck)}",
             "odometer.csv, speed", (stuck[0][0], stuck[-1][1]), 0.95, "leave these readings out",
             Repair("drop-readings", tuple(t for span in stuck for t in span)),
         )  # fmt: skip
         odometer = without(odometer, stuck)
         if len(odometer) < FEWEST:
             return
+    if slips := _slips(odometer, evidence):
+        yield Finding(
+            "odometer-slip", "warning",
+            "the wheels' speed jumps where the accelerometer feels nothing, as of wheels that spin or lock: "
+            f"t = {_named(slips)}",
+            "odometer.csv, speed", (slips[0][0], slips[-1][1]), 0.9, "leave these readings out",
+            Repair("drop-readings", tuple(t for span in slips for t in span)),
+        )  # fmt: skip
+        odometer = without(odometer, slips)
+        if len(odometer) < FEWEST:
+            return
     yield from _scale(odometer, course, evidence)
     yield from _clock(odometer, evidence)
+
+
+def _named(spans: Sequence[tuple[float, float]]) -> str:
+    return ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in spans[:3]) + (" ..." if len(spans) > 3 else "")
 
 
 def without(odometer: Odometer, spans: Iterable[tuple[float, float]]) -> Odometer:
@@ -84,6 +106,43 @@ def _stuck(odometer: Odometer, course: Course) -> list[tuple[float, float]]:
             apart = np.abs(seen[inside] - (speed[a] * factor if speed[a] > 0 else 0.0))
             if np.median(apart) > APART:
                 found.append((float(time[a]), float(time[b])))
+    return found
+
+
+def _slips(odometer: Odometer, evidence: Evidence) -> list[tuple[float, float]]:
+    """From when to when the wheels do not turn as the car moves, s: from a jump to the one back, or about the jump."""
+    imu = evidence.drive.imu
+    a, b = max(imu.time[0], odometer.time[0]) + WITHIN, min(imu.time[-1], odometer.time[-1]) - WITHIN
+    at = np.arange(a, b, max(0.1, (b - a) / 1_000_000)) if b > a else np.zeros(0)
+    ends = np.searchsorted(odometer.time, [at - WITHIN / 2, at + WITHIN / 2])
+    at = at[
+        (ends[1] - ends[0] >= 3) & (np.interp(at, odometer.time[1:], np.diff(odometer.time)) < WITHIN / 2)
+    ]
+    if len(at) < 100:
+        return []
+    low, high = at - WITHIN / 2, at + WITHIN / 2
+    gained = _integral(imu.time, imu.ax)
+    told = np.interp(high, odometer.time, odometer.speed) - np.interp(low, odometer.time, odometer.speed)
+    apart = told - (np.interp(high, imu.time, gained) - np.interp(low, imu.time, gained))
+    apart -= np.median(apart)
+    quiet = np.abs(apart) < JUMP
+    if np.median(np.abs(apart)) > AGREE or np.count_nonzero(quiet) < 0.5 * len(at):
+        return []
+    jumps: list[tuple[float, float]] = []  # when, and by how much
+    for i in np.flatnonzero(~quiet):
+        if jumps and at[i] - jumps[-1][0] <= WITHIN and apart[i] * jumps[-1][1] > 0:
+            jumps[-1] = max(jumps[-1], (float(at[i]), float(apart[i])), key=lambda jump: abs(jump[1]))
+        else:
+            jumps.append((float(at[i]), float(apart[i])))
+    found: list[tuple[float, float]] = []
+    begun: tuple[float, float] | None = None
+    for t, by in jumps:
+        if begun and by * begun[1] < 0 and t - begun[0] < LASTS_AT_MOST:
+            found[-1] = (found[-1][0], t + WITHIN)
+            begun = None
+        else:
+            found.append((t - WITHIN, t + WITHIN))
+            begun = (t, by)
     return found
 
 
