@@ -71,9 +71,9 @@ NOISES = (
 )
 LEAST = {
     "tilt": 1e-8,
-    "gyro_bias_xy": 1e-9,
-    "accel_bias_std": 0.02,
-    "gyro_bias_std": 3e-4,
+    "gyro_bias_xy": 1e-10,
+    "accel_bias_std": 0.005,
+    "gyro_bias_std": 2e-4,
 }
 """Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
 and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.margin`."""
