@@ -70,7 +70,7 @@ NOISES = (
     *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
 )
 LEAST = {
-    "tilt": 1e-8,
+    "tilt": 2e-7,
     "gyro_bias_xy": 1e-10,
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
