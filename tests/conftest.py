@@ -17,6 +17,11 @@ settings.register_profile("search", patient, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "sigmaswarm"))
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are processors: tests of servers and of killed processes mostly wait."""
+    return (os.cpu_count() or 1) + 1
+
+
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are not drawn, which takes half a second each: where a test is about something else."""
