@@ -22,8 +22,9 @@ from sigmaswarm.experiments.study.design import Task, make_design
 from sigmaswarm.experiments.study.elsewhere import designs_elsewhere
 from sigmaswarm.experiments.study.lessons import LEAST, lessons
 from sigmaswarm.experiments.study.networks import Training, trainings
+from sigmaswarm.experiments.study.rivals import _gains
 from sigmaswarm.experiments.study.run import Study, StudyProgress, run_study
-from sigmaswarm.experiments.study.scores import RIVAL_LABELS
+from sigmaswarm.experiments.study.scores import RIVAL_LABELS, ScoreTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
@@ -311,6 +312,17 @@ def test_networks_are_told_against_the_filter_that_they_stand_beside(whole: Stud
         assert found.mean_difference == pytest.approx(np.mean([np.mean(d) for d in of_drives.values()]))
     table = study_tables(whole.results)["rivals-gains"].to_markdown()
     assert "in favor of the network" in table
+
+
+def test_what_a_network_leaves_as_it_is_is_not_told(whole: Study):
+    position, drift = np.random.default_rng(0).uniform(1.0, 2.0, (2, 2, len(whole.design.drives)))
+    values = {
+        ("honest", "pso-planar8"): {"position_rmse_m": position, "outage_drift_m": drift},
+        ("honest", "outage-lstm"): {"position_rmse_m": position * (1 + 1e-15), "outage_drift_m": 0.9 * drift},
+    }
+    taught = dict.fromkeys(Task("honest", "outage-lstm", "all", trial) for trial in range(2))
+    (gain,) = _gains(ScoreTable(whole.design, values), taught)
+    assert (gain.measure, gain.improvement) == ("outage_drift_m", pytest.approx(10.0))
 
 
 def test_simulated_roads_and_the_shaking_are_the_config_s():

@@ -61,9 +61,12 @@ def _efforts(design: Design, trials: Mapping[Task, Trial], taught: Mapping[Task,
 
 
 def _gains(scores: ScoreTable, taught: Mapping[Task, Taught]) -> Iterator[PairedComparison]:
-    """Each network against its filter, drive by drive."""
+    """Each network against its filter, drive by drive; not in what it leaves as it is, but for a sum's last digit."""
     for protocol, method in dict.fromkeys((task.protocol, task.method) for task in taught):
         for measure in compared_measures(scores.design.config):
+            own, alone = (scores.values[protocol, m].get(measure) for m in (method, BESIDE))
+            if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
+                continue
             yield from against(scores, (protocol, method), measure, [(protocol, BESIDE)])
 
 

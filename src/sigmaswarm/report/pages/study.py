@@ -273,7 +273,8 @@ def _rivals(record: StudyRecord) -> tuple[Section, ...]:
     text = (
         "Networks are trained in each trial, beside the filter that was tuned in it, on its training drives.",
     )
-    return (Section("Rivals", (*text, *(table.note for table in tables)), tables, curve_charts(results)),)
+    notes = dict.fromkeys(table.note for table in tables)
+    return (Section("Rivals", (*text, *notes), tables, curve_charts(results)),)
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:
