@@ -75,19 +75,22 @@ for function in (operator.lt, operator.le, operator.gt, operator.ge, operator.eq
 
 def count() -> None:
     """Print operations per lane of a predict and of a fix; needs NUMBA_DISABLE_JIT=1."""
-    planar5.math = measurements.math = SimpleNamespace(
-        sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), pi=math.pi
-    )
+    absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
+    counting = SimpleNamespace(sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), log=math.log, pi=math.pi)
+    for kernel in (
+        planar5.predict_planar5,
+        absorb,
+    ):  # each has names of its own, put there when it was written out
+        kernel.__globals__.update({k: counting for k, v in kernel.__globals__.items() if v is math})
     rows = np.array(
         [[Counting(0.1) for _ in range(layout.LANES)] for _ in range(layout.N_ROWS)], dtype=object
     )
     for row in (R.XX, R.YY, R.UU, R.VV, R.TT, R.FORGETTING):
         rows[row] = [Counting(1.0) for _ in range(layout.LANES)]
     rows[R.FADING] = [Counting(-1.0) for _ in range(layout.LANES)]
-    absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
     for name, step in (
-        ("predict", lambda: planar5.predict_planar5(rows, 0.01, 1.0, 0.1, 0.1, 1.0)),
-        ("fix", lambda: absorb(rows, 1.0, 2.0, 0.0, 0.0, 1.0)),
+        ("predict", lambda: planar5.predict_planar5(rows, (0.01, 1.0, 0.0, 1.0, 0.1, 0.1))),
+        ("fix", lambda: absorb(rows, (1.0, 2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)),
     ):
         Counting.done.clear()
         step()
@@ -102,7 +105,7 @@ def kernel_call(fixes: bool = True):
     drive = simulate("urban", duration=600.0, seed=1)
     replay = tracking_replay(prepared(drive))
     steps, sample, driving, flags, *others, ends = replay.arrays(False, False, False)
-    rows = start_replays([replay], Chunk((datasheet(drive),)))[0]
+    rows = start_replays([replay], Chunk((datasheet(drive),) * layout.LANES))[0]
 
     def call():
         run.run_lanes(
@@ -142,7 +145,7 @@ def nanoseconds_per_vector(operation: str) -> float:
         (f"%x{i} = phi {v} [%b, %entry], [%y{i}, %loop]", f"%y{i} = " + line.replace("#", str(i)))
         for i in range(CHAINS)
     ]
-    stores = "\n".join(f"store volatile {v} %y{i}, ptr %p" for i in range(CHAINS))
+    stores = "\n".join(f"store volatile {v} %y{i}, ptr %p, align 8" for i in range(CHAINS))
     module = llvm.parse_assembly(f"""
         declare {v} @llvm.fma.v{layout.LANES}f64({v}, {v}, {v})
         declare {v} @llvm.sqrt.v{layout.LANES}f64({v})
