@@ -1,6 +1,6 @@
 """The merged time line, against a loop that walks through the moments one by one."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.drives.timeline import build_timeline
+from sigmaswarm.drives.timeline import Timeline, build_timeline
 from support import make_drive
 
 TICK = 1 / 64  # s: sums and differences of ticks are exact
@@ -146,6 +146,22 @@ def test_two_fixes_of_one_time():
     assert line.hides.tolist() == [False, True, True, False, False, False]
     assert line.sampled.tolist() == [False, False, False, True, False, True]
     assert line.fixes[:, 0].tolist() == [0.25, 1.25, 2.25, 3.25, 4.25]
+
+
+@given(drives_and_starts(), st.data())
+def test_steps_without_some_fixes_are_those_of_a_drive_that_never_had_them(
+    case: tuple[Drive, float], data: st.DataObject
+):
+    drive, start = case
+    hidden = np.array(data.draw(st.lists(st.booleans(), min_size=len(drive.gps), max_size=len(drive.gps))))
+    kinds = np.zeros(len(drive.gps))
+    found = build_timeline(drive, start, kinds=kinds).without(hidden)
+    seen = replace(drive, gps=drive.gps.select(~hidden))
+    expected = build_timeline(seen, start, kinds=kinds[~hidden])
+    for each in fields(Timeline):
+        if each.name != "drive":
+            np.testing.assert_array_equal(getattr(found, each.name), getattr(expected, each.name), each.name)
+    np.testing.assert_array_equal(found.drive.gps.time, seen.gps.time)
 
 
 def test_fixes_up_to_the_start_and_after_the_last_sample_are_dropped():

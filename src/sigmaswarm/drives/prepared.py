@@ -1,6 +1,5 @@
 """A drive made ready for filters: its start and its time lines, each made once and kept."""
 
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +9,9 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline, driving_of
+
+SMALL = 500_000
+"""Steps of a time line, of somewhat over an hour: 40 megabytes."""
 
 
 class PreparedDrive:
@@ -78,17 +80,28 @@ class PreparedDrive:
         return self._timelines[key]
 
     def forget(self) -> None:
-        """Let go of the time lines made so far: those of ten hours at 100 Hz take a quarter of a gigabyte each."""
-        self._timelines.clear()
+        """Let go of the time lines made so far: those of ten hours at 100 Hz take a quarter of a gigabyte each.
+
+        That of all fixes stays where it is small, since others are made of it.
+        """
+        self._timelines = {
+            (hidden, removed): line
+            for (hidden, removed), line in self._timelines.items()
+            if not removed and not any(hidden) and len(line.end) <= SMALL
+        }
 
     def _built(self, hidden: NDArray[np.bool_], removed: bool) -> Timeline:
-        if removed or not hidden.any():
-            seen = replace(self.drive, gps=self.drive.gps.select(~hidden)) if hidden.any() else self.drive
-            kinds = self.kinds[~hidden]
-            return build_timeline(
-                seen, self.initial.time, as_recorded=self.as_recorded, kinds=kinds, driving=self._driving
-            )
-        return self.timeline().hiding(hidden)
+        if removed:
+            return self.timeline().without(hidden)
+        if hidden.any():
+            return self.timeline().hiding(hidden)
+        return build_timeline(
+            self.drive,
+            self.initial.time,
+            as_recorded=self.as_recorded,
+            kinds=self.kinds,
+            driving=self._driving,
+        )
 
 
 def prepared(

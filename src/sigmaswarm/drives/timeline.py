@@ -12,6 +12,7 @@ A gap in the IMU's samples is driven by the mean of the two around it, and marke
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,6 +157,37 @@ class Timeline:
             self, absorbs=self.absorbs & ~hides, hides=hides, drive=seen, kinds=self.kinds[~hidden]
         )
 
+    def without(self, hidden: NDArray[np.bool_]) -> "Timeline":
+        """The steps as if some fixes had never been, none of which ends at one: those of `build_timeline`, bit for bit.
+
+        ``hidden``, shape (number of the drive's fixes,), says which.
+        """
+        absorbs = self.absorbs.copy()
+        absorbs[self.absorbs] = ~hidden[_usable(self.drive, self.start, self.kinds)]
+        moment = np.cumsum(np.diff(self.end, prepend=self.start) > 0.0)  # several fixes may share one
+        meets = np.bincount(moment[absorbs], minlength=len(self.end) + 1) > 0
+        keeps = absorbs | (self.sampled & ~meets[moment])
+        end, kinds = self.end[keeps], self.kinds[~hidden]
+        steps = self.steps[keeps]
+        steps[:, DT] = np.diff(end, prepend=self.start)
+        steps[:, Q_SCALE] = steps[:, DT] / self.nominal_interval
+        of_imu = np.zeros(len(meets), dtype=np.bool_)
+        of_imu[moment[self.sampled]] = True
+        seen = replace(self.drive, gps=self.drive.gps.select(~hidden))
+        return replace(
+            self,
+            end=end,
+            steps=steps,
+            sample=self.sample[keeps],
+            absorbs=absorbs[keeps],
+            hides=np.zeros(len(end), dtype=np.bool_),
+            sampled=of_imu[moment[keeps]] & _is_last(end),
+            cornering=self.cornering[keeps],
+            drive=seen,
+            kinds=kinds,
+            **_fixes_of(seen, _usable(seen, self.start, kinds)),
+        )
+
 
 def build_timeline(
     drive: Drive,
@@ -196,11 +228,6 @@ def build_timeline(
     steps[:, DT], steps[:, Q_SCALE] = dt, dt / nominal
     if not as_recorded:
         steps[:, GAP] = gaps_before(imu.time)[sample]
-    has_velocity = drive.gps.speed is not None and drive.gps.course is not None
-    velocity = np.zeros((2, len(drive.gps)))
-    if drive.gps.speed is not None and drive.gps.course is not None:
-        velocity = drive.gps.speed * np.array([np.cos(drive.gps.course), np.sin(drive.gps.course)])
-    variance, stated = _stated_variance(drive.gps.select(usable))
     return Timeline(
         start=start,
         end=ends,
@@ -209,18 +236,35 @@ def build_timeline(
         driving=driving,
         absorbs=meets,
         hides=np.zeros(len(ends), dtype=np.bool_),
-        sampled=_among(ends, imu_time) & np.append(ends[1:] != ends[:-1], True),
-        fixes=np.column_stack([drive.gps.x[usable], drive.gps.y[usable], *velocity[:, usable], *variance]),
-        fix_time=fix_time,
-        has_velocity=has_velocity,
-        states_accuracy=stated,
+        sampled=_among(ends, imu_time) & _is_last(ends),
         lever=np.array([*drive.lever_arm, drive.antenna_height]),
         cornering=np.abs(driving[:, AY - FIRST_AXIS])[sample] > CORNERING,
         drive=drive,
         kinds=kinds,
         imu_time=imu_time,
         nominal_interval=nominal,
+        **_fixes_of(drive, usable),
     )
+
+
+def _is_last(ends: Array) -> NDArray[np.bool_]:
+    """Of the steps that end at one moment."""
+    return np.append(ends[1:] != ends[:-1], True)
+
+
+def _fixes_of(drive: Drive, usable: NDArray[np.bool_]) -> dict[str, Any]:
+    """What a time line says of the fixes that it has."""
+    gps = drive.gps.select(usable)
+    velocity, has_velocity = np.zeros((2, len(gps))), gps.speed is not None and gps.course is not None
+    if gps.speed is not None and gps.course is not None:
+        velocity = gps.speed * np.array([np.cos(gps.course), np.sin(gps.course)])
+    variance, stated = _stated_variance(gps)
+    return {
+        "fixes": np.column_stack([gps.x, gps.y, *velocity, *variance]),
+        "fix_time": gps.time,
+        "has_velocity": has_velocity,
+        "states_accuracy": stated,
+    }
 
 
 def driving_of(drive: Drive, *, as_recorded: bool = False) -> Array:
