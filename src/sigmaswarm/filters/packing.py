@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ from sigmaswarm.filters.compiled.layout import (
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, Switches, converted, starts_of, switches
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, Switches, starts_of, switches
 from sigmaswarm.filters.student import OUTLIERS_SPAN
 
 N_SUMS = R.LOG_DET - R.SQ_POSITION + 1
@@ -96,10 +97,9 @@ def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
     )
 
 
-def _padded(parameter_sets: Sequence[FilterParameters]) -> list[FilterParameters]:
-    """As many sets as there are lanes, WIDEST where that is enough: the last one again."""
-    lanes = WIDEST if len(parameter_sets) <= WIDEST else LANES
-    return [*parameter_sets, *[parameter_sets[-1]] * (lanes - len(parameter_sets))]
+def _lanes(n_sets: int) -> NDArray[np.intp]:
+    """Which of n sets is in each lane: as many lanes as it takes, WIDEST or LANES; the last set again in those left."""
+    return np.minimum(np.arange(WIDEST if n_sets <= WIDEST else LANES), n_sets - 1)
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
@@ -107,57 +107,97 @@ def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval:
 
     ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
     """
-    return np.array([_constants(p, nominal_interval) for p in _padded(parameter_sets)]).T.copy()
+    numbers = np.array([_numbers(p) for p in parameter_sets])
+    of = _Numbers(*numbers.T)  # each (n_sets,)
+    n = parameter_sets[0].n_states
+    gamma2 = of.alpha**2 * (n + of.kappa)
+    per_interval = nominal_interval / np.where(of.interval > 0.0, of.interval, nominal_interval)
+    q = per_interval * np.array([p.process_noise for p in parameter_sets]).T
+    values = dict.fromkeys((f"Q_{letter}" for letter in MEAN), 0.0) | {
+        **dict(zip((f"Q_{letter}" for letter in MEAN), q, strict=False)),
+        "GAMMA": np.sqrt(gamma2),
+        "INV_GAMMA2": 1 / gamma2,
+        "SPREAD": of.alpha**2 * (n + of.kappa - 1) + of.beta,
+        "SECOND": 1.0 - of.extended,
+        "RX": of.rx,
+        "RY": of.ry,
+        "R_VELOCITY": of.velocity,
+        "R_LATERAL": of.lateral,
+        "R_STANDSTILL": of.standstill,
+        "R_ODOMETER": of.odometer,
+        "ODOMETER_SCALE": 1 / of.odometer_scale,
+        "ODOMETER_LATENCY": of.odometer_latency,
+        "R_RATE": STANDSTILL_RATE_NOISE,
+        "REAR_AXLE": of.rear_axle,
+        "LATENCY": of.latency,
+        "GATE": of.gate,
+        "FORGETTING": np.where(of.adaptive == 1.0, of.forgetting, 1.0),
+        "FADING": np.where(of.fading == 1.0, of.forgetting, -1.0),
+        "FUZZY": np.where(of.fuzzy == 1.0, of.forgetting, -1.0),
+        "WIDTH_RATIO": of.width_ratio,
+        "WIDTH_TREND": of.width_trend,
+        "GAIN_R": of.gain_r,
+        "GAIN_Q": of.gain_q,
+        "ACCURACY": of.accuracy,
+        "DOF": of.dof,
+        "PATIENCE": (OUTLIERS_SPAN - 1e-6) / nominal_interval,  # whatever rounding does to times since 1970
+    }
+    constants = np.empty((len(CONSTANTS), len(parameter_sets)))
+    for row, name in zip(constants, CONSTANTS, strict=True):
+        row[:] = values[name]
+    return constants[:, _lanes(len(parameter_sets))]
 
 
-def _constants(p: FilterParameters, nominal_interval: float) -> list[float]:
-    n = p.n_states
-    gamma2 = p.alpha**2 * (n + p.kappa)
+class _Numbers(NamedTuple):
+    """What the constants are made of: of one set, or columns of many. What a filter does not take is inf, or 0."""
 
-    def variance(of: float | None) -> float:
-        return np.inf if of is None else of
+    alpha: Any
+    beta: Any
+    kappa: Any
+    interval: Any
+    rx: Any
+    ry: Any
+    accuracy: Any
+    dof: Any
+    gate: Any
+    latency: Any
+    velocity: Any
+    lateral: Any
+    rear_axle: Any
+    standstill: Any
+    odometer: Any
+    odometer_scale: Any
+    odometer_latency: Any
+    extended: Any
+    adaptive: Any
+    fading: Any
+    fuzzy: Any
+    forgetting: Any
+    width_ratio: Any
+    width_trend: Any
+    gain_r: Any
+    gain_q: Any
 
-    q = dict(zip((f"Q_{letter}" for letter in MEAN), converted(p, nominal_interval).tolist(), strict=False))
-    unused = {f"Q_{letter}": 0.0 for letter in MEAN}
-    values = (
-        unused
-        | q
-        | {
-            "GAMMA": np.sqrt(gamma2),
-            "INV_GAMMA2": 1 / gamma2,
-            "SPREAD": p.alpha**2 * (n + p.kappa - 1) + p.beta,
-            "SECOND": 0.0 if p.kind == "ekf" else 1.0,
-            "RX": p.measurement_noise[0],
-            "RY": p.measurement_noise[1],
-            "R_VELOCITY": variance(p.velocity_noise),
-            "R_LATERAL": variance(p.lateral_noise),
-            "R_STANDSTILL": variance(p.standstill_noise),
-            "R_ODOMETER": variance(p.odometer_noise),
-            "ODOMETER_SCALE": 1 / p.odometer_scale,
-            "ODOMETER_LATENCY": p.odometer_latency,
-            "R_RATE": STANDSTILL_RATE_NOISE,
-            "REAR_AXLE": p.rear_axle,
-            "LATENCY": p.latency,
-            "GATE": np.inf if p.gate is None else p.gate,
-            "FORGETTING": p.forgetting if p.kind == "adaptive-ukf" else 1.0,
-            "FADING": p.forgetting if p.kind == "strong-tracking-ukf" else -1.0,
-            "FUZZY": p.forgetting if p.kind == "fuzzy-ukf" else -1.0,
-            "WIDTH_RATIO": p.fuzzy_widths[0],
-            "WIDTH_TREND": p.fuzzy_widths[1],
-            "GAIN_R": p.fuzzy_gains[0],
-            "GAIN_Q": p.fuzzy_gains[1],
-            "ACCURACY": p.accuracy_scale or 0.0,
-            "DOF": p.robust_dof or 0.0,
-            "PATIENCE": (OUTLIERS_SPAN - 1e-6)
-            / nominal_interval,  # whatever rounding does to times since 1970
-        }
+
+def _numbers(p: FilterParameters) -> _Numbers:
+    rx, ry = p.measurement_noise
+    return _Numbers(
+        *(p.alpha, p.beta, p.kappa, p.nominal_interval or 0.0),
+        *(rx, ry, p.accuracy_scale or 0.0, p.robust_dof or 0.0, _or_inf(p.gate), p.latency),
+        *(_or_inf(p.velocity_noise), _or_inf(p.lateral_noise), p.rear_axle, _or_inf(p.standstill_noise)),
+        *(_or_inf(p.odometer_noise), p.odometer_scale, p.odometer_latency),
+        *(p.kind == "ekf", p.kind == "adaptive-ukf", p.kind == "strong-tracking-ukf", p.kind == "fuzzy-ukf"),
+        *(p.forgetting, *p.fuzzy_widths, *p.fuzzy_gains),
     )
-    return [values[name] for name in CONSTANTS]
+
+
+def _or_inf(variance: float | None) -> float:
+    return math.inf if variance is None else variance
 
 
 def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[float], chunk: Chunk) -> Array:
     """All that a chunk's filters are at m starts, shape (m, N_KEPT, lanes); intervals (s) are the drives'."""
-    model, bias_std = chunk.model, np.array([p.bias_std for p in _padded(chunk.sets)])
+    model, bias_std = chunk.model, np.array([p.bias_std for p in chunk.sets])[_lanes(len(chunk.sets))]
     rows = np.zeros((len(initial), N_KEPT, len(bias_std)))
     for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
         each[:N_STATE] = pack_states(*starts_of(start, MODELS[model], bias_std), model)

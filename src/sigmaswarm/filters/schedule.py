@@ -51,9 +51,8 @@ Switches = tuple[bool, bool, bool, bool]
 
 def switches(p: FilterParameters) -> Switches:
     """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill, odometer."""
-    noises = p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise
-    velocity, lateral, standstill, odometer = (noise is not None for noise in noises)
-    return velocity, lateral, standstill, odometer
+    velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
+    return velocity, lateral, p.standstill_noise is not None, p.odometer_noise is not None
 
 
 def require_odometer(drive: Drive) -> None:

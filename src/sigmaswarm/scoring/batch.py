@@ -1,7 +1,6 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
@@ -14,12 +13,12 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.compiled.layout import LANES, WIDEST
 from sigmaswarm.filters.packing import pack
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.fleets.held import Held, Here
+from sigmaswarm.scoring.jobs import cores, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
@@ -203,25 +202,22 @@ class Replayer:
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
-        parts = [(name, part) for name, replays in self._passes.items() for part in _parts(replays)]
-        workers = (getattr(executor, "_max_workers", None) or os.cpu_count() or 1) if executor else 1
-        # Few lanes take a little more time a set, and less than workers that have nothing to do.
-        enough = len(parts) * len(parameter_sets) >= 2 * workers * LANES
-        size = LANES if enough or workers == 1 else WIDEST
-        chunks = [pack(parameter_sets[i : i + size]) for i in range(0, len(parameter_sets), size)]
-        jobs = [(*part, chunk) for part in parts for chunk in chunks]
+        workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
+        steps = {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
+        jobs = jobs_for(steps, len(parameter_sets), parameter_sets[0].model, workers)
+        packs = {job.sets: pack(parameter_sets[job.sets.start : job.sets.stop]) for job in jobs}
         # The longest first, so that no worker is left with one at the end.
-        cost = [
-            sum(len(replay.timeline.dt) for replay in part) * len(chunk.chunks) for _, part, chunk in jobs
-        ]
-        order = sorted(range(len(jobs)), key=cost.__getitem__, reverse=True)
-        _, replays, packed = zip(*(jobs[k] for k in order), strict=True)
+        order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
+        longest_first = [jobs[k] for k in order]
+        replays = [self._passes[job.name][job.replays.start : job.replays.stop] for job in longest_first]
+        packed = [packs[job.sets] for job in longest_first]
         sums = dict(
             zip(order, (executor.map if executor else map)(run_replays, replays, packed), strict=True)
         )
-        n, done = len(chunks), {name: list[Sums]() for name in self._passes}
-        for first in range(0, len(jobs), n):
-            done[jobs[first][0]].append(joined([sums[k] for k in range(first, first + n)], axis=1))
+        done = {name: list[Sums]() for name in self._passes}
+        for first in range(0, len(jobs), len(packs)):
+            parts = [sums[k] for k in range(first, first + len(packs))]
+            done[jobs[first].name].append(joined(parts, axis=1))
         return {name: joined(each, axis=0) for name, each in done.items()}
 
 
@@ -235,23 +231,6 @@ def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) 
             columns[score] = values.T
         failed |= added.failed.T
     return Scores(**columns, failed=failed)
-
-
-_PART = 20_000
-"""Filter steps: replays that are shorter are run one after the other in one job."""
-
-
-def _parts(replays: Sequence[Replay]) -> list[list[Replay]]:
-    """Replays, in their order, in parts that are worth a job each."""
-    parts: list[list[Replay]] = []
-    room = 0
-    for replay in replays:
-        if room <= 0:
-            parts.append([])
-            room = _PART
-        parts[-1].append(replay)
-        room -= len(replay.timeline.dt)
-    return parts
 
 
 _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
