@@ -218,6 +218,23 @@ def test_it_finds_the_slope_and_the_gyros_biases():
     np.testing.assert_allclose(found[[10, 11, 7]], [0.004, -0.003, 0.002], atol=0.002)
 
 
+@pytest.mark.parametrize("rate", [0.02, 0.3, 0.9])
+def test_a_silence_may_be_a_turn_of_any_size(rate: float):
+    """Half a turn's quaternion is a series where it is small: 18 s at 0.9 rad/s, in one step, is not."""
+    drive, p = town(), parameters()
+    imu, gps = (
+        replace(table, time=np.where(table.time > 15.0, table.time + 18.0, table.time))
+        for table in (drive.imu, drive.gps)
+    )
+    around = np.abs(imu.time - 24.0) < 9.1
+    turning = replace(imu, gz=np.where(around, rate, imu.gz)).select(imu.time < 33.2)
+    silenced = replace(drive, imu=turning, gps=gps, truth=None)
+    ours, book = run_filter(silenced, p, recover=False), run_textbook(silenced, p)
+    assert np.diff(ours.time).max() > 17.9
+    assert mean_error(ours.mean, book.mean).max() < 1e-9
+    assert covariance_error(ours.covariance, book.covariance).max() < 1e-8
+
+
 def test_live_is_the_run():
     drive, p = town(), parameters(**ALL, gate=9.0)
     start = initial_state(drive)

@@ -14,6 +14,7 @@ from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
+    COMPARED,
     Switches,
     flags_of,
     require_accuracy,
@@ -64,6 +65,12 @@ class Targets:
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
         return weight, x, y, theta, self.counts, run.kept(self.doubts)
 
+    def compared(self, line: Timeline) -> NDArray[np.intp]:
+        """The steps that end at an IMU sample with a comparison in the interval before or behind it."""
+        samples = np.flatnonzero(line.sampled)
+        inside = np.diff(self.end[samples], prepend=0) > 0
+        return samples[inside | np.append(inside[1:], False)[: len(inside)]]
+
     @property
     def n_positions(self) -> int:
         """How many positions are compared."""
@@ -102,6 +109,7 @@ class Replay:
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
             flags = flags_of(line, *taken)
+            flags[targets.compared(line)] |= COMPARED
             speeds = line.wheels.rows if odometer and line.wheels else NO_SPEEDS
             read = line.steps, line.sample, line.driving, flags, line.fixes, speeds, line.lever
             self._arrays[taken] = *read, targets.columns, targets.end

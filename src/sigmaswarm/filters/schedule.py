@@ -22,6 +22,7 @@ LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car stands
 HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
 ODOMETER = 64  # the wheels' speed is absorbed
+COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
 
 LATERAL_INTERVAL = 0.1
 """s between two looks at the lateral velocity: its error is not white, so more of them tell no more."""

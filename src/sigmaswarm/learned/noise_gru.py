@@ -134,7 +134,7 @@ class NoiseRun(Recording):
         """Look at the last fix before a step's end, and scale what comes."""
         fix, time = self._last[step]
         seen = self._innovations[fix]
-        theta = self._rows[0, R.HEADING if self._chunk.model == "tilted12" else THETA, 0]
+        theta = float(self._believed()[0][THETA])
         since, self._before = time - self._before, time
         features = features_of(np, seen[:2], seen[2:], theta, since)
         if np.isfinite(features).all():

@@ -32,15 +32,11 @@ def kernel(function, **known):
     return made
 
 
-def _reduced(x):
-    """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
+def _series(z):
+    """(sin(r) / r - 1) / z and cos(r) of an angle between -pi/4 and pi/4 whose square is z.
 
-    Cody-Waite reduction to [-pi/4, pi/4], then the minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms
-    paired so that fewer have to wait for each other. Error about 3e-16 for |x| below 1e5.
+    The minimax polynomials of fdlibm (k_sin.c, k_cos.c), their terms paired so that fewer have to wait for each other.
     """
-    n = np.floor(x * (2 / math.pi) + 0.5)
-    r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
-    z = r * r
     zz = z * z
     s1 = -1.66666666666666324348e-01 + z * 8.33333333332248946124e-03
     s2 = -1.98412698298579493134e-04 + z * 2.75573137070700676789e-06
@@ -48,9 +44,25 @@ def _reduced(x):
     c1 = 4.16666666666666019037e-02 + z * -1.38888888888741095749e-03
     c2 = 2.48015872894767294178e-05 + z * -2.75573143513906633035e-07
     c3 = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-    sin = r + r * z * (s1 + zz * (s2 + zz * s3))
-    cos = (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
-    return n, sin, cos
+    return s1 + zz * (s2 + zz * s3), (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
+
+
+def sinc_cos(z):
+    """sin(r) / r and cos(r) of an angle between -pi/4 and pi/4 whose square is z, without root or quotient."""
+    s, cos = _series(z)
+    return 1.0 + z * s, cos
+
+
+def _reduced(x):
+    """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
+
+    Cody-Waite reduction to [-pi/4, pi/4]. Error about 3e-16 for |x| below 1e5.
+    """
+    n = np.floor(x * (2 / math.pi) + 0.5)
+    r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
+    z = r * r
+    s, cos = _series(z)
+    return n, r + r * z * s, cos
 
 
 def sincos(x):

@@ -66,6 +66,7 @@ SCRATCH = (
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
+    "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",
     # What a smoother needs of a step: the prediction, and what moved the state. See `tape`.
     *(f"PRIOR_{name}" for name in (*MEAN, *QUATERNION, *COVARIANCE)), *(f"MOVE{k}" for k in range(12)),
 )  # fmt: skip

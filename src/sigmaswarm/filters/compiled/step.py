@@ -14,6 +14,7 @@ from sigmaswarm.filters.compiled.planar8 import predict_planar8
 from sigmaswarm.filters.compiled.tilted12 import predict_tilted12, settle
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.schedule import (
+    COMPARED,
     FIX,
     GAP_ACCELERATION_STD,
     GAP_TILT_STD,
@@ -73,8 +74,9 @@ def _step(
         absorb_odometer(w, u, wheels)
     if happens & STANDSTILL:
         absorb_standstill(w, u)
-    if settle:
-        settle(w)
+    if settle:  # noqa: SIM102 (the one is known when it is written out)
+        if happens & COMPARED:
+            settle(w)
 
 
 _PREDICTIONS = {

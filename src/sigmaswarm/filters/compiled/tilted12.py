@@ -33,7 +33,7 @@ from sigmaswarm.drives.timeline import (
     GZ,
     Q_SCALE,
 )
-from sigmaswarm.filters.compiled.lanes import angle_of, kernel, sincos
+from sigmaswarm.filters.compiled.lanes import angle_of, kernel, sinc_cos, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
@@ -42,24 +42,60 @@ KEPT = (R.A, R.B, R.W, R.K, R.L)
 """States that a step moves, and the biases, which it leaves as they are."""
 
 
+# What shares most of its numbers is done in one loop: fewer of them are loaded, and the processor finds more to do.
+COLUMNS = (R.X, R.Y, R.U, R.V), (R.T, R.I, R.J, R.A), (R.B, R.W, R.K, R.L)
+"""Of F P; KEPT's last: the others read what they overwrite."""
+ROWS = (R.X, R.Y), (R.U, R.V), (R.T, R.I, R.J)
+"""Of (F P) F'."""
+
+
 def fp(i, j):
     """Row of (F P)[i, j], i among MOVED: in scratch, but where it is P' already."""
     return at(i, j) if j in KEPT else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
+_FAR = (math.pi / 4) ** 2
+"""Of the squared angle of a quaternion, half of the turn's: up to there `sinc_cos` holds."""
+
+
 @kernel
-def _move(w, u):
-    """The mean, and D and a for the covariance."""
-    dt, ax, ay, az, gx, gy, gz = u[DT], u[AX], u[AY], u[AZ], u[GX], u[GY], u[GZ]
-    h = 0.5 * dt
-    quarter = 0.25 * dt
+def _turn_far(w):
+    """The quaternions of `_half_turn` for any angle; those of the lanes whose angle is small stay as they are."""
     for l in range(LANES):
-        # The quaternion of half a turn.
-        x, y, z = quarter * (gx - w[R.K, l]), quarter * (gy - w[R.L, l]), quarter * (gz - w[R.W, l])
+        x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
         angle = math.sqrt(x * x + y * y + z * z) + 1e-300
         sine, c = sincos(angle)
         k = sine / angle
-        x, y, z = k * x, k * y, k * z
+        near = x * x + y * y + z * z < _FAR
+        w[R.TURN_W, l] = w[R.TURN_W, l] if near else c
+        w[R.TURN_X, l] = w[R.TURN_X, l] if near else k * x
+        w[R.TURN_Y, l] = w[R.TURN_Y, l] if near else k * y
+        w[R.TURN_Z, l] = w[R.TURN_Z, l] if near else k * z
+
+
+@kernel
+def _half_turn(w, u):
+    """The quaternion of half the step's turn, which is small but in long gaps of the IMU."""
+    gx, gy, gz, quarter = u[GX], u[GY], u[GZ], 0.25 * u[DT]
+    far = 0
+    for l in range(LANES):
+        x, y, z = quarter * (gx - w[R.K, l]), quarter * (gy - w[R.L, l]), quarter * (gz - w[R.W, l])
+        angle2 = x * x + y * y + z * z
+        k, c = sinc_cos(angle2)
+        w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l] = c, k * x, k * y, k * z
+        w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l] = x, y, z
+        far += not (angle2 < _FAR)
+    if far > 0:
+        _turn_far(w)
+
+
+@kernel
+def _move(w, u):
+    """The mean, and D and a for the covariance."""
+    dt, ax, ay, az = u[DT], u[AX], u[AY], u[AZ]
+    h = 0.5 * dt
+    for l in range(LANES):
+        c, x, y, z = w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l]
         q0, q1, q2, q3 = w[R.ATT_W, l], w[R.ATT_X, l], w[R.ATT_Y, l], w[R.ATT_Z, l]
         m0 = q0 * c - q1 * x - q2 * y - q3 * z
         m1 = q0 * x + q1 * c + q2 * z - q3 * y
@@ -89,45 +125,48 @@ def _move(w, u):
 @kernel
 def predict_tilted12(w, u):
     """One step of the process model."""
+    _half_turn(w, u)
     _move(w, u)
     h, g, q_scale = 0.5 * u[DT], GRAVITY * u[DT], u[Q_SCALE]
-    for j in (*MOVED, *KEPT):  # KEPT's last: the others read what they overwrite
+    for group in COLUMNS:
         for l in range(LANES):
-            pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
-            pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
-            pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
-            pk, pl, pw = w[at(R.K, j), l], w[at(R.L, j), l], w[at(R.W, j), l]
-            u1 = pu + g * pj - w[R.NORTH, l] * pt - w[R.D11, l] * pa - w[R.D12, l] * pb
-            v1 = pv - g * pi + w[R.EAST, l] * pt - w[R.D21, l] * pa - w[R.D22, l] * pb
-            w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
-            w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
-            w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
-            w[fp(R.I, j), l] = pi - w[R.D11, l] * pk - w[R.D12, l] * pl - w[R.D13, l] * pw
-            w[fp(R.J, j), l] = pj - w[R.D21, l] * pk - w[R.D22, l] * pl - w[R.D23, l] * pw
-            w[fp(R.T, j), l] = pt - w[R.D31, l] * pk - w[R.D32, l] * pl - w[R.D33, l] * pw
-    for i in MOVED:
+            for j in group:
+                pu, pv = w[at(R.U, j), l], w[at(R.V, j), l]
+                pi, pj, pt = w[at(R.I, j), l], w[at(R.J, j), l], w[at(R.T, j), l]
+                pa, pb = w[at(R.A, j), l], w[at(R.B, j), l]
+                pk, pl, pw = w[at(R.K, j), l], w[at(R.L, j), l], w[at(R.W, j), l]
+                u1 = pu + g * pj - w[R.NORTH, l] * pt - w[R.D11, l] * pa - w[R.D12, l] * pb
+                v1 = pv - g * pi + w[R.EAST, l] * pt - w[R.D21, l] * pa - w[R.D22, l] * pb
+                w[fp(R.U, j), l], w[fp(R.V, j), l] = u1, v1
+                w[fp(R.X, j), l] = w[at(R.X, j), l] + h * (pu + u1)
+                w[fp(R.Y, j), l] = w[at(R.Y, j), l] + h * (pv + v1)
+                w[fp(R.I, j), l] = pi - w[R.D11, l] * pk - w[R.D12, l] * pl - w[R.D13, l] * pw
+                w[fp(R.J, j), l] = pj - w[R.D21, l] * pk - w[R.D22, l] * pl - w[R.D23, l] * pw
+                w[fp(R.T, j), l] = pt - w[R.D31, l] * pk - w[R.D32, l] * pl - w[R.D33, l] * pw
+    for group in ROWS:
         for l in range(LANES):
-            bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
-            bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
-            ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
-            bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
-            # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
-            if i in (R.X, R.Y, R.U, R.V):
-                u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
-                v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
-            if i == R.X:
-                w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
-            if i in (R.X, R.Y):
-                w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
-            if i in (R.X, R.Y, R.U):
-                w[at(i, R.U), l] = u1
-            if i in (R.X, R.Y, R.U, R.V):
-                w[at(i, R.V), l] = v1
-            if i not in (R.I, R.J):
-                w[at(i, R.T), l] = bt - w[R.D31, l] * bk - w[R.D32, l] * bl - w[R.D33, l] * bw
-            if i != R.J:
-                w[at(i, R.I), l] = bi - w[R.D11, l] * bk - w[R.D12, l] * bl - w[R.D13, l] * bw
-            w[at(i, R.J), l] = bj - w[R.D21, l] * bk - w[R.D22, l] * bl - w[R.D23, l] * bw
+            for i in group:
+                bu, bv = w[fp(i, R.U), l], w[fp(i, R.V), l]
+                bi, bj, bt = w[fp(i, R.I), l], w[fp(i, R.J), l], w[fp(i, R.T), l]
+                ba, bb = w[fp(i, R.A), l], w[fp(i, R.B), l]
+                bk, bl, bw = w[fp(i, R.K), l], w[fp(i, R.L), l], w[fp(i, R.W), l]
+                # Of the pairs among MOVED each comes once, with the one that comes later there in the column.
+                if i in (R.X, R.Y, R.U, R.V):
+                    u1 = bu + g * bj - w[R.NORTH, l] * bt - w[R.D11, l] * ba - w[R.D12, l] * bb
+                    v1 = bv - g * bi + w[R.EAST, l] * bt - w[R.D21, l] * ba - w[R.D22, l] * bb
+                if i == R.X:
+                    w[at(R.X, R.X), l] = w[fp(R.X, R.X), l] + h * (bu + u1)
+                if i in (R.X, R.Y):
+                    w[at(i, R.Y), l] = w[fp(i, R.Y), l] + h * (bv + v1)
+                if i in (R.X, R.Y, R.U):
+                    w[at(i, R.U), l] = u1
+                if i in (R.X, R.Y, R.U, R.V):
+                    w[at(i, R.V), l] = v1
+                if i not in (R.I, R.J):
+                    w[at(i, R.T), l] = bt - w[R.D31, l] * bk - w[R.D32, l] * bl - w[R.D33, l] * bw
+                if i != R.J:
+                    w[at(i, R.I), l] = bi - w[R.D11, l] * bk - w[R.D12, l] * bl - w[R.D13, l] * bw
+                w[at(i, R.J), l] = bj - w[R.D21, l] * bk - w[R.D22, l] * bl - w[R.D23, l] * bw
     for l in range(LANES):
         for i in range(N):
             w[at(i, i), l] += q_scale * w[Q0 + i, l]

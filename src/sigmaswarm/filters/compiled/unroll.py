@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from sigmaswarm.filters.compiled.layout import R
 
-STATE_LOOPS = ("i", "j", "k", "row")
+STATE_LOOPS = ("i", "j", "k", "row", "group")
 """Names of the loop variables that are written out."""
 NUMBERS = ("at", "fp", "axis_of")
 """Names of functions whose value takes the place of a call."""
