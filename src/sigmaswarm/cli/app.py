@@ -68,6 +68,7 @@ def main() -> NoReturn:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it would tell where its cache is
     terminal.prepare()
     memory.give_back_at_once()
+    memory.look_seldom_for_cycles()
     code = _run()
     try:
         if sys.stdout is not None:
