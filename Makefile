@@ -62,7 +62,7 @@ pictures: $(VENV)/installed
 
 dist: $(VENV)/release-installed
 	rm -rf dist
-	$(BIN)/python -m build --outdir dist
+	SIGMASWARM_KERNELS=$${SIGMASWARM_KERNELS-$(abspath $(BIN)/python)} $(BIN)/python -m build --outdir dist
 
 dist-check: dist
 	$(PYTHON) tests/installed.py dist
