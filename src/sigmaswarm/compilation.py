@@ -9,6 +9,7 @@ file that is cut short; here the one costs time, and so does the other.
 # pyright: basic, reportAttributeAccessIssue=false
 
 import hashlib
+import logging
 import os
 import pickle
 import stat
@@ -30,6 +31,7 @@ from numba.misc.appdirs import AppDirs
 from sigmaswarm import shipped
 from sigmaswarm.errors import SigmaswarmWarning
 
+_log = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -185,8 +187,10 @@ class _Cache(FunctionCache):
         with suppress(Exception):
             if found is None and self._bring(sig, target_context.codegen()):
                 found = super().load_overload(sig, target_context)
-        if found is None and self.recipe:
-            _write(self.recipe, self.compiled)
+        if found is None:
+            _tell_once(str(_folder()[0]))
+            if self.recipe:
+                _write(self.recipe, self.compiled)
         return found
 
     def _bring(self, sig: Any, codegen: Any) -> bool:
@@ -229,6 +233,12 @@ class _NoCache(NullCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         _say_once(self._trouble)
+
+
+@cache
+def _tell_once(folder: str) -> None:
+    """At the first thing that is compiled: a command shows it on a terminal, other programs as they log."""
+    _log.info("compiling filters, once on this machine: ten seconds or so (kept in %s)", folder)
 
 
 @cache

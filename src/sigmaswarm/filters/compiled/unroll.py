@@ -77,22 +77,18 @@ class Kernel:
         self.__name__ = function.__name__
 
     @cached_property
-    def _said(self) -> tuple[Written, str]:
-        return _patiently(_changed, self._function, self._change, self._known)
-
-    @property
     def written(self) -> Written:
         """What is written into others."""
-        return self._said[0]
+        return _patiently(_changed, self._function, self._change, self._known)
 
-    @property
+    @cached_property
     def name(self) -> str:
         """Its qualified name."""
-        return self._said[1]
+        return _name(self._function, self._known)
 
     @cached_property
     def _made(self) -> Callable[..., Any]:
-        return _made(self._function, *self._said)
+        return _made(self._function, self.written, self.name)
 
     def __call__(self, *arguments: Any) -> None:
         """Where nothing is compiled."""
@@ -116,7 +112,7 @@ def unrolled(
     **known
         Values of its keyword-only parameters, and of globals.
     """
-    return _patiently(lambda: _made(function, *_changed(function, change, known)))
+    return _patiently(lambda: _made(function, _changed(function, change, known), _name(function, known)))
 
 
 def _patiently(make: Callable[..., T], *arguments: Any) -> T:
@@ -128,14 +124,17 @@ def _patiently(make: Callable[..., T], *arguments: Any) -> T:
     return make(*arguments)
 
 
-def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> tuple[Written, str]:
-    """What a function says, and its qualified name."""
+def _name(function: Callable[..., Any], known: Names) -> str:
+    return f"{function.__qualname__}_{_told_apart(known)}" if known else function.__qualname__
+
+
+def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
+    """What a function says."""
     definition, names = written_out(function, **known)
-    told_apart = f"_{_told_apart(definition, known)}" if known else ""
     definition = _copied(definition)
     if change is not None:
         change(definition, names)
-    return Written(definition, names), function.__qualname__ + told_apart
+    return Written(definition, names)
 
 
 def _made(function: Callable[..., Any], written: Written, name: str) -> Callable[..., Any]:
@@ -147,14 +146,14 @@ def _made(function: Callable[..., Any], written: Written, name: str) -> Callable
     return made
 
 
-def _told_apart(definition: ast.FunctionDef, known: Names) -> str:
-    """What tells a function from others that are made of the same one: a hash of what it says and of what it calls.
+def _told_apart(known: Names) -> str:
+    """What tells a function from others that are made of the same one: a hash of what it is made with.
 
     Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
     kernels of two models that two processes have compiled may bear one name, and once both are loaded from the cache,
     one of them would run in place of the other.
     """
-    parts = [ast.dump(definition)]
+    parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):
         called = getattr(value, "py_func", value)
         named = value.name if isinstance(value, Kernel) else getattr(called, "__qualname__", None)
