@@ -20,6 +20,7 @@ PYTHONS = ("3.11", "3.12", "3.13")
 CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
 MUST_HOLD = (
     "sigmaswarm/py.typed",
+    "sigmaswarm/kernels.zip",
     "sigmaswarm/export/templates/ins_gps.c.in",
     "sigmaswarm/report/draw/page/page.html",
 )

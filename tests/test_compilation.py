@@ -99,6 +99,16 @@ def test_the_second_process_compiles_nothing(sound: Path):
     assert {file.suffix for file in files(sound / "cache")} == {".nbi", ".nbc"}
 
 
+def test_that_something_is_compiled_is_told_once(tmp_path: Path):
+    program, told = tmp_path / "program.py", "compiling filters, once on this machine"
+    program.write_text('import logging; logging.basicConfig(level="INFO", format="%(message)s")\n' + PROGRAM)
+    command = [sys.executable, "-B", program, tmp_path / "a", tmp_path / "b"]
+    environment = os.environ | {"PYTHONPATH": str(SOURCES)}
+    said = [subprocess.run(command, capture_output=True, text=True, env=environment).stderr for _ in range(2)]
+    assert (said[0].count(told), said[1].count(told)) == (2, 0), said
+    assert all(f"(kept in {tmp_path / name}/sigmaswarm)" in said[0] for name in "ab")
+
+
 @needs_modes
 def test_the_folder_is_open_to_nobody_else(tmp_path: Path):
     usual = os.umask(0)

@@ -9,12 +9,15 @@ file that is cut short; here the one costs time, and so does the other.
 # pyright: basic, reportAttributeAccessIssue=false
 
 import hashlib
+import logging
 import os
 import pickle
 import stat
 import threading
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -25,8 +28,10 @@ from numba.core.ccallback import CFunc
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
+from sigmaswarm import shipped
 from sigmaswarm.errors import SigmaswarmWarning
 
+_log = logging.getLogger(__name__)
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -43,25 +48,45 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
     return made_once
 
 
-def cached(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+@dataclass(frozen=True)
+class Recipe:
+    """A function that is made only where no machine code of it is kept: to write a kernel out takes half a second.
+
+    Attributes
+    ----------
+    like : callable
+        Of the same name and with the same parameters.
+    key : str
+        Tells what is made from all else that bears this name, as a function's own text does otherwise.
+    make : callable
+        Gives the function.
+    """
+
+    like: Callable[..., Any]
+    key: str
+    make: Callable[[], Callable[..., Any]]
+
+
+def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) -> Any:
     """`numba.njit` whose machine code is kept between processes, where there is a folder for it."""
     if function is None:
         return lambda function: cached(function, **options)
-    dispatcher = njit(**options)(function)
-    if not config.DISABLE_JIT:
-        dispatcher._cache = _cache_of(function)
+    if config.DISABLE_JIT:
+        return function.make() if isinstance(function, Recipe) else function
+    dispatcher = njit(**options)(function.like if isinstance(function, Recipe) else function)
+    dispatcher._cache = _cache_of(function, dispatcher)
     return dispatcher
 
 
-def address_of(function: Callable[..., Any], signature: Any, **options: Any) -> Any:
+def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
     """Where the machine code of a function stands, for other compiled code; kept between processes as `cached`.
 
     It holds in this process only. Without compiling (NUMBA_DISABLE_JIT), the function itself.
     """
     if config.DISABLE_JIT:
-        return function
-    made = CFunc(function, (signature.args, signature.return_type), {}, options)
-    made._cache = _cache_of(function)
+        return function.make()
+    made = CFunc(function.like, (signature.args, signature.return_type), {}, options)
+    made._cache = _cache_of(function, made)
     made.compile()
     _CALLED.append(made)
     return made.address
@@ -71,19 +96,30 @@ _CALLED: list[CFunc] = []
 """Machine code whose address is known to others stays."""
 
 
-def _cache_of(function: Callable[..., Any]) -> Any:
+def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
+    """Where ``compiled``, a dispatcher or a CFunc, keeps the machine code of a function."""
+    recipe = function if isinstance(function, Recipe) else None
     folder, trouble = _folder()
-    if folder is None:
-        return _NoCache(trouble)
-    usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-    try:
-        kept = _Cache(function)
-    except (RuntimeError, OSError):
-        return _NoCache(f"{folder} can't be written")
-    finally:
-        config.CACHE_DIR = usual
-    inside = Path(kept.cache_path).is_relative_to(folder)
-    return kept if inside else _NoCache(f"{folder} can't be written")
+    if folder is not None:
+        usual, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+        try:
+            kept = _Cache(recipe.like if recipe else function)
+            if Path(kept.cache_path).is_relative_to(folder):
+                kept.recipe, kept.compiled = recipe, compiled
+                return kept
+        except (RuntimeError, OSError):
+            pass
+        finally:
+            config.CACHE_DIR = usual
+        trouble = f"{folder} can't be written"
+    if recipe:
+        _write(recipe, compiled)
+    return _NoCache(trouble)
+
+
+def _write(recipe: Recipe, compiled: Any) -> None:
+    """Put the function itself in place of the one that is like it, to be compiled."""
+    compiled.py_func = compiled._compiler.py_func = recipe.make()
 
 
 @cache
@@ -123,8 +159,7 @@ class _Checked(CompileResultCacheImpl):
     """Machine code with its checksum: a flipped bit in it would crash, or compute something else."""
 
     def reduce(self, cres: Any) -> Any:
-        kept = dumps(super().reduce(cres))
-        return hashlib.sha256(kept).digest(), kept
+        return _sealed(super().reduce(cres))
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         digest, kept = payload
@@ -133,16 +168,49 @@ class _Checked(CompileResultCacheImpl):
         return super().rebuild(target_context, pickle.loads(kept))
 
 
+def _sealed(reduced: tuple[Any, ...]) -> tuple[bytes, bytes]:
+    kept = dumps(reduced)
+    return hashlib.sha256(kept).digest(), kept
+
+
 class _Cache(FunctionCache):
     """A cache whose faults cost a compilation, never the run; what is garbled in it is written anew."""
 
     _impl_class = _Checked
+    recipe: Recipe | None = None
+    compiled: Any = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:  # what unpickling garbage raises can be anything
-            return None
+        found = None
+        with suppress(Exception):  # what unpickling garbage raises can be anything
+            found = super().load_overload(sig, target_context)
+        with suppress(Exception):
+            if found is None and self._bring(sig, target_context.codegen()):
+                found = super().load_overload(sig, target_context)
+        if found is None:
+            _tell_once(str(_folder()[0]))
+            if self.recipe:
+                _write(self.recipe, self.compiled)
+        return found
+
+    def _bring(self, sig: Any, codegen: Any) -> bool:
+        """Put what came with the wheel among what is kept; False if nothing did."""
+        kept = shipped.brought(shipped.key_of(self.name, sig, codegen), codegen)
+        if kept is not None:
+            self._impl.locator.ensure_cache_path()
+            self._cache_file.save(self._index_key(sig, codegen), _sealed(kept))
+        return kept is not None
+
+    @property
+    def name(self) -> str:
+        """Of the function among all of this package."""
+        own = self._py_func
+        return f"{own.__module__}.{own.__qualname__} {self.recipe.key if self.recipe else ''}"
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        if self.recipe:
+            return sig, codegen.magic_tuple(), self.recipe.key
+        return super()._index_key(sig, codegen)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
@@ -165,6 +233,12 @@ class _NoCache(NullCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         _say_once(self._trouble)
+
+
+@cache
+def _tell_once(folder: str) -> None:
+    """At the first thing that is compiled: a command shows it on a terminal, other programs as they log."""
+    _log.info("compiling filters, once on this machine: ten seconds or so (kept in %s)", folder)
 
 
 @cache

@@ -223,3 +223,20 @@ def test_landmarks_are_kept_in_a_file(tmp_path: Path):
 def assert_same(one: Landmarks, other: Landmarks) -> None:
     for name, value in vars(one).items():
         np.testing.assert_array_equal(getattr(other, name), value, err_msg=name)
+
+
+@pytest.mark.parametrize("spread", [6, 100, 10**9])
+def test_places_that_are_near_are_all_found(spread: int):
+    rng = np.random.default_rng(5)
+    a, b = (rng.integers(-spread, spread, (n, 2)) for n in (80, 70))
+    b[:30] = a[:30] + rng.integers(-overlap.SAME_PLACE - 1, overlap.SAME_PLACE + 2, (30, 2))
+    apart = np.abs(a[:, np.newaxis] - b).max(axis=2)
+    expected = {(int(i), int(j)) for i, j in np.argwhere(apart <= overlap.SAME_PLACE)}
+    found = list(zip(*(of.tolist() for of in overlap._near(a, b)), strict=True))
+    assert len(expected) > 5
+    assert (len(found), {*found}) == (len(expected), expected)
+
+
+def test_what_is_no_place_is_near_nothing_else():
+    far = np.array([[9 * 10**18, 0], [-9 * 10**18, 0]])
+    assert [len(of) for of in overlap._near(far[:1], far[1:])] == [0, 0]

@@ -119,6 +119,21 @@ def test_sincos_inside_the_kernel_knows_the_angle_to_its_last_digit():
     assert np.all(np.abs(error) < 3e-16 + 0.5 * EPS * np.abs(headings))
 
 
+@compiled
+def test_a_kernel_that_is_kept_is_not_written_out():
+    run_replays([short_replay()], [many_sets()[0]])  # so that it is kept
+    kernel = run.run_kernel("planar5")
+    if kernel._cache.cache_path is None:
+        pytest.skip("no folder for machine code")
+
+    def unwanted():
+        raise AssertionError("written out")
+
+    again = run._kernel_of("planar5", unwanted, layout.state_rows("planar5"), "planar5")
+    again.compile(kernel.signatures[0])
+    assert sum(again.stats.cache_hits.values()) == 1
+
+
 # --- The machine code --------------------------------------------------------------------------------------
 
 
@@ -130,6 +145,7 @@ def machine_code(model: ModelName) -> str:
     code = getattr(kernel.overloads[signature].library, "_compiled_object", None)
     if not code or not shutil.which("objdump"):
         options = {name: value for name, value in kernel.targetoptions.items() if name != "nopython"}
+        kernel._cache.load_overload("", kernel.targetctx)  # what is not there is written out
         fresh = numba.njit(**options)(kernel.py_func)
         fresh.compile(signature)
         return fresh.inspect_asm(signature)

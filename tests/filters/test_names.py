@@ -2,7 +2,7 @@
 
 from sigmaswarm.filters.compiled import run, step
 from sigmaswarm.filters.compiled.single import single_step
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.unroll import Kernel, unrolled
 from sigmaswarm.filters.models import MODELS
 
 
@@ -28,7 +28,9 @@ def test_what_is_made_of_one_function_bears_names_of_its_own():
 def test_kernels_of_models_bear_names_of_their_own():
     made = [[of(model) for model in MODELS] for of in (step.step_of, run.run_kernel)]
     for each in made:
-        names = [getattr(one, "py_func", one).__qualname__ for one in each]
+        names = [
+            one.name if isinstance(one, Kernel) else getattr(one, "py_func", one).__qualname__ for one in each
+        ]
         assert len({*names}) == len(names), names
     steps = {single_step(model).address for model in ("planar5", "planar8")}
     assert len(steps) == 2

@@ -67,7 +67,9 @@ def main() -> NoReturn:
     warnings.showwarning = _show_warning
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it would tell where its cache is
     terminal.prepare()
+    terminal.tell_of_compiling()
     memory.give_back_at_once()
+    memory.look_seldom_for_cycles()
     code = _run()
     try:
         if sys.stdout is not None:

@@ -123,11 +123,8 @@ def print_json(content: Any) -> None:
 @contextmanager
 def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
     """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
-    waiting = (
-        "getting ready (a filter is compiled once, when it is used for the first time: ten seconds or so)"
-    )
     counted = "generations, best cost {task.fields[cost]}, remaining"
-    with progress_bar(title, counted, waiting, cost="-") as show:
+    with progress_bar(title, counted, "getting ready", cost="-") as show:
         yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
 
 

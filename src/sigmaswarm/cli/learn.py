@@ -64,7 +64,7 @@ def learn(
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read, held_back = read_drives(drives), read_drives(validation or [])
-    waiting = "getting ready (smoothing the drives, and compiling)"
+    waiting = "getting ready (smoothing the drives)"
     with progress_bar(
         "learning", "epochs at most, loss {task.fields[loss]}, remaining", waiting, loss="-"
     ) as show:

@@ -1,5 +1,6 @@
 """Text for a terminal that may be narrow, ASCII only or gone: what is shown changes nothing there but what is seen."""
 
+import logging
 import os
 import sys
 from collections.abc import Iterable
@@ -24,6 +25,19 @@ def prepare() -> None:
     columns = os.environ.get("COLUMNS", "")
     if columns.isdecimal() and int(columns) < NARROWEST:
         del os.environ["COLUMNS"]
+
+
+def tell_of_compiling() -> None:
+    """Show on a terminal why a first run takes longer, when it begins to."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        log = logging.getLogger("sigmaswarm.compilation")
+        log.setLevel(logging.INFO)
+        log.addHandler(_OnStderr())
+
+
+class _OnStderr(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        print(f"sigmaswarm: {record.getMessage()}", file=sys.stderr)  # wherever that is by then
 
 
 def console(**options: Any) -> "Console":

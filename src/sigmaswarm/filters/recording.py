@@ -120,7 +120,8 @@ class Recording:
         self._looks = looks_of(replay.timeline) if recover else None
         self._recovery = Recovery()
         self.restarts = self._recovery.restarts
-        self._pieces = self._run()
+        self._parts = self._run()
+        self._pieces = (self._piece(*part) for part in self._parts)
         self._complete = False
         self.failure: str | None = None
 
@@ -132,12 +133,13 @@ class Recording:
         return joined(self)
 
     def finished(self) -> Self:
-        """The same, after the last piece; for who needs no estimates."""
-        for _ in self._pieces:
+        """The same, after the last piece; for who needs no estimates: none are made, and so no `failure` is found."""
+        for _ in self._parts:
             pass
         return self
 
-    def _run(self) -> Iterator[Piece]:
+    def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
+        """What `_piece` makes a piece of."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -145,7 +147,7 @@ class Recording:
             stops = ends[first : first + self._samples]
             part = record[: len(stops)]
             lost = self._run_to(stops, part)
-            yield self._piece(line.imu_time[first : first + len(stops)], part, lost)
+            yield line.imu_time[first : first + len(stops)], part, lost
         self._complete = True
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:

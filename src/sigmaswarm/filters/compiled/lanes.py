@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import config
 
-from sigmaswarm.filters.compiled.unroll import unrolled
+from sigmaswarm.filters.compiled.unroll import Kernel
 from sigmaswarm.filters.compiled.vectors import put_loops
 
 OPTIONS = {"error_model": "numpy", "nogil": True}
@@ -22,14 +22,12 @@ OPTIONS = {"error_model": "numpy", "nogil": True}
 
 
 def kernel(function, **known):
-    """A function to be written into others, with its keyword-only parameters bound: see `unrolled` and `put_loops`.
+    """A function to be written into others, with its keyword-only parameters bound: see `Kernel` and `put_loops`.
 
     It takes the array of rows ``w``, gives nothing, and does not end early. Its loops over lanes become functions of
-    their own; what remains is a few decisions.
+    their own; what remains is a few decisions. It is written out when something is compiled that calls it.
     """
-    made = unrolled(function, None if config.DISABLE_JIT else put_loops, **known)
-    made.is_kernel = True
-    return made
+    return Kernel(function, None if config.DISABLE_JIT else put_loops, known)
 
 
 def _series(z):

@@ -3,15 +3,17 @@
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
 import hashlib
+import inspect
 import math
 import re
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sigmaswarm.compilation import cached, once
+from sigmaswarm.compilation import Recipe, cached, once
 from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
@@ -193,37 +195,42 @@ def _store(w, rows):
             rows[r, lane] = w[r, lane]
 
 
-def named_by_sources(make, name):
-    """The function that ``make(sources)`` gives, whose key in a cache holds a hash of all kernels' sources.
+_ELSEWHERE = frozen, fuzzy, gaps, odometer, standstill, timeline, models, schedule, student, tilted
+"""What kernels take from other folders."""
+
+
+@cache
+def _digest():
+    files = [
+        *sorted(Path(__file__).parent.glob("*.py")),
+        *(Path(str(module.__file__)) for module in _ELSEWHERE),
+    ]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def named_by_sources(make, name, known=None):
+    """The function that ``make(sources)`` gives, whose key in a cache is a hash of all kernels' sources.
 
     Numba keeps machine code in a cache, and would not notice that a function in another file has changed, or that the
     same lines call another function under another ``name``; but what a function closes over is part of its key.
+    ``known``: gives the values of make's keyword-only parameters, which are asked for where it has to be compiled.
     """
-    elsewhere = (
-        frozen,
-        fuzzy,
-        gaps,
-        odometer,
-        standstill,
-        timeline,
-        models,
-        schedule,
-        student,
-        tilted,
-    )  # what kernels take from there
-    files = [
-        *sorted(Path(__file__).parent.glob("*.py")),
-        *(Path(str(module.__file__)) for module in elsewhere),
-    ]
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    function = make(f"{name} {digest}")
-    function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll`
-    return function
+    sources = f"{name} {_digest()}"
+
+    def named(make):
+        function = make(sources)
+        function.__qualname__ += "_" + re.sub(r"\W+", "_", name)  # see `unroll`
+        return function
+
+    if known is None:
+        return Recipe(named(make), sources, lambda: named(make))
+    like = named(partial(make, **dict.fromkeys(inspect.getfullargspec(make).kwonlyargs)))
+    return Recipe(like, sources, lambda: named(unrolled(make, **known())))
 
 
-def cached_by_sources(make, name):
+def cached_by_sources(make, name, known=None):
     """Compiled for use by Python: see `named_by_sources`."""
-    return cached(named_by_sources(make, name), **OPTIONS)
+    return cached(named_by_sources(make, name, known), **OPTIONS)
 
 
 def _machine_code(sources, *, steps_to):
@@ -269,25 +276,30 @@ def _machine_code(sources, *, steps_to):
 
 
 def _kernel_of(model, step, rows, name):
+    """``step`` gives the model's step, written into the kernel where that has to be compiled."""
     described = MODELS[model]
     heading = R.HEADING if described.tilts else R.T
-    steps_to = kernel(
-        _run, step=step, state=rows, n_axes=len(described.imu),
-        heading=heading, score=kernel(_score, heading=heading), score_doubtful=kernel(_score_doubtful, heading=heading),
-    )  # fmt: skip
-    return cached_by_sources(unrolled(_machine_code, steps_to=steps_to), name)
+
+    def known():
+        steps_to = kernel(
+            _run, step=step(), state=rows, n_axes=len(described.imu), heading=heading,
+            score=kernel(_score, heading=heading), score_doubtful=kernel(_score_doubtful, heading=heading),
+        )  # fmt: skip
+        return {"steps_to": steps_to}
+
+    return cached_by_sources(_machine_code, name, known)
 
 
 @once
 def run_kernel(model):
     """What `run_lanes` calls; written out and compiled for a model when it is first asked for."""
-    return _kernel_of(model, step_of(model), state_rows(model), model)
+    return _kernel_of(model, partial(step_of, model), state_rows(model), model)
 
 
 @once
 def taped_kernel(model):
     """As `run_kernel`, but ``record`` takes the `tape.taped_rows`; given IMU in all flags, of every step."""
-    return _kernel_of(model, step_of(model, noted=True), taped_rows(model), f"{model}, taped")
+    return _kernel_of(model, partial(step_of, model, noted=True), taped_rows(model), f"{model}, taped")
 
 
 def run_lanes(

@@ -21,7 +21,6 @@ from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
-from sigmaswarm.filters.compiled.unroll import unrolled
 
 _NUMBERS = types.CPointer(float64)
 SIGNATURE = types.void(_NUMBERS, _NUMBERS, int64, _NUMBERS, _NUMBERS, _NUMBERS, float64)
@@ -78,10 +77,12 @@ def single_step(model, tape=-1):
     """
     noted = tape >= 0
     kept = np.array([*state_rows(model), *range(CONSTANT_ROWS.start, N_KEPT)])
-    make = unrolled(
-        _one_step, step=step_of(model, noted=noted), kept=kept, tape=tape, taped=taped_rows(model)
-    )
-    function = named_by_sources(make, f"{model}, tape {tape}" if noted else model)
+
+    def known():
+        step = step_of(model, noted=noted)
+        return {"step": step, "kept": kept, "tape": tape, "taped": taped_rows(model)}
+
+    function = named_by_sources(_one_step, f"{model}, tape {tape}" if noted else model, known)
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (single_step, model, tape))
 
 

@@ -206,24 +206,17 @@ def _backwards(sources, *, n, step_back):
 
 @once
 def _kernel_of(model):
-    n, n_state, tilted = (
-        len(MODELS[model].states),
-        len(state_rows(model)),
-        int(MODELS[model].tilts is not None),
-    )
+    n, tilted = len(MODELS[model].states), int(MODELS[model].tilts is not None)
     first = n + (len(QUATERNION) if tilted else 0)
-    step_back = _plain(
-        _step_back,
-        n=n,
-        n_state=n_state,
-        first=first,
-        tilted=tilted,
-        moved=_MOVED[model],
-        spread=_plain(_spread, n=n, first=first),
-        solve=_plain(_solve, n=n),
-    )
-    make = unrolled(_backwards, n=n, step_back=step_back)
-    return cached_by_sources(make, f"{model}, backwards")
+
+    def known():
+        step_back = _plain(
+            _step_back, n=n, n_state=len(state_rows(model)), first=first, tilted=tilted, moved=_MOVED[model],
+            spread=_plain(_spread, n=n, first=first), solve=_plain(_solve, n=n),
+        )  # fmt: skip
+        return {"n": n, "step_back": step_back}
+
+    return cached_by_sources(_backwards, f"{model}, backwards", known)
 
 
 def smooth_back(model, tape, start, ends, started, sampled, behind, out):

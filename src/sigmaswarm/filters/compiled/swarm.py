@@ -29,7 +29,6 @@ from sigmaswarm.filters.compiled.live import BEHIND, TIME
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
-from sigmaswarm.filters.compiled.unroll import unrolled
 from sigmaswarm.filters.schedule import FIX
 from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, LARGEST_TAIL
 
@@ -185,6 +184,5 @@ def _swarm_step(sources, *, step, kept):
 def swarm_step(model):
     """The step of a swarm of a model, compiled now: as `single.single_step`."""
     kept = (*(int(r) for r in state_rows(model)), *range(CONSTANT_ROWS.start, N_KEPT))
-    make = unrolled(_swarm_step, step=step_of(model), kept=kept)
-    function = named_by_sources(make, f"swarm {model}")
+    function = named_by_sources(_swarm_step, f"swarm {model}", lambda: {"step": step_of(model), "kept": kept})
     return SingleStep(address_of(function, SIGNATURE, error_model="numpy"), (swarm_step, model))

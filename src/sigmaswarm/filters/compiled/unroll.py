@@ -11,7 +11,8 @@ import inspect
 import textwrap
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
 
 from sigmaswarm.filters.compiled.layout import R
 
@@ -21,6 +22,7 @@ NUMBERS = ("at", "fp", "axis_of")
 """Names of functions whose value takes the place of a call."""
 
 
+T = TypeVar("T")
 Names = dict[str, Any]
 """What the names in a function stand for."""
 
@@ -51,9 +53,51 @@ def written_out(function: Callable[..., Any], /, **known: Any) -> Written:
     return written
 
 
+Change = Callable[[ast.FunctionDef, Names], None]
+"""``(definition, names)``: changes in place what is written out."""
+
+
+class Kernel:
+    """A function to be written into others, with its keyword-only parameters bound; what it says is made when needed.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python.
+    change : callable, optional
+        See `Change`.
+    known : dict
+        Values of its keyword-only parameters, and of globals.
+    """
+
+    is_kernel = True
+
+    def __init__(self, function: Callable[..., Any], change: Change | None, known: Names) -> None:
+        self._function, self._change, self._known = function, change, known
+        self.__name__ = function.__name__
+
+    @cached_property
+    def written(self) -> Written:
+        """What is written into others."""
+        return _patiently(_changed, self._function, self._change, self._known)
+
+    @cached_property
+    def name(self) -> str:
+        """Its qualified name."""
+        return _name(self._function, self._known)
+
+    @cached_property
+    def _made(self) -> Callable[..., Any]:
+        return _made(self._function, self.written, self.name)
+
+    def __call__(self, *arguments: Any) -> None:
+        """Where nothing is compiled."""
+        self._made(*arguments)
+
+
 def unrolled(
     function: Callable[..., Any],
-    change: Callable[[ast.FunctionDef, Names], None] | None = None,
+    change: Change | None = None,
     /,
     **known: Any,
 ) -> Callable[..., Any]:
@@ -64,47 +108,56 @@ def unrolled(
     function : callable
         Plain Python.
     change : callable, optional
-        ``(definition, names)``: changes in place what is written out.
+        See `Change`.
     **known
         Values of its keyword-only parameters, and of globals.
     """
+    return _patiently(lambda: _made(function, _changed(function, change, known), _name(function, known)))
+
+
+def _patiently(make: Callable[..., T], *arguments: Any) -> T:
     for _ in range(9):
         try:
-            return _made(function, change, known)
+            return make(*arguments)
         except SystemError:  # Python 3.11 counts the depth of trees of all threads together, and takes fright
             time.sleep(0.001)
-    return _made(function, change, known)
+    return make(*arguments)
 
 
-def _made(
-    function: Callable[..., Any], change: Callable[[ast.FunctionDef, Names], None] | None, known: Names
-) -> Callable[..., Any]:
+def _name(function: Callable[..., Any], known: Names) -> str:
+    return f"{function.__qualname__}_{_told_apart(known)}" if known else function.__qualname__
+
+
+def _changed(function: Callable[..., Any], change: Change | None, known: Names) -> Written:
+    """What a function says."""
     definition, names = written_out(function, **known)
-    told_apart = _told_apart(definition, known)
     definition = _copied(definition)
     if change is not None:
         change(definition, names)
-    tree = ast.fix_missing_locations(ast.Module([definition], []))
+    return Written(definition, names)
+
+
+def _made(function: Callable[..., Any], written: Written, name: str) -> Callable[..., Any]:
+    tree = ast.fix_missing_locations(ast.Module([written.definition], []))
     defined: Names = {}
-    exec(compile(tree, function.__code__.co_filename, "exec"), names, defined)
+    exec(compile(tree, function.__code__.co_filename, "exec"), written.names, defined)
     made = defined[function.__name__]
-    made.written = Written(definition, names)
-    if known:
-        made.__qualname__ = f"{function.__qualname__}_{told_apart}"
+    made.written, made.__qualname__ = written, name
     return made
 
 
-def _told_apart(definition: ast.FunctionDef, known: Names) -> str:
-    """What tells a function from others that are made of the same one: a hash of what it says and of what it calls.
+def _told_apart(known: Names) -> str:
+    """What tells a function from others that are made of the same one: a hash of what it is made with.
 
     Numba names machine code after a function's qualified name and a number that counts what a process has compiled. So
     kernels of two models that two processes have compiled may bear one name, and once both are loaded from the cache,
     one of them would run in place of the other.
     """
-    parts = [ast.dump(definition)]
+    parts: list[str] = []
     for name, value in sorted(known.items(), key=lambda item: item[0]):
         called = getattr(value, "py_func", value)
-        parts.append(f"{name} {getattr(called, '__qualname__', None) or repr(value)}")
+        named = value.name if isinstance(value, Kernel) else getattr(called, "__qualname__", None)
+        parts.append(f"{name} {named or repr(value)}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:12]
 
 

@@ -26,6 +26,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from sigmaswarm import shipped
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
@@ -137,8 +138,8 @@ def _as_intrinsic(loop: _Loop) -> Any:
             ]
             function = builder.module.globals.get(loop.called)
             if function is None:
-                wide = "+avx512f" in context.codegen().magic_tuple()[2]
-                function = _put_loop(builder.module, loop, WIDEST if wide else WIDEST // 2)
+                width = WIDEST if shipped.wide(context.codegen()) else WIDEST // 2
+                function = _put_loop(builder.module, loop, width)
             lanes = builder.extract_value(array.shape, 1)
             result = builder.call(function, [array.data, lanes, *values])
             return result if loop.counted else context.get_dummy_value()

@@ -1,13 +1,16 @@
 """Charts drawn by matplotlib: the same chart, the same bytes; no global state of pyplot is touched."""
 
 import warnings
+from collections.abc import Iterator
 from functools import singledispatch
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis as MatplotlibAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -86,11 +89,18 @@ def new_figure(
 
 def _plain(figure: Figure) -> None:
     """Have titles and legends drawn as they are: names of drives are no formulas, and no commands to a terminal."""
-    ticks = [text for ax in figure.axes for axis in (ax.xaxis, ax.yaxis) for text in axis.findobj(Text)]
-    for text in figure.findobj(Text):
-        if text not in ticks:  # which may have powers
-            text.set_parse_math(False)
-            text.set_text(visible(text.get_text()))
+    for text in _texts(figure):
+        text.set_parse_math(False)
+        text.set_text(visible(text.get_text()))
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    """All texts but those of axes, which may have powers; to ask for an axis's would make all its ticks."""
+    if isinstance(artist, Text):
+        yield artist
+    if not isinstance(artist, MatplotlibAxis):
+        for child in artist.get_children():
+            yield from _texts(child)
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -98,7 +108,8 @@ def save(figure: Figure, path: Path) -> Path:
     _plain(figure)
     with whole_file(path) as file, warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # a name may have letters that the font lacks
-        figure.savefig(file, format="png", dpi=130, metadata={"Software": None})
+        figure.dpi = 130  # `savefig` would draw it twice, once for the layout, which a drawing makes anyway
+        FigureCanvasAgg(figure).print_png(file, metadata={"Software": None})  # pyright: ignore[reportArgumentType]
     return path
 
 

@@ -17,9 +17,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
-from scipy.special import ndtr
 
 from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 from sigmaswarm.tuning.optimizers.sampling import SobolSearch
@@ -189,12 +186,19 @@ class Improvement:
     """
 
     def __init__(self, lengths: Array, points: Array, costs: Array) -> None:
+        from scipy.linalg import (
+            cho_factor,
+            cho_solve,
+        )  # takes 0.1 s to import, for each command that knows of it
+        from scipy.special import ndtr
+
+        self._solved, self._below = cho_solve, ndtr
         self.lengths, self.points = lengths, points
         self.middle, self.scale = float(np.mean(costs)), float(np.std(costs)) or 1.0
         y = (costs - self.middle) / self.scale
         self.lowest = float(y.min())
         self.factor = cho_factor(self._alike(points)[0] + NOISE * np.eye(len(points)), lower=True)
-        self.weights = cho_solve(self.factor, y)
+        self.weights = self._solved(self.factor, y)
 
     def _alike(self, at: Array) -> tuple[Array, Array, Array]:
         """Matern 5/2 between places (m, d) and the points, shape (m, n); exp(-r) (1 + r); and the offsets (m, n, d)."""
@@ -210,20 +214,20 @@ class Improvement:
     def __call__(self, at: Array) -> Array:
         """At places, shape (m, d): shape (m,); Jones et al. (1998), equation 15."""
         near = self._alike(at)[0]
-        variance = 1 - np.sum(near * cho_solve(self.factor, near.T).T, axis=1)
+        variance = 1 - np.sum(near * self._solved(self.factor, near.T).T, axis=1)
         deviation = np.sqrt(np.maximum(variance, LEAST))
         z = (self.lowest - near @ self.weights) / deviation
-        return deviation * (z * ndtr(z) + _density(z))
+        return deviation * (z * self._below(z) + _density(z))
 
     def downhill(self, point: Array) -> tuple[float, Array]:
         """Minus its logarithm at one point, shape (d,), and the slope of that, shape (d,)."""
         near, fading, offsets = (part[0] for part in self._alike(point[np.newaxis]))
         slope = -5 / 3 * fading[:, np.newaxis] * offsets / self.lengths
-        back = cho_solve(self.factor, near)
+        back = self._solved(self.factor, near)
         deviation = np.sqrt(max(1 - near @ back, LEAST))
         z = (self.lowest - near @ self.weights) / deviation
-        gain = max(deviation * (z * ndtr(z) + _density(z)), np.finfo(float).tiny)
-        rise = -ndtr(z) * (self.weights @ slope) - _density(z) * (back @ slope) / deviation
+        gain = max(deviation * (z * self._below(z) + _density(z)), np.finfo(float).tiny)
+        rise = -self._below(z) * (self.weights @ slope) - _density(z) * (back @ slope) / deviation
         return -float(np.log(gain)), -rise / gain
 
 
@@ -235,6 +239,8 @@ def _highest(
     improvement: Improvement, best: Array, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
     """Where searches from the best of many places lead: half of these lie anywhere, half near the best points."""
+    from scipy.optimize import minimize
+
     d, (places, searches) = best.shape[1], effort
     near = best[rng.integers(len(best), size=places // 2)] + NEAR * rng.standard_normal((places // 2, d))
     tried = np.vstack([rng.random((places - places // 2, d)), np.clip(near, 0, 1)])
