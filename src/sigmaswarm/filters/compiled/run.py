@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import cached, once
-from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
+from sigmaswarm.drives import alignment, frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
@@ -200,6 +200,7 @@ def named_by_sources(make, name):
     same lines call another function under another ``name``; but what a function closes over is part of its key.
     """
     elsewhere = (
+        alignment,
         frozen,
         fuzzy,
         gaps,

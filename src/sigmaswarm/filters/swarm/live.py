@@ -328,7 +328,7 @@ class LiveSwarm(LiveFilter):
         numbers[swarm.AGAINST] = self.spread.against(self.offsets)
         self._population = found.population
         self.n_searches += 1
-        belief, counts, _, fixes, speeds, history, marks = self._memory.arrays
+        belief, counts, _, fixes, speeds, history, marks, _ = self._memory.arrays
         belief[live.BEHIND : live.BEHIND + swarm.MARKED] = numbers
         swarm.weigh(belief)
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
@@ -341,10 +341,11 @@ class LiveSwarm(LiveFilter):
         Steps(self._model, since, self._belief[live.LEVER].copy()).run(lane)
         return lane[:, 0]
 
-    def _look(self, recovery: Recovery, now: float, fix: tuple[float, ...], *, due: bool) -> None:
-        super()._look(recovery, now, fix, due=due)
-        together = self._together
-        assert together is not None
+    def _look(self, now: float, *, due: bool) -> None:
+        super()._look(now, due=due)
+        fix, together = self._last_fix(now), self._together
+        if fix is None or together is None:
+            return
         start = self._judged(together, now, fix, self._believed_together, due=due)
         if start is None and due and not self.weights.any():  # all failed
             start = self._seen(now, fix, *self._believed_together()).start
