@@ -19,6 +19,8 @@ def export(
     out: Path,
     replay: Path | None = None,
     check: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    lanes: int = 1,
+    seed: int = 0,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Write a tuned filter for use elsewhere.
@@ -46,6 +48,11 @@ def export(
     check
         c99: drives to run the C over, built by this machine's compiler and called from Python; prints how far it is
         from `sigmaswarm run` at most on each.
+    lanes
+        c99: up to 16 filters, differently tuned, run side by side, and their mixture is the estimate: the swarm of
+        `sigmaswarm run --swarm`, without its searches.
+    seed
+        Of what the lanes differ in, beyond the first seven.
     json
         Print the written files, and what --check found, for machines.
     """
@@ -59,8 +66,14 @@ def export(
         raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
     drive, drives = read_known(replay) if replay else None, read_drives(check or [])
     as_recorded = tuned_as_recorded(tuning)
-    written = export_filter(parameters, to, out, replay=drive, as_recorded=as_recorded)
-    checked = check_export(out, parameters, drives, as_recorded=as_recorded) if drives else []
+    written = export_filter(
+        parameters, to, out, replay=drive, as_recorded=as_recorded, lanes=lanes, seed=seed
+    )
+    checked = (
+        check_export(out, parameters, drives, as_recorded=as_recorded, lanes=lanes, seed=seed)
+        if drives
+        else []
+    )
     if json:
         found = {"checked": [asdict(each) for each in checked]} if check else {}
         print_json({"written": [str(path) for path in written], **found})

@@ -220,6 +220,11 @@ class LiveSwarm(LiveFilter):
         self._numbers[swarm.FIXED_AT] = start.time
         swarm.weigh(self._belief)
 
+    def count_only(self, lanes: int) -> None:
+        """From now on no lanes count but the first ones: what an export with so many does. Without searches only."""
+        self._numbers[swarm.AGAINST][lanes:] = np.inf
+        swarm.weigh(self._belief)
+
     @property
     def _own_constants(self) -> Array:
         return Chunk((self.parameters,)).constants(self._interval)[:, :1]
