@@ -30,6 +30,7 @@ from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.swarm.live import LiveSwarm
+from sigmaswarm.filters.swarm.spread import FIXED
 from support import DRIVES, make_drive, needs_shared, quickly
 
 CASES = [
@@ -123,9 +124,9 @@ def test_it_is_the_swarm_without_searches(
 def test_the_seed_draws_the_lanes_after_the_fixed_ones(tmp_path: Path):
     p = given("planar8", "ukf", "plain")
     one, other = Lanes(16, seed=1).filters(p), Lanes(16, seed=2).filters(p)
-    assert one[:7] == other[:7]
+    assert one[: len(FIXED)] == other[: len(FIXED)]
     assert one[0] == p
-    assert all(a != b for a, b in zip(one[7:], other[7:], strict=True))
+    assert all(a != b for a, b in zip(one[len(FIXED) :], other[len(FIXED) :], strict=True))
     drive = equipped()
     c, swarm = c_filter(tmp_path, p, drive, 16, seed=1), python_lanes(p, drive, 16, seed=1)
     for _ in both(drive, c, swarm, 0.0):

@@ -251,7 +251,8 @@ def live(
     return filter, np.array(means), np.array(lost)
 
 
-def test_the_rough_heading_of_a_stream_is_that_of_an_alignment():
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_the_rough_heading_of_a_stream_is_that_of_an_alignment(bias: float):
     drive = make_drive(duration=60.0, seed=3, gps_rate=5.0, jitter=0.2)
     gps, imu, start = drive.gps, drive.imu, initial_state(drive)
     filter = LiveFilter(SET, start, nominal_interval=drive.nominal_interval, lever_arm=list(drive.lever_arm))
@@ -260,14 +261,14 @@ def test_the_rough_heading_of_a_stream_is_that_of_an_alignment():
         while fix < len(gps) and gps.time[fix] <= t:
             filter.update(gps.time[fix], (gps.x[fix], gps.y[fix]))
             fix += 1
-        filter.predict(t, (imu.ax[k], imu.ay[k], imu.gz[k]))
+        filter.predict(t, (imu.ax[k], imu.ay[k], imu.gz[k] + bias))
         last = int(np.searchsorted(alignments.time, t, side="right")) - 1
         if k % 37 or last < 0:
             continue
         since = imu.time[(imu.time >= alignments.time[last]) & (imu.time <= t)]
         turn = np.diff(since, prepend=alignments.time[last]) @ imu.gz[k + 1 - len(since) : k + 1]
         expected = alignments.course[last] + turn
-        heading = filter._calls.heading(filter._memory.handle)
+        heading = filter._calls.heading(filter._memory.handle, bias)
         assert np.isnan(heading) == np.isnan(expected)
         if np.isfinite(expected):
             seen.append(wrap_angle(float(heading - expected)))

@@ -52,7 +52,7 @@ def export(
         c99: up to 16 filters, differently tuned, run side by side, and their mixture is the estimate: the swarm of
         `sigmaswarm run --swarm`, without its searches.
     seed
-        Of what the lanes differ in, beyond the first seven.
+        Of what the lanes differ in, beyond those that each swarm has.
     json
         Print the written files, and what --check found, for machines.
     """

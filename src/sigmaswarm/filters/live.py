@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from sigmaswarm.drives.alignment import Alignments, InitialState
+from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
@@ -21,7 +21,7 @@ from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.packing import Chunk, believed, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import Recovery, Seen, alignments_of, at_fix, steps_since
+from sigmaswarm.filters.recovery import Recovery, Seen, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
@@ -247,9 +247,10 @@ class LiveFilter:
         believed: Callable[[], tuple[Array, Array]],
         *,
         due: bool,
+        gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Where what is ``believed`` is to start anew, if it is."""
-        start = recovery.look(self._seen(now, fix, *believed())) if due else None
+        """Where what is ``believed`` is to start anew, if it is; ``gyro_bias``: what is known of it, rad/s."""
+        start = recovery.look(self._seen(now, fix, *believed(), gyro_bias)) if due else None
         if recovery.lost:
             theta = float(believed()[0][THETA])
             return at_fix(now, fix[live.FIX_X : live.FIX_Y + 1], self._variance_of(fix), theta, self._lever)
@@ -266,8 +267,7 @@ class LiveFilter:
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * stated
 
-    def _seen(self, now: float, fix: Array, mean: Array, covariance: Array) -> Seen:
-        alignments = cache(self._alignments)
+    def _seen(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Seen:
         time = float(fix[live.FIX_TIME])
         return Seen(
             time=now,
@@ -278,20 +278,22 @@ class LiveFilter:
             fix_variance=self._variance_of(fix),
             lever=self._lever,
             latency=self.parameters.latency,
-            since=lambda: steps_since(self._samples(), time),
-            heading=lambda: self._calls.heading(self._memory.handle),
-            align=lambda: alignments().at(len(alignments().time) - 1) if len(alignments().time) else None,
+            since=lambda: steps_since(self._samples(gyro_bias), time),
+            heading=lambda: self._calls.heading(self._memory.handle, gyro_bias),
+            align=cache(lambda: self._aligned(gyro_bias)),
         )
 
-    def _samples(self) -> Array:
-        """Those of the last `WATCHED` seconds, and one before them, (k, 4): time, ax, ay, gz."""
+    def _samples(self, gyro_bias: float) -> Array:
+        """Those of the last `WATCHED` seconds, and one before them, (k, 4): time, ax, ay, gz less its bias."""
         of = self._memory.arrays
         newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
         samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)]
+        samples[:, 3] -= gyro_bias
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
 
-    def _alignments(self) -> Alignments:
-        return alignments_of(self._samples(), self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
+    def _aligned(self, gyro_bias: float) -> InitialState | None:
+        """The alignment that ends at the last fix, if there is one."""
+        return aligned_by(self._samples(gyro_bias), self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
 
     @property
     def _counted_fixes(self) -> Array:

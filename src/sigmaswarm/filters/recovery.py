@@ -223,10 +223,14 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
-def alignments_of(samples: Array, fixes: Array, lever: Array) -> Alignments:
-    """Of the last seconds of a stream: samples (k, 4) s, m/s2, m/s2, rad/s, and fixes (m, 3) s, m, m."""
+def aligned_by(samples: Array, fixes: Array, lever: Array) -> InitialState | None:
+    """By the last seconds of a stream: samples (k, 4) s, m/s2, m/s2, rad/s, and fixes (m, 3) s, m, m."""
     imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
-    return Alignments(Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())}))
+    if not len(imu):
+        return None
+    drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
+    alignments = Alignments(drive)
+    return alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
 
 
 def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

@@ -532,12 +532,12 @@ def _take_speed(sources):
 
 
 def _look_back(sources):
-    def heading(handle):
+    def heading(handle, gyro_bias):
         """A rough heading at the last sample, by what came lately alone: see `watch`."""
         _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
         if sources == "":
             return math.nan
-        return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES])
+        return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES], gyro_bias)
 
     return heading
 
@@ -551,7 +551,8 @@ class LiveCalls:
     sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
     fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
-    heading : ``(handle)``, where the log alone says that the car heads, rad, roughly; NaN where it does not
+    heading : ``(handle, gyro_bias)``, where the log alone says that the car heads, rad, roughly, of a gyro of that bias
+        (rad/s); NaN where it says nothing
     """
 
     sample: Any
@@ -567,7 +568,7 @@ class LiveCalls:
 def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
     calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed, _look_back)]
-    for function, numbers in zip(calls, (7, 8, 2, 0), strict=True):
+    for function, numbers in zip(calls, (7, 8, 2, 1), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)

@@ -45,13 +45,14 @@ def _counts(fixes, f):
 
 
 @_plain
-def rough_heading(samples, newest, n, fixes, end):
+def rough_heading(samples, newest, n, fixes, end, gyro_bias):
     """The heading at the last sample, rad, as `Alignments.course` has it, and turned on; NaN where nothing tells.
 
     Parameters
     ----------
     samples, newest, n : the ring, the row of its last sample, how many samples it holds
     fixes, end : fixes, and how many
+    gyro_bias : what is known of it, rad/s
     """
     now = samples[newest, 0]
     last = last_fix(fixes, end, now, -math.inf)
@@ -72,12 +73,12 @@ def rough_heading(samples, newest, n, fixes, end):
     while steps < n - 1 and samples[begin, 0] > fixes[first, _T]:
         begin = begin - 1 if begin > 0 else len(samples) - 1
         steps += 1
-    east_way, north_way, turned = _way(samples, begin, steps, fixes[first, _T], fixes[last, _T])
+    east_way, north_way, turned = _way(samples, begin, steps, fixes[first, _T], fixes[last, _T], gyro_bias)
     return math.atan2(north, east) - math.atan2(north_way, east_way) + turned
 
 
 @_plain
-def _way(samples, k, steps, since, until):
+def _way(samples, k, steps, since, until, gyro_bias):
     """The way between two moments at 1 m/s, heading east at first, and how far it had turned by the last sample.
 
     Row ``k`` is the last sample up to ``since``; so many ``steps`` follow.
@@ -85,7 +86,7 @@ def _way(samples, k, steps, since, until):
     before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
     for _ in range(steps):
         k = k + 1 if k + 1 < len(samples) else 0
-        t, gz = samples[k, 0], samples[k, 3]
+        t, gz = samples[k, 0], samples[k, 3] - gyro_bias
         if not math.isfinite(gz + samples[k, 1] + samples[k, 2]):
             continue
         turned += gz * (t - before)

@@ -62,6 +62,7 @@ class Mixture:
     covariance: Array
 
     @classmethod
+    @np.errstate(all="ignore")  # a lane may fail, and does not count then
     def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
         """Of the state rows (k, s, LANES) and the weights (k, LANES) of a swarm; NaN where all weights are 0."""
         mean, covariance = believed(states, model)  # (k, LANES, n), (k, LANES, n, n)
@@ -174,6 +175,7 @@ class LiveSwarm(LiveFilter):
             as_recorded=as_recorded,
         )
         self._seed, self._searches, self.n_searches = seed, searches, 0
+        self._counted = LANES
         self.spread = Spread(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets.copy()
@@ -217,11 +219,13 @@ class LiveSwarm(LiveFilter):
         sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
         self._numbers[swarm.AGAINST] = self.spread.against(self.offsets)
+        self._numbers[swarm.AGAINST][self._counted :] = np.inf
         self._numbers[swarm.FIXED_AT] = start.time
         swarm.weigh(self._belief)
 
     def count_only(self, lanes: int) -> None:
         """From now on no lanes count but the first ones: what an export with so many does. Without searches only."""
+        self._counted = lanes
         self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
 
@@ -353,7 +357,8 @@ class LiveSwarm(LiveFilter):
             return
         start = self._judged(together, now, fix, self._believed_together, due=due)
         if start is None and due and not self.weights.any():  # all failed
-            start = self._seen(now, fix, *self._believed_together()).start
+            with np.errstate(all="ignore"):  # of what is not finite nothing is believed
+                start = self._seen(now, fix, *self._believed_together()).start
         if start is not None:
             self._start_lanes(start, slice(1, None))
             self._begin_history()
