@@ -45,7 +45,7 @@ class Lanes:
         """The template's values; of a filter alone its numbers stand where the table's are asked for."""
         if self.n == 1:
             own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in _numbers(tuning).items()}
-            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1", "LANES_NOTE": ""}
+            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"}
         spread = Spread(tuning)
         against = spread.against(self._offsets(spread)).tolist()
         rows = [_row(p, held) for p, held in zip(self.filters(tuning), against, strict=True)]
@@ -61,7 +61,7 @@ class Lanes:
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
             "LANES": str(self.n),
-            "LANES_NOTE": f"; {self.n} of them, differently tuned, whose mixture is the estimate",
+            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
             "LANE_ROWS": ",\n".join(rows),
         }
 
