@@ -81,13 +81,14 @@ def export(
     for path in written:
         stdout().print(f"wrote {path}")
     for each in checked:
-        stdout().print(_found(each))
+        stdout().print(_found(each, lanes))
     stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}")
 
 
-def _found(checked: "Checked") -> str:
+def _found(checked: "Checked", lanes: int) -> str:
     """One line on a drive."""
-    line = f"{checked.drive}: C is within {checked.double.state:.1e} of sigmaswarm run in any state (relative, above 1)"
+    library = "sigmaswarm run" if lanes == 1 else "a LiveSwarm without searches"
+    line = f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in any state (relative, above 1)"
     single = checked.single
     if single is None:
         return f"{line}; float can't hold this filter"
