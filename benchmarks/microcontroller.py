@@ -204,6 +204,41 @@ def by_drive(all_drives: list[Drive], folder: Path) -> None:
             )
 
 
+def lanes(drive: Drive, folder: Path) -> None:
+    """What a swarm's lanes cost: planar8 and tilted12 in float on the M4F."""
+    heading(
+        *(
+            "filter",
+            "lanes",
+            "predict",
+            "predict + update",
+            "state",
+            "at 168 MHz (calculated)",
+            "share of 10 ms",
+        ),
+        *("code -O2", "code -Os", "libm", "RAM", "stack"),
+    )
+    for name in ("planar8 ukf, every option", "tilted12 ekf, every option"):
+        p = given(name, drive)
+        for n in (1, 4, 8, 16):
+            program = build_for(M4F, folder, p, NO_HISTORY, FLOAT, lanes=n)
+            board = replay_on(M4F, program, drive, p.model)
+            predict, both, _ = instructions(board)
+            code, _ = size(folder / "ins_gps.o")
+            libm = _libraries((folder / "program.map").read_text())["libm"]
+            small = ["-Os", "-std=c99", "-c", folder / "ins_gps.c", "-o", folder / "small.o"]
+            run([COMPILER, *M4F.flags, NO_HISTORY, FLOAT, *small])
+            times = [1e6 * both * cycles / CLOCKS[M4F.name] for cycles in (1.0, 1.5)]
+            stack = max(worst_stack(M4F, folder, NO_HISTORY, FLOAT), board.stack)
+            print(
+                f"| {name} | {n} | {predict:.0f} | {both:.0f} | {board.state.mean():.0f} | "
+                f"{times[0]:.0f} to {times[1]:.0f} us | {times[0] / 100:.1f} to {times[1] / 100:.1f} % | {code} B | "
+                f"{size(folder / 'small.o')[0]} B | {libm} B | {state_bytes(M4F, folder, NO_HISTORY, FLOAT)} B | "
+                f"{stack} B |",
+                flush=True,
+            )
+
+
 def soft_double(drive: Drive, folder: Path) -> None:
     """What double costs a board that has no unit for it: the same filter in double on the M4F."""
     p = given("planar8 ukf, every option", drive)
@@ -230,6 +265,7 @@ def main() -> None:
         by_drive(all_drives, folder)
         costs(all_drives[0], folder)
         soft_double(all_drives[0], folder)
+        lanes(all_drives[0], folder)
 
 
 if __name__ == "__main__":

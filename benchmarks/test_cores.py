@@ -65,7 +65,9 @@ def drives(drive):
     return [drive, *(simulate("urban", duration=600.0, seed=1, run=run) for run in range(1, 5))]
 
 
-@pytest.mark.parametrize(("n_sets", "n_drives"), [(64, 1), (512, 1), (30, 5)], ids=["64", "512", "30 on 5 drives"])
+@pytest.mark.parametrize(
+    ("n_sets", "n_drives"), [(64, 1), (512, 1), (30, 5)], ids=["64", "512", "30 on 5 drives"]
+)
 def test_cores(benchmark, all_cores, drives, n_sets, n_drives):
     space = search_space("planar5", "log10", drives[0].nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (n_sets, len(space.names)))

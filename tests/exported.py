@@ -47,10 +47,15 @@ class Replayed:
 
 
 def build(
-    folder: Path, parameters: FilterParameters, *flags: str, compiler: str = "gcc", main: str = ""
+    folder: Path,
+    parameters: FilterParameters,
+    *flags: str,
+    compiler: str = "gcc",
+    main: str = "",
+    lanes: int = 1,
 ) -> Path:
     """The replaying program (or ``main``, C source, in its place) on an exported C library."""
-    export_filter(parameters, "c99", folder)
+    export_filter(parameters, "c99", folder, lanes=lanes)
     source = folder / "replay.c"
     if main:
         source = folder / "main.c"

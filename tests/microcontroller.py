@@ -46,7 +46,7 @@ class OnBoard:
     """What a board wrote: (k,) s, (k, n), (k, n); and what it cost.
 
     ``predict`` (k,) has the instructions of each sample, ``update`` (k,) those of what was called since the one before,
-    ``fixes`` (k,) how many fixes that were; ``stack`` is in bytes.
+    ``fixes`` (k,) how many fixes that were, ``state`` (k,) the instructions of asking for it; ``stack`` is in bytes.
     """
 
     time: np.ndarray
@@ -55,6 +55,7 @@ class OnBoard:
     predict: np.ndarray
     update: np.ndarray
     fixes: np.ndarray
+    state: np.ndarray
     stack: int
 
 
@@ -66,12 +67,13 @@ def build_for(
     main: Path = BOARD / "replay.c",
     optimize: str = "-O2",
     align: bool = False,
+    lanes: int = 1,
 ) -> Path:
     """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``.
 
     ``align``: with the search for the start.
     """
-    export_filter(parameters, "c99", folder)
+    export_filter(parameters, "c99", folder, lanes=lanes)
     common = (
         *machine.flags,
         *has(parameters),
@@ -131,6 +133,6 @@ def replay_on(machine: Machine, program: Path, drive: Drive, model: ModelName = 
     assert code == 0, f"the program ended with {code}"
     *numbers, stack = np.fromfile(folder / "estimate.bin")
     n = {"planar5": 5, "planar8": 8, "tilted12": 12}[model]
-    table = np.array(numbers).reshape(-1, 2 * n + 4)
+    table = np.array(numbers).reshape(-1, 2 * n + 5)
     time, mean, variance = table[:, 0], table[:, 1 : n + 1], table[:, n + 1 : 2 * n + 1]
     return OnBoard(time, mean, variance, *table[:, 2 * n + 1 :].T, int(stack))

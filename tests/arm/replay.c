@@ -2,7 +2,8 @@
  *
  * replay.bin: START numbers of the start (see replay.c of the export), then EVENT numbers an event: what it is, its
  * time, its numbers. A row of estimate.bin: time, means, variances, then the instructions of ins_gps_predict(), those of
- * what was called since the sample before, and how many fixes that were. Last comes one number, the stack in bytes.
+ * what was called since the sample before, how many fixes that were, and the instructions of ins_gps_state(). Last comes
+ * one number, the stack in bytes.
  */
 #include "board.h"
 #include "ins_gps.h"
@@ -92,9 +93,11 @@ int main(void)
                 continue;
             }
             if (time > given[0]) {
-                double row[2 * INS_GPS_STATES + 4];
+                double row[2 * INS_GPS_STATES + 5];
                 InsGpsState state;
+                const uint32_t asked = ticks();
                 ins_gps_state(&filter, &state);
+                const double told = INSTRUCTIONS_A_TICK * (double)ticks_since(asked);
                 row[0] = state.time;
                 for (int i = 0; i < INS_GPS_STATES; i++) {
                     row[1 + i] = (double)state.mean[i];
@@ -104,6 +107,7 @@ int main(void)
                 costs[0] = cost;
                 costs[1] = since;
                 costs[2] = fixes;
+                costs[3] = told;
                 if (!host_write(out, row, sizeof row)) {
                     return 3;
                 }

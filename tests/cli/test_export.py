@@ -26,6 +26,21 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
 
 
 @needs_gcc
+def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
+    drive = drives / "urban-clear-00"
+    ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 3, "--check", drive)
+    (found,) = re.findall(r"C is within (\S+) of a LiveSwarm without searches", ended.out)
+    assert (ended.code, float(found) < 1e-9) == (0, True)
+    assert "#define INS_GPS_LANES 3" in Path("c/ins_gps.h").read_text()
+    wrong = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 17)
+    assert (wrong.code, wrong.err.count("\n")) == (2, 1)
+    assert "lanes = 17: a swarm has 2 to 16" in wrong.err
+    wrong = sigmaswarm("export", tuned, "--to", "filterpy", "--out", "py", "--lanes", 4)
+    assert wrong.code == 2
+    assert "--lanes is for --to c99 only" in wrong.err
+
+
+@needs_gcc
 def test_the_way_that_the_page_shows(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--replay", drive)

@@ -141,14 +141,22 @@ def test_random_calls_trap_nothing_on_a_board(
 
 @needs_gcc
 @pytest.mark.parametrize(
-    ("case", "flags"),
-    [("every option", (FLOAT,)), ("weighed", ()), ("adaptive", (NO_HISTORY,)), ("tilted", ())],
+    ("case", "flags", "lanes"),
+    [
+        ("every option", (FLOAT,), 1),
+        ("weighed", (), 1),
+        ("adaptive", (NO_HISTORY,), 1),
+        ("tilted", (), 1),
+        ("weighed", (FLOAT,), 5),
+        ("tilted", (), 3),
+    ],
 )
-def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...]):
-    export_filter(FUZZED[case], "c99", tmp_path)
+def test_random_calls_do_no_harm(tmp_path: Path, case: str, flags: tuple[str, ...], lanes: int):
+    export_filter(FUZZED[case], "c99", tmp_path, lanes=lanes)
     program = tmp_path / "fuzz"
     sources = (tmp_path / "ins_gps.c", tmp_path / "ins_gps_align.c", BOARD / "fuzz.c")
-    more = (*has(FUZZED[case]), *flags, "-DCALLS=5000", f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
+    calls = 5000 if lanes == 1 else 20_000  # until lanes are finite, and their mixture is not
+    more = (*has(FUZZED[case]), *flags, f"-DCALLS={calls}", f"-I{tmp_path}", *SANITIZERS, *NO_TRAP)
     run(["gcc", "-std=c99", "-O1", *more, *sources, "-lm", "-o", program])
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

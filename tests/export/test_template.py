@@ -5,6 +5,8 @@ import re
 import pytest
 
 from exported import tuned
+from sigmaswarm.export.c99 import c99
+from sigmaswarm.export.lanes import Lanes
 from sigmaswarm.export.targets import TARGETS
 from sigmaswarm.export.template import _chosen, fill
 
@@ -51,7 +53,9 @@ def test_a_place_without_a_value_is_an_error():
 @pytest.mark.parametrize("kind", ["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf"])
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
 def test_no_place_and_no_part_is_left_over(target, model: str, kind: str, everything: bool):
-    for text in TARGETS[target](tuned(model, kind, 0.01, everything=everything), 0.01).values():
+    p = tuned(model, kind, 0.01, everything=everything)
+    texts = [*TARGETS[target](p, 0.01).values(), *c99(p, 0.01, lanes=Lanes(3)).values()]
+    for text in texts:
         assert re.findall(r"@[A-Z]", text) == []
         assert "USE_" not in text
         assert text.endswith("\n")

@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from filter_cases import KINDS, OPTIONS, parameters
 from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.swarm.live import LiveSwarm
 
 START = InitialState(np.array([0.0, 0.0, 10.0, 0.0, 0.0]), np.diag([1.0, 1.0, 1.0, 1.0, 0.01]), 100.0)
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e20, 1e150])
@@ -22,17 +24,23 @@ CALL = st.tuples(
 )
 
 
+Call = tuple[str, float, float, float, float, bool]
+
+
 @pytest.mark.parametrize("option", ["plain", "all"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("model", ["planar5", "planar8"])
 @settings(max_examples=30, deadline=None)
 @given(calls=st.lists(CALL, max_size=40))
-def test_it_is_finite_or_says_that_it_failed(
-    model: str, kind: str, option: str, calls: list[tuple[str, float, float, float, float, bool]]
-):
+def test_it_is_finite_or_says_that_it_failed(model: str, kind: str, option: str, calls: list[Call]):
     live = LiveFilter(
         parameters(model, kind=kind, **OPTIONS[option]), START, nominal_interval=0.01, history=0.2
     )
+    hear(live, calls)
+
+
+def hear(live: LiveFilter, calls: list[Call]) -> None:
+    """Everything that comes; what it believes is looked at after each."""
     t = last = START.time
     for name, step, a, b, c, goes_on in calls:
         if name == "imu":
@@ -52,6 +60,19 @@ def test_it_is_finite_or_says_that_it_failed(
     now = live.state.time
     live.predict(now + 0.01, (0.0, 0.0, 0.0))
     assert live.state.time == now + 0.01
+
+
+@pytest.mark.parametrize("option", ["plain", "all"])
+@settings(max_examples=30, deadline=None)
+@given(calls=st.lists(CALL, max_size=40))
+def test_a_swarm_bears_what_a_filter_bears(option: str, calls: list[Call]):
+    p = parameters("planar8", **OPTIONS[option])
+    alone, swarm = (kind(p, START, nominal_interval=0.01, history=0.2) for kind in (LiveFilter, LiveSwarm))
+    for filter in (alone, swarm):
+        hear(filter, calls)
+    counts = [(of.too_late, of.time_jumps, of.frozen) for of in (alone, swarm)]
+    assert counts[0] == counts[1]
+    assert swarm._belief[: live.N_BELIEF].tobytes() == alone._belief[: live.N_BELIEF].tobytes()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -9,7 +9,7 @@ import pytest
 
 import sigmaswarm
 from exported import tuned
-from sigmaswarm.drives.alignment import MAX_DURATION, InitialState, initial_state
+from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.reader import read_drive
@@ -18,6 +18,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, looks_of
 from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.score import score_estimate
 from support import DRIVES, make_drive, needs_shared
@@ -250,6 +251,31 @@ def live(
     return filter, np.array(means), np.array(lost)
 
 
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_the_rough_heading_of_a_stream_is_that_of_an_alignment(bias: float):
+    drive = make_drive(duration=60.0, seed=3, gps_rate=5.0, jitter=0.2)
+    gps, imu, start = drive.gps, drive.imu, initial_state(drive)
+    filter = LiveFilter(SET, start, nominal_interval=drive.nominal_interval, lever_arm=list(drive.lever_arm))
+    alignments, fix, seen = Alignments(drive), 0, []
+    for k, t in enumerate(imu.time):
+        while fix < len(gps) and gps.time[fix] <= t:
+            filter.update(gps.time[fix], (gps.x[fix], gps.y[fix]))
+            fix += 1
+        filter.predict(t, (imu.ax[k], imu.ay[k], imu.gz[k] + bias))
+        last = int(np.searchsorted(alignments.time, t, side="right")) - 1
+        if k % 37 or last < 0:
+            continue
+        since = imu.time[(imu.time >= alignments.time[last]) & (imu.time <= t)]
+        turn = np.diff(since, prepend=alignments.time[last]) @ imu.gz[k + 1 - len(since) : k + 1]
+        expected = alignments.course[last] + turn
+        heading = filter._calls.heading(filter._memory.handle, bias)
+        assert np.isnan(heading) == np.isnan(expected)
+        if np.isfinite(expected):
+            seen.append(wrap_angle(float(heading - expected)))
+    assert len(seen) > 50
+    assert np.max(np.abs(seen)) < 1e-9
+
+
 LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned", TILTED)}
 
 
@@ -313,8 +339,9 @@ def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = 
     alignment = InitialState(np.array([0, 0, 10, 0, heading]), 1e-4 * np.eye(5), time)
     return Seen(
         time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
-        fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0, since=np.zeros((1, 4)),
-        course=lambda: heading if aligns else np.nan, align=lambda: alignment if aligns else None,
+        fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0,
+        since=lambda: np.zeros((1, 4)), heading=lambda: heading if aligns else np.nan,
+        align=lambda: alignment if aligns else None,
     )  # fmt: skip
 
 

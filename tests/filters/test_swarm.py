@@ -3,6 +3,7 @@
 import math
 import os
 import pickle
+import signal
 import tracemalloc
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -10,6 +11,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -18,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import processes
 from filter_cases import OPTIONS, WEIGHED, equipped, parameters
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
@@ -215,6 +218,50 @@ def test_a_killed_process_goes_on_from_a_saved_copy_with_the_same_bits():
     for _ in feed(filter, stream[cut:]):  # and the one that was copied goes on as if nothing had been
         pass
     assert everything(filter) == everything(whole)
+
+
+DIES = """
+import os, pickle, signal, sys
+from pathlib import Path
+from filters.test_swarm import ALL, LiveSwarm, events, feed, made, parameters, start
+
+filter = made(LiveSwarm, parameters("planar8", **ALL))
+kept = 0.0
+for t in feed(filter, events()):
+    if t > kept + 0.31:  # as a car would: every now and then, whole or not at all
+        kept = t
+        Path("next").write_bytes(pickle.dumps((t, filter)))
+        os.replace("next", "saved")
+    if t > start().time + 20.7:  # a search is under way, and samples have come since
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+GOES_ON = """
+import pickle, sys
+from pathlib import Path
+from filters.test_swarm import events, everything, feed
+
+t, filter = pickle.loads(Path("saved").read_bytes())
+stream = events()
+for _ in feed(filter, stream[1 + stream.index((t, True, next(i for at, s, i in stream if s and at == t))):]):
+    pass
+Path("end").write_bytes(everything(filter) + filter.state.mean.tobytes())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert processes.run(DIES).returncode == -signal.SIGKILL
+    t, saved = pickle.loads(Path("saved").read_bytes())
+    assert start().time + 20.0 < t < start().time + 20.7
+    assert saved._pending is not None
+    gone_on = processes.run(GOES_ON)
+    assert gone_on.returncode == 0, gone_on.stderr
+    whole = fed(LiveSwarm, parameters("planar8", **ALL))
+    assert whole.n_searches >= 2
+    assert Path("end").read_bytes() == everything(whole) + whole.state.mean.tobytes()
 
 
 def test_a_search_finds_what_loses_less_and_the_same_each_time():

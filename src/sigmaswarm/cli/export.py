@@ -19,6 +19,8 @@ def export(
     out: Path,
     replay: Path | None = None,
     check: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    lanes: int = 1,
+    seed: int = 0,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Write a tuned filter for use elsewhere.
@@ -46,6 +48,11 @@ def export(
     check
         c99: drives to run the C over, built by this machine's compiler and called from Python; prints how far it is
         from `sigmaswarm run` at most on each.
+    lanes
+        c99: up to 16 filters, differently tuned, run side by side, and their mixture is the estimate: the swarm of
+        `sigmaswarm run --swarm`, without its searches.
+    seed
+        Of what the lanes differ in, beyond those that each swarm has.
     json
         Print the written files, and what --check found, for machines.
     """
@@ -59,8 +66,14 @@ def export(
         raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
     drive, drives = read_known(replay) if replay else None, read_drives(check or [])
     as_recorded = tuned_as_recorded(tuning)
-    written = export_filter(parameters, to, out, replay=drive, as_recorded=as_recorded)
-    checked = check_export(out, parameters, drives, as_recorded=as_recorded) if drives else []
+    written = export_filter(
+        parameters, to, out, replay=drive, as_recorded=as_recorded, lanes=lanes, seed=seed
+    )
+    checked = (
+        check_export(out, parameters, drives, as_recorded=as_recorded, lanes=lanes, seed=seed)
+        if drives
+        else []
+    )
     if json:
         found = {"checked": [asdict(each) for each in checked]} if check else {}
         print_json({"written": [str(path) for path in written], **found})
@@ -68,13 +81,14 @@ def export(
     for path in written:
         stdout().print(f"wrote {path}")
     for each in checked:
-        stdout().print(_found(each))
+        stdout().print(_found(each, lanes))
     stdout().print(f"next: {_next_step(to, out, replay=replay is not None)}")
 
 
-def _found(checked: "Checked") -> str:
+def _found(checked: "Checked", lanes: int) -> str:
     """One line on a drive."""
-    line = f"{checked.drive}: C is within {checked.double.state:.1e} of sigmaswarm run in any state (relative, above 1)"
+    library = "sigmaswarm run" if lanes == 1 else "a LiveSwarm without searches"
+    line = f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in any state (relative, above 1)"
     single = checked.single
     if single is None:
         return f"{line}; float can't hold this filter"

@@ -30,6 +30,10 @@ MAX_DURATION = 6.0
 """s: older fixes tell little about the heading now, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
 """m of forward travel behind the first usable fix."""
+FEWEST_FIXES = 4
+"""In that time."""
+WORTH_TRAVEL = 0.5 * MIN_TRAVEL
+"""m between the first and the last of them: a cheap look before the fit."""
 MAX_MISFIT = 0.3
 """Share of the travel: where a fix lies farther off the fit, the fixes jumped rather than the car moved."""
 MAX_HEADING_STD = np.radians(6.0)
@@ -117,9 +121,8 @@ class Alignments:
         self._first = np.searchsorted(self.time, self.time - MAX_DURATION, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         chord = np.abs(self._position - self._position[self._first])
-        # A cheap look before the fit.
-        self._worth = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= 4)
-        self._worth &= chord >= 0.5 * MIN_TRAVEL
+        self._worth = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= FEWEST_FIXES)
+        self._worth &= chord >= WORTH_TRAVEL
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:

@@ -11,6 +11,7 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
+from sigmaswarm.export.lanes import Lanes
 from sigmaswarm.export.template import fill
 from sigmaswarm.filters import recovery, schedule
 from sigmaswarm.filters.compiled import live
@@ -39,7 +40,12 @@ SHORTEST_INTERVAL = 1e-4
 _FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
 
 
-def c99(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
+ALONE = Lanes()
+
+
+def c99(
+    parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
+) -> dict[str, str]:
     """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to.
 
     ``as_recorded``: see `PreparedDrive`.
@@ -58,8 +64,9 @@ def c99(parameters: FilterParameters, interval: float, as_recorded: bool = False
     if parameters.kind not in kinds:
         raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
     features = features_of(parameters)
-    features |= {"USE_DOUBLE": not fits_float(parameters), "USE_AS_RECORDED": as_recorded}
-    values = values_of(parameters, interval) | _only_in_c(parameters, interval)
+    fits = all(fits_float(p) for p in lanes.filters(parameters))
+    features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 

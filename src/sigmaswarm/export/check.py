@@ -15,9 +15,12 @@ import numpy as np
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.c99 import fits_float, replay_events
+from sigmaswarm.export.lanes import Lanes
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.run import run_filter
+from sigmaswarm.filters.recording import joined
+from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.filters.swarm.run import SwarmRun
 
 COMPILERS = ("cc", "gcc", "clang")
 _SOURCES = ("ins_gps.c", "ins_gps_shared.c")
@@ -52,7 +55,13 @@ class Checked:
 
 
 def check_export(
-    folder: Path, parameters: FilterParameters, drives: Sequence[Drive], *, as_recorded: bool = False
+    folder: Path,
+    parameters: FilterParameters,
+    drives: Sequence[Drive],
+    *,
+    as_recorded: bool = False,
+    lanes: int = 1,
+    seed: int = 0,
 ) -> list[Checked]:
     """Build an exported C library as shared objects beside it, and run it over drives.
 
@@ -65,6 +74,8 @@ def check_export(
     drives : sequence of Drive
     as_recorded : bool
         See `PreparedDrive`; as the filter was exported.
+    lanes, seed
+        As the filter was exported. Several lanes are held against a `LiveSwarm` without searches.
 
     Raises
     ------
@@ -73,21 +84,31 @@ def check_export(
     AlignmentError
         If a drive never moves far enough for a start.
     """
+    side_by_side = Lanes(lanes, seed)
     double = _shared_object(folder, "libins_gps.so")
-    single = (
-        _shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT") if fits_float(parameters) else None
-    )
+    fits = all(fits_float(p) for p in side_by_side.filters(parameters))
+    single = _shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT") if fits else None
     checked: list[Checked] = []
     # Where they are built they may be built anew, and a process loads what has one path only once.
     with tempfile.TemporaryDirectory() as loaded:
         libraries = [Path(shutil.copy(each, loaded)) for each in (double, single) if each is not None]
         for drive in drives:
-            ours = run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
+            ours = _of_library(drive, parameters, side_by_side, as_recorded=as_recorded)
             events = replay_events(drive, parameters.model, as_recorded=as_recorded)
             runs = (_replay(folder, library, parameters, events) for library in libraries)
             of_double, *of_single = (_difference(run, ours) for run in runs)
             checked.append(Checked(drive.name, of_double, of_single[0] if of_single else None))
     return checked
+
+
+def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
+    """The means (k, n) that the C is held against."""
+    if lanes.n == 1:
+        return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
+    replay = replay_of(drive, as_recorded=as_recorded)
+    run = SwarmRun(replay, parameters, seed=lanes.seed, searches=False, as_recorded=as_recorded)
+    run.swarm.count_only(lanes.n)
+    return joined(run).mean
 
 
 def _shared_object(folder: Path, name: str, *flags: str) -> Path:

@@ -8,6 +8,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.c99 import c99, replay_rows
 from sigmaswarm.export.filterpy import filterpy
+from sigmaswarm.export.lanes import Lanes
 from sigmaswarm.export.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.filters.models import MODELS
@@ -33,6 +34,8 @@ def export_filter(
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
+    lanes: int = 1,
+    seed: int = 0,
 ) -> list[Path]:
     """Write a filter for a target.
 
@@ -47,6 +50,11 @@ def export_filter(
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
         filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+    lanes : int
+        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveSwarm`
+        without searches.
+    seed : int
+        Of what the lanes differ in.
 
     Returns
     -------
@@ -57,7 +65,7 @@ def export_filter(
     ------
     InputError
         If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
-        variance can't be used, or ``replay`` is given for a target that does not take it.
+        variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
     """
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
@@ -76,7 +84,13 @@ def export_filter(
         )
     if replay is not None and target != "c99":
         raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
-    texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
+    side_by_side = Lanes(lanes, seed)
+    if lanes > 1 and target != "c99":
+        raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
+    if target == "c99":
+        texts = c99(parameters, parameters.nominal_interval, as_recorded, side_by_side)
+    else:
+        texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
         texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
     folder = make_folder(Path(folder))

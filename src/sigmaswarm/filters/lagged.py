@@ -47,7 +47,7 @@ class FixedLag:
 
     def smoothed(self, memory: LiveArrays) -> tuple[float, Array]:
         """The moment, s, and its state rows, (s,)."""
-        belief, counts, _, fixes, speeds, history, marks = memory
+        belief, counts, _, fixes, speeds, history, marks, _ = memory
         now, kept = float(belief[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
         # The belief before a sample is the one after the sample before it.

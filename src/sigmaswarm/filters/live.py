@@ -16,11 +16,12 @@ from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
+from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.packing import Chunk, believed, plausible, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import LATEST_LOOK, Lately, Recovery, Seen, at_fix, slot_of
+from sigmaswarm.filters.recovery import Recovery, Seen, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
@@ -28,6 +29,8 @@ MOST_RESTARTS = 1000
 """Whose times a live filter keeps."""
 MOST_READINGS = 2000
 """Of the odometer: those of ten seconds at 200 Hz."""
+FASTER_IMU = 4
+"""Times as fast as it says an IMU may be, and is still watched for as long."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
 
@@ -126,7 +129,6 @@ class LiveFilter:
         self._calls = live.live_calls()
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
-        self._planar = tuple(self._axes.index(axis) for axis in ("ax", "ay", "gz"))
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
@@ -137,7 +139,7 @@ class LiveFilter:
         )
         seen = samples + int(FIX_WINDOW / nominal_interval)  # fixes come as often as samples at most
         belief = _believe(p, initial, nominal_interval, lever_arm)
-        belief[live.AS_RECORDED] = as_recorded
+        belief[live.AS_RECORDED], belief[live.LATE_BY] = as_recorded, history
         counts = np.zeros(live.N_COUNTS, dtype=np.int64)
         self._memory = Memory(
             single_step(p.model),
@@ -149,16 +151,12 @@ class LiveFilter:
                 np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
                 np.zeros((samples, live.N_RECORD)),
                 np.zeros((0, 0)),
+                np.zeros((2 + int(FASTER_IMU * WATCHED / nominal_interval) if recover else 0, 4)),
             ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._recovery = Recovery() if recover else None
-        self._lately = Lately(lever_arm)
-        self._history = history
-        self._last_fix, self._came_late = -np.inf, False
-        self._unseen = False  # a fix has come since the filter was last looked at
         self._holds = False  # it is lost, and the estimate is a fix, anew at each sample
-        self._looked = -1.0  # the interval between looks in which the last one was
         self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
@@ -184,18 +182,9 @@ class LiveFilter:
                 "give these, in this order"
             )
         took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
-        if took == live.NOTHING or self._recovery is None:
-            return
-        if took == live.BOTH:
-            held = self._belief[live.SAMPLE_AHEAD]
-            self._lately.sample(tuple(held[:4].tolist()))
-            self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
-        ax, ay, gz = self._planar
-        self._lately.sample((t, imu[ax], imu[ay], imu[gz]))
         # Most samples bring nothing to look at.
-        if (self._unseen or self._holds) and t > self._belief[live.START]:
-            self._watch(self._recovery, t)
-            self._unseen = self._lately.newest > self._last_fix
+        if took == live.DUE or (self._holds and took and t > self._belief[live.START]):
+            self._look(t, due=took == live.DUE)
 
     def update(
         self,
@@ -225,12 +214,6 @@ class LiveFilter:
         else:
             seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
             kept = self._calls.fix(self._memory.handle, t, *seen, var_x, var_y)
-        begun = t > self._belief[live.START]
-        if self._recovery is not None and (kept == live.TAKEN or not begun) and np.isfinite([t, *fix]).all():
-            self._came_late = begun and t <= self._belief[live.TIME]
-            if not self._is_frozen(t, fix):
-                self._lately.fix(t, fix[0], fix[1], var_x, var_y)
-                self._unseen = True
         return kept == live.TAKEN
 
     def update_odometer(self, t: float, speed: float) -> bool:
@@ -246,32 +229,11 @@ class LiveFilter:
         """
         return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
 
-    def _is_frozen(self, t: float, fix: Sequence[float]) -> bool:
-        """Whether a fix that was just taken is one that filters don't take for a position."""
-        counts, fixes = self._memory.arrays.counts, self._memory.arrays.fixes
-        first, last = np.searchsorted(
-            fixes[: counts[live.N_FIXES], live.FIX_TIME], [t, np.nextafter(t, np.inf)]
-        )
-        same = fixes[first:last]
-        same = same[(same[:, live.FIX_X] == fix[0]) & (same[:, live.FIX_Y] == fix[1])]
-        return bool((same[:, live.KIND] >= FROZEN).any())
-
-    def _watch(self, recovery: Recovery, now: float) -> None:
-        """Look at the filter after a sample, if it is time and a fix has come since the last look."""
-        fix = self._lately.last_fix(now)
-        if fix is None:
-            return
-        fresh = fix[0] > max(self._last_fix, float(self._belief[live.START]))
-        soon = now - fix[0] <= LATEST_LOOK + (self._history if self._came_late else 0.0)
-        self._last_fix = fix[0]
-        slot = float(slot_of(np.float64(now), float(self._belief[live.START])))
-        due = fresh and soon and slot != self._looked
-        if due:
-            self._looked = slot
-        self._look(recovery, now, fix, due=due)
-
-    def _look(self, recovery: Recovery, now: float, fix: tuple[float, ...], *, due: bool) -> None:
+    def _look(self, now: float, *, due: bool) -> None:
         """Start anew after a sample if need be; ``due``: it is time to look at what is believed."""
+        fix, recovery = self._last_fix(now), self._recovery
+        if fix is None or recovery is None:
+            return
         start = self._judged(recovery, now, fix, self._believed, due=due)
         if start is not None:
             self._start_anew(start)
@@ -281,37 +243,65 @@ class LiveFilter:
         self,
         recovery: Recovery,
         now: float,
-        fix: tuple[float, ...],
+        fix: Array,
         believed: Callable[[], tuple[Array, Array]],
         *,
         due: bool,
+        gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Where what is ``believed`` is to start anew, if it is."""
-        start = recovery.look(self._seen(now, fix, *believed())) if due else None
+        """Where what is ``believed`` is to start anew, if it is; ``gyro_bias``: what is known of it, rad/s."""
+        start = recovery.look(self._seen(now, fix, *believed(), gyro_bias)) if due else None
         if recovery.lost:
             theta = float(believed()[0][THETA])
-            return at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever)
+            return at_fix(now, fix[live.FIX_X : live.FIX_Y + 1], self._variance_of(fix), theta, self._lever)
         return start
 
-    def _variance_of(self, fix: tuple[float, ...]) -> Array:
-        """Diagonal of R of a fix, (2,) m2."""
-        return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * np.array(fix[3:5])
+    def _last_fix(self, now: float) -> Array | None:
+        """The row of the last fix up to a moment that counts."""
+        fixes = self._counted_fixes
+        until = int(np.searchsorted(fixes[:, live.FIX_TIME], now, side="right"))
+        return fixes[until - 1] if until else None
 
-    def _seen(self, now: float, fix: tuple[float, ...], mean: Array, covariance: Array) -> Seen:
-        alignments = cache(lambda: self._lately.alignments)
+    def _variance_of(self, fix: Array) -> Array:
+        """Diagonal of R of a fix, (2,) m2."""
+        stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
+        return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * stated
+
+    def _seen(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Seen:
+        time = float(fix[live.FIX_TIME])
         return Seen(
             time=now,
             mean=mean,
             covariance=covariance,
-            fix_time=fix[0],
-            fix=np.array(fix[1:3]),
+            fix_time=time,
+            fix=fix[live.FIX_X : live.FIX_Y + 1],
             fix_variance=self._variance_of(fix),
             lever=self._lever,
             latency=self.parameters.latency,
-            since=self._lately.steps_since(fix[0]),
-            course=lambda: float(alignments().course[-1]) if len(alignments().time) else np.nan,
-            align=lambda: alignments().at(len(alignments().time) - 1) if len(alignments().time) else None,
+            since=lambda: steps_since(self._samples(gyro_bias), time),
+            heading=lambda: self._calls.heading(self._memory.handle, gyro_bias),
+            align=cache(lambda: self._aligned(gyro_bias)),
         )
+
+    def _samples(self, gyro_bias: float) -> Array:
+        """Those of the last `WATCHED` seconds, and one before them, (k, 4): time, ax, ay, gz less its bias."""
+        of = self._memory.arrays
+        newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
+        samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)]
+        samples[:, 3] -= gyro_bias
+        return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
+
+    def _aligned(self, gyro_bias: float) -> InitialState | None:
+        """The alignment that ends at the last fix, if there is one."""
+        return aligned_by(self._samples(gyro_bias), self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
+
+    @property
+    def _counted_fixes(self) -> Array:
+        """Those that are positions, by time."""
+        of = self._memory.arrays
+        fixes = of.fixes[: of.counts[live.N_FIXES]]
+        finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
+        return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
@@ -408,7 +398,8 @@ def _believe(
     v[live.LEVER][: len(lever_arm)] = lever_arm
     v[live.LATERAL_INTERVAL] = 0.0 if p.lateral_noise is None else LATERAL_INTERVAL
     v[live.STANDSTILL_INTERVAL] = 0.0 if p.standstill_noise is None else STANDSTILL_INTERVAL
-    v[live.LAST_SAMPLE] = -np.inf
+    v[live.LAST_SAMPLE] = v[live.SEEN_FIX] = -np.inf
+    v[live.LOOKED] = -1.0
     given = MODELS[p.model].imu
     nothing = len(given)  # behind the model's axes come zeros
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]

@@ -184,6 +184,7 @@ class Recording:
         alignments = line.alignments
         ends = int(np.searchsorted(alignments.time, time, side="right")) - 1
         mean, covariance = self._believed()
+        since = [line.end[step] - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
         seen = Seen(
             time=float(line.end[step]),
             mean=mean,
@@ -193,8 +194,8 @@ class Recording:
             fix_variance=self._variance_of(fix),
             lever=line.lever,
             latency=p.latency,
-            since=np.array([[line.end[step] - time, *line.driving[line.sample[step], :3]]]),  # ax, ay, gz
-            course=lambda: float(alignments.course[ends]),
+            since=lambda: np.array([since]),
+            heading=lambda: float(alignments.course[ends] + since[0] * since[3]),
             align=lambda: alignments.at(ends),
         )
         start = self._recovery.look(seen)

@@ -9,25 +9,21 @@ is 20 deg off the alignments for 8 s at most (fixes drift sideways in a city), a
 the fixes for 6 s; where it is lost, for 18 s and more.
 """
 
-from collections import deque
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState
+from sigmaswarm.drives.alignment import Alignments, InitialState
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
+from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
 from sigmaswarm.filters.models import THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
-LOOK_INTERVAL = 1.0
-"""s between two looks at a filter."""
-LATEST_LOOK = 0.25
-"""s from a fix to the IMU sample at which the filter is looked at; after more, in a gap, nothing can be compared."""
 LOST_AFTER = 10.0
 """s of contradiction, unbroken; longer than a city drives fixes aside, and a robust filter needs to recover."""
 FEWEST_LOOKS = 5
@@ -42,10 +38,6 @@ SUSPECT = np.radians(10.0)
 """rad between the filter's heading and a rough course, from which on it is worth while to align."""
 SPEED_STD = 10.0
 """m/s per axis: what is known of the velocity while there is nothing but fixes."""
-_KEPT = MAX_DURATION + 1.0
-"""s of samples and fixes that a live filter keeps for it."""
-_MOST_FIXES = 1000
-"""That many of them; more come only while the IMU is silent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +90,8 @@ class Seen:
     fix_variance : (2,) m2
     lever : (2,) m forward and left from the IMU to the antenna
     latency : s
-    since : (k, 4) s, m/s2, m/s2, rad/s: the steps from the fix to the moment, each with its ax, ay, gz
-    course : function that gives the heading at the fix, rad, roughly; NaN where there is no alignment
+    since : function that gives the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
+    heading : function that gives the heading at the moment by the log alone, rad, roughly; NaN where it says nothing
     align : function that gives the alignment that ends at the fix, or None; costly
     """
 
@@ -111,34 +103,38 @@ class Seen:
     fix_variance: Array
     lever: Array
     latency: float
-    since: Array
-    course: Callable[[], float]
+    since: Callable[[], Array]
+    heading: Callable[[], float]
     align: Callable[[], InitialState | None]
 
     @property
     def position_contradicts(self) -> bool:
         """Whether the fix lies far off the filter's forecast."""
-        x, y, vx, vy, theta = self.mean[:5]
+        x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
-        off = self.fix - np.array([x - back * vx, y - back * vy]) - _turned(self.lever, theta)
-        if off @ off <= POSITION_OFF**2:
+        east, north = self.fix.tolist()  # plain numbers: nearly always it ends here
+        c, s = math.cos(theta), math.sin(theta)
+        forward, left = self.lever[:2].tolist()
+        east -= x - back * vx + c * forward - s * left
+        north -= y - back * vy + s * forward + c * left
+        if math.hypot(east, north) <= POSITION_OFF:
             return False
+        off = np.array([east, north])
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
         return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
 
     @property
     def heading_contradicts(self) -> bool | None:
         """Whether the heading is far off that of the alignment; None where there is none."""
-        theta, course = self.mean[THETA], self.course()
-        if np.isnan(course):
+        theta, heading = float(self.mean[THETA]), self.heading()
+        if not math.isfinite(heading):
             return None
-        turned = float(self.since[:, 0] @ self.since[:, 3])
-        if abs(wrap_angle(float(course + turned - theta))) < SUSPECT:
+        if abs(math.remainder(heading - theta, math.tau)) < SUSPECT:
             return False
         aligned = self.start
         if aligned is None:
             return None
-        off = abs(wrap_angle(float(aligned.mean[THETA] - theta)))
+        off = abs(wrap_angle(float(aligned.mean[THETA]) - theta))
         std = np.sqrt(self.covariance[THETA, THETA] + aligned.covariance[THETA, THETA])
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
 
@@ -149,7 +145,7 @@ class Seen:
         if aligned is None:
             return None
         mean = aligned.mean
-        for dt, *imu in self.since:
+        for dt, *imu in self.since():
             mean = planar5(mean, dt, np.array(imu))
         sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
         return InitialState(mean, aligned.covariance, self.time) if sound else None
@@ -220,69 +216,21 @@ class _Contradiction:
         return self._looks >= FEWEST_LOOKS and self._now - self._since >= LOST_AFTER
 
 
-class Lately:
-    """The last seconds that a live filter has seen, enough to align.
+def steps_since(samples: Array, time: float) -> Array:
+    """The steps from a moment to the last sample, (k, 4), as `Seen.since`, of samples (m, 4)."""
+    steps = samples[samples[:, 0] >= time]
+    steps[:, 0] = np.diff(steps[:, 0], prepend=time)
+    return steps
 
-    Parameters
-    ----------
-    lever : sequence of float
-        m forward and left from the IMU to the antenna.
-    """
 
-    def __init__(self, lever: Sequence[float]) -> None:
-        self._lever = tuple(lever)
-        self._samples, self._fixes = deque[tuple[float, ...]](), deque[tuple[float, ...]]()
-
-    def sample(self, sample: tuple[float, float, float, float]) -> None:
-        """An IMU sample, after all before it: time, ax, ay, gz."""
-        samples = self._samples
-        samples.append(sample)
-        if samples[0][0] < sample[0] - _KEPT:
-            self._forget()
-
-    def _forget(self) -> None:
-        """The samples from too long ago; one from before a gap stays."""
-        samples, oldest = self._samples, self._samples[-1][0] - _KEPT
-        while len(samples) > 1 and samples[1][0] < oldest:
-            samples.popleft()
-
-    def fix(self, time: float, x: float, y: float, var_x: float, var_y: float) -> None:
-        """A fix and its stated variance, in whatever order; it has to be finite."""
-        self._fixes.append((time, x, y, var_x, var_y))
-        if len(self._fixes) > 1 and self._fixes[-2][0] > time:
-            self._fixes = deque(sorted(self._fixes, key=itemgetter(0)))
-        oldest = self._samples[-1][0] - _KEPT if self._samples else -np.inf
-        while self._fixes and (self._fixes[0][0] < oldest or len(self._fixes) > _MOST_FIXES):
-            self._fixes.popleft()
-
-    @property
-    def newest(self) -> float:
-        """s, of the latest fix; -inf where there is none."""
-        return self._fixes[-1][0] if self._fixes else -np.inf
-
-    def last_fix(self, until: float) -> tuple[float, ...] | None:
-        """The last fix up to a moment: time, x, y and the stated variances."""
-        return next((fix for fix in reversed(self._fixes) if fix[0] <= until), None)
-
-    def steps_since(self, time: float) -> Array:
-        """The steps from a moment to the last sample, (k, 4), as `Seen.since`."""
-        rows: list[tuple[float, ...]] = []
-        for sample in reversed(self._samples):
-            if sample[0] < time:
-                break
-            rows.append(sample)
-        steps = np.array(rows[::-1])
-        steps[:, 0] = np.diff(steps[:, 0], prepend=time)
-        return steps
-
-    @property
-    def alignments(self) -> Alignments:
-        """Of the fixes of these seconds, and what samples there are that are numbers."""
-        samples = np.array(self._samples)
-        imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
-        now = self._samples[-1][0]
-        gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)
-        return Alignments(Drive("live", imu, gps, metadata={"gps_lever_arm_m": self._lever}))
+def aligned_by(samples: Array, fixes: Array, lever: Array) -> InitialState | None:
+    """By the last seconds of a stream: samples (k, 4) s, m/s2, m/s2, rad/s, and fixes (m, 3) s, m, m."""
+    imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
+    if not len(imu):
+        return None
+    drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
+    alignments = Alignments(drive)
+    return alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
 
 
 def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

@@ -1,7 +1,7 @@
 """A live filter's memory, and what an IMU sample and a fix do to it: one call each, with nothing left to Python.
 
 The filter is the first lane of the rows in `layout`; a step stands in `single`, and is called by its address, so that
-what is here is compiled once for all models. The memory is seven arrays:
+what is here is compiled once for all models. The memory is eight arrays:
 
     belief  (N_ALL,) what is believed, which a late fix takes back; then settings, and what is never taken back
     counts  (N_COUNTS,) how much of the other arrays is filled, and what was left out
@@ -11,6 +11,7 @@ what is here is compiled once for all models. The memory is seven arrays:
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
     marks   (m, k) a ring: the k numbers behind the belief, which the step changes too, before each MARK_EVERY-th
             sample; of no rows where there are none
+    lately  (l, 4) a ring: the last samples as the watch reads them, see `watch`; of no rows where nobody watches
 
 A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one.
 """
@@ -36,6 +37,7 @@ from sigmaswarm.filters.compiled.layout import N_KEPT, R
 from sigmaswarm.filters.compiled.memory import memory_at
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
+from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL, WATCHED, last_fix, rough_heading
 from sigmaswarm.filters.schedule import FIX, LATERAL, ODOMETER, STANDSTILL, VELOCITY
 
 # The belief: state, constants and sums as in `layout`, then when it is, Q's scale since the last fix, the intervals
@@ -50,7 +52,9 @@ N_SAMPLE = 1 + len(AXES)
 NOMINAL, START, LATERAL_INTERVAL, STANDSTILL_INTERVAL, AS_RECORDED, USUAL_INTERVAL, BELIEVES_TIMES = range(
     N_BELIEF, N_BELIEF + 7
 )
-LEVER = slice(N_BELIEF + 7, N_BELIEF + 10)
+# Of the watch: s that fixes may be late; the time of the last fix seen; the interval of the last look.
+LATE_BY, SEEN_FIX, LOOKED = range(N_BELIEF + 7, N_BELIEF + 10)
+LEVER = slice(N_BELIEF + 10, N_BELIEF + 13)
 SAMPLE = slice(LEVER.stop, LEVER.stop + N_SAMPLE)  # the last one
 LAST_SAMPLE = SAMPLE.start  # its time
 FIX_TIME, FIX_X, FIX_Y, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, HAS_VELOCITY, KIND = range(9)
@@ -67,8 +71,10 @@ N_ALL = ORDER.stop
     N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
     N_SAMPLES,  # that went into the history
     SPARE,  # records of the history that are there only to go on from a mark
-) = range(11)  # fmt: skip
-N_COUNTS = 11
+    N_LATELY, NEWEST,  # samples that are watched, and the row of the last one
+    CAME_LATE,  # whether the last fix did
+) = range(14)  # fmt: skip
+N_COUNTS = 14
 NOTHING, HELD, BELIEVED = range(3)  # of a fix that lay ahead: it waits for a second one; that one came
 
 BEHIND = 8 * math.ceil(N_ALL / 8)
@@ -89,10 +95,10 @@ S_CALM = S_STEP.stop
 S_MEANS = slice(S_CALM + 1, S_CALM + 5)
 N_RECORD = S_MEANS.stop
 
-ONE, BOTH = 1, 2
-"""What became of a sample, beside NOTHING: it was taken; so was the one that waited for it."""
 TAKEN, IGNORED, LEFT_OUT = 1, 0, -1
 """What became of a fix: taken; before the start, there already or held back; too late, or no room."""
+DUE = 2
+"""What became of a sample, beside NOTHING and TAKEN: it was taken, and it is time to look at the filter."""
 
 
 _plain = njit(**OPTIONS)
@@ -233,8 +239,11 @@ def _keep(v, counts, fixes, history, z):
     if counts[N_FIXES] == fixes.shape[0]:
         oldest = _record(counts, history, 0)[TIME] if counts[N_HISTORY] > 0 else v[TIME]
         old = 0
-        while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - FIX_WINDOW:
-            old += 1
+        for needed in (WATCHED, FIX_WINDOW):  # s; of too many the watch does without some
+            while old < counts[N_FIXES] and fixes[old, FIX_TIME] <= oldest - needed:
+                old += 1
+            if old > 0:
+                break
         for f in range(old, counts[N_FIXES]):
             _copy(fixes[f], fixes[f - old], N_FIX)
         counts[N_FIXES] -= old
@@ -383,8 +392,11 @@ def _again_from(step, v, counts, fixes, speeds, history, marks, back):
 def _place(step, v, counts, fixes, speeds, history, marks, z):
     """Take a fix whose time is believed: it waits for its sample, or takes the filter back and forward again."""
     t = z[FIX_TIME]
+    is_number = math.isfinite(z[FIX_X]) and math.isfinite(z[FIX_Y])
     if t <= v[START]:  # absorbed already, but it may show a standstill
         _keep(v, counts, fixes, history, z)
+        if is_number:
+            counts[CAME_LATE] = 0
         return IGNORED
     back = _first_after(counts, history, t) if t <= v[TIME] else 0
     kept = LEFT_OUT if back < 0 else _keep(v, counts, fixes, history, z)
@@ -392,13 +404,46 @@ def _place(step, v, counts, fixes, speeds, history, marks, z):
         counts[TOO_LATE] += 1
     elif kept == TAKEN and t <= v[TIME]:
         _again_from(step, v, counts, fixes, speeds, history, marks, back)
+    if kept == TAKEN and is_number:
+        counts[CAME_LATE] = 1 if t <= v[TIME] else 0
     return kept
+
+
+@_plain
+def _watch(counts, lately, sample):
+    """Keep a sample for the watch."""
+    if lately.shape[0] > 0:
+        row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
+        counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
+        _copy(sample, lately[row], 4)
+
+
+@_plain
+def _sees_more(v, counts, fixes, t):
+    """Whether fixes have come since this was asked last, up to a time."""
+    f = last_fix(fixes, counts[N_FIXES], t, max(v[SEEN_FIX], v[START]))
+    if f >= 0:
+        v[SEEN_FIX] = fixes[f, FIX_TIME]
+    return f >= 0
+
+
+@_plain
+def _is_due(v, counts, fixes, t):
+    """Whether the filter is to be looked at after a sample: once in each interval, where a fix has just come."""
+    if not _sees_more(v, counts, fixes, t):
+        return False
+    slot = _slot(t, v[START], LOOK_INTERVAL)
+    soon = t - v[SEEN_FIX] <= LATEST_LOOK + v[LATE_BY] * counts[CAME_LATE]
+    if not soon or slot == v[LOOKED]:
+        return False
+    v[LOOKED] = slot
+    return True
 
 
 def _take_sample(sources):
     def sample(handle, t, a, b, c, d, e, f):
         """An IMU sample; one that is not after the last one is left out, one far ahead waits for a second."""
-        step, v, counts, memory, fixes, speeds, history, marks = memory_at(handle)
+        step, v, counts, memory, fixes, speeds, history, marks, lately = memory_at(handle)
         if sources == "" or not v[LAST_SAMPLE] < t < math.inf:
             return NOTHING
         new, held, axes = v[NEW_SAMPLE], v[SAMPLE_AHEAD], (a, b, c, d, e, f)
@@ -417,13 +462,19 @@ def _take_sample(sources):
         counts[HOLDS_SAMPLE] = 0
         if agrees:
             _go_on(step, v, counts, memory, fixes, speeds, history, marks, held)
+            _watch(counts, lately, held)
         elif holds:
             counts[TIME_JUMPS] += 1
         _go_on(step, v, counts, memory, fixes, speeds, history, marks, new)
         if agrees and counts[HOLDS_FIX] == HELD and not _lies_ahead(v, v[FIX_AHEAD][FIX_TIME]):
             counts[HOLDS_FIX] = NOTHING  # the samples say the same
             _place(step, v, counts, fixes, speeds, history, marks, v[FIX_AHEAD].copy())
-        return BOTH if agrees else ONE
+        _watch(counts, lately, new)
+        if lately.shape[0] == 0 or t <= v[START]:
+            return TAKEN
+        if agrees:
+            _sees_more(v, counts, fixes, held[0])  # what ends a silence is no time to look
+        return DUE if _is_due(v, counts, fixes, t) else TAKEN
 
     return sample
 
@@ -431,7 +482,7 @@ def _take_sample(sources):
 def _take_fix(sources):
     def fix(handle, t, x, y, vx, vy, has_velocity, var_x, var_y):
         """A fix: it waits for its sample, or takes the filter back; one far ahead waits for a second."""
-        step, v, counts, _, fixes, speeds, history, marks = memory_at(handle)
+        step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or not math.isfinite(t):
             counts[TOO_LATE] += 1
             return LEFT_OUT
@@ -459,7 +510,7 @@ def _take_fix(sources):
 def _take_speed(sources):
     def speed(handle, t, value):
         """A reading of the odometer: it waits for its sample, or takes the filter back; none is held back."""
-        step, v, counts, _, fixes, speeds, history, marks = memory_at(handle)
+        step, v, counts, _, fixes, speeds, history, marks, _ = memory_at(handle)
         if sources == "" or speeds.shape[0] == 0:
             return IGNORED
         if not (math.isfinite(t) and math.isfinite(value)):
@@ -480,6 +531,17 @@ def _take_speed(sources):
     return speed
 
 
+def _look_back(sources):
+    def heading(handle, gyro_bias):
+        """A rough heading at the last sample, by what came lately alone: see `watch`."""
+        _, _, counts, _, fixes, _, _, _, lately = memory_at(handle)
+        if sources == "":
+            return math.nan
+        return rough_heading(lately, counts[NEWEST], counts[N_LATELY], fixes, counts[N_FIXES], gyro_bias)
+
+    return heading
+
+
 @dataclass(frozen=True)
 class LiveCalls:
     """What is done with the memory of a live filter, of which they take the `Memory.handle`.
@@ -489,11 +551,14 @@ class LiveCalls:
     sample : ``(handle, t, a, b, c, d, e, f)``, an IMU sample, its axes as the filter takes them; what became of it
     fix : ``(handle, t, x, y, vx, vy, has_velocity, var_x, var_y)``, a fix; what became of it
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
+    heading : ``(handle, gyro_bias)``, where the log alone says that the car heads, rad, roughly, of a gyro of that bias
+        (rad/s); NaN where it says nothing
     """
 
     sample: Any
     fix: Any
     speed: Any
+    heading: Any
 
     def __reduce__(self):
         return live_calls, ()
@@ -502,8 +567,8 @@ class LiveCalls:
 @once
 def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
-    calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed)]
-    for function, numbers in zip(calls, (7, 8, 2), strict=True):
+    calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed, _look_back)]
+    for function, numbers in zip(calls, (7, 8, 2, 1), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)

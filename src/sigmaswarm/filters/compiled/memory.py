@@ -1,4 +1,4 @@
-"""A live filter's memory as one number: to hand eight arrays to compiled code costs more than a filter's step."""
+"""A live filter's memory as one number: to hand nine arrays to compiled code costs more than a filter's step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 
@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.rows import CACHE_LINE
 _ARRAYS = (
     types.Array(float64, 1, "C"),
     types.Array(int64, 1, "C"),
-    *(types.Array(float64, 2, "C"),) * 5,
+    *(types.Array(float64, 2, "C"),) * 6,
 )
 _KIND = types.Tuple((int64, *_ARRAYS))
 
@@ -30,6 +30,7 @@ class LiveArrays(NamedTuple):
     speeds: NDArray[np.float64]
     history: NDArray[np.float64]
     marks: NDArray[np.float64]
+    lately: NDArray[np.float64]
 
 
 class Memory:

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sigmaswarm.compilation import Recipe, cached, once
-from sigmaswarm.drives import frozen, gaps, odometer, standstill, timeline
+from sigmaswarm.drives import alignment, frozen, gaps, odometer, standstill, timeline
 from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
@@ -195,7 +195,7 @@ def _store(w, rows):
             rows[r, lane] = w[r, lane]
 
 
-_ELSEWHERE = frozen, fuzzy, gaps, odometer, standstill, timeline, models, schedule, student, tilted
+_ELSEWHERE = alignment, frozen, fuzzy, gaps, odometer, standstill, timeline, models, schedule, student, tilted
 """What kernels take from other folders."""
 
 

@@ -62,6 +62,7 @@ class Mixture:
     covariance: Array
 
     @classmethod
+    @np.errstate(all="ignore")  # a lane may fail, and does not count then
     def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
         """Of the state rows (k, s, LANES) and the weights (k, LANES) of a swarm; NaN where all weights are 0."""
         mean, covariance = believed(states, model)  # (k, LANES, n), (k, LANES, n, n)
@@ -174,6 +175,7 @@ class LiveSwarm(LiveFilter):
             as_recorded=as_recorded,
         )
         self._seed, self._searches, self.n_searches = seed, searches, 0
+        self._counted = LANES
         self.spread = Spread(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
         self._population = self.offsets.copy()
@@ -217,7 +219,14 @@ class LiveSwarm(LiveFilter):
         sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
         self._numbers[swarm.AGAINST] = self.spread.against(self.offsets)
+        self._numbers[swarm.AGAINST][self._counted :] = np.inf
         self._numbers[swarm.FIXED_AT] = start.time
+        swarm.weigh(self._belief)
+
+    def count_only(self, lanes: int) -> None:
+        """From now on no lanes count but the first ones: what an export with so many does. Without searches only."""
+        self._counted = lanes
+        self._numbers[swarm.AGAINST][lanes:] = np.inf
         swarm.weigh(self._belief)
 
     @property
@@ -328,7 +337,7 @@ class LiveSwarm(LiveFilter):
         numbers[swarm.AGAINST] = self.spread.against(self.offsets)
         self._population = found.population
         self.n_searches += 1
-        belief, counts, _, fixes, speeds, history, marks = self._memory.arrays
+        belief, counts, _, fixes, speeds, history, marks, _ = self._memory.arrays
         belief[live.BEHIND : live.BEHIND + swarm.MARKED] = numbers
         swarm.weigh(belief)
         numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
@@ -341,13 +350,15 @@ class LiveSwarm(LiveFilter):
         Steps(self._model, since, self._belief[live.LEVER].copy()).run(lane)
         return lane[:, 0]
 
-    def _look(self, recovery: Recovery, now: float, fix: tuple[float, ...], *, due: bool) -> None:
-        super()._look(recovery, now, fix, due=due)
-        together = self._together
-        assert together is not None
+    def _look(self, now: float, *, due: bool) -> None:
+        super()._look(now, due=due)
+        fix, together = self._last_fix(now), self._together
+        if fix is None or together is None:
+            return
         start = self._judged(together, now, fix, self._believed_together, due=due)
         if start is None and due and not self.weights.any():  # all failed
-            start = self._seen(now, fix, *self._believed_together()).start
+            with np.errstate(all="ignore"):  # of what is not finite nothing is believed
+                start = self._seen(now, fix, *self._believed_together()).start
         if start is not None:
             self._start_lanes(start, slice(1, None))
             self._begin_history()

@@ -1,0 +1,99 @@
+"""What a live filter's watch asks for at every sample: the last fix that counts, and a rough heading by the log alone.
+
+The samples of the last seconds are in a ring, (k, 4): time, ax, ay, gz. Rows of fixes are those of `live`.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+from numba import njit
+
+from sigmaswarm.drives.alignment import FEWEST_FIXES, MAX_DURATION, MIN_DURATION, WORTH_TRAVEL
+from sigmaswarm.drives.frozen import FROZEN
+from sigmaswarm.filters.compiled.lanes import OPTIONS
+
+LOOK_INTERVAL = 1.0
+"""s between two looks at a filter."""
+LATEST_LOOK = 0.25
+"""s from a fix to the IMU sample at which the filter is looked at; after more, in a gap, nothing can be compared."""
+WATCHED = MAX_DURATION + 1.0
+"""s of samples and fixes that a live filter keeps for it."""
+
+_T, _X, _Y, _KIND = 0, 1, 2, 8  # of a row of fixes
+
+_plain = njit(**OPTIONS)
+
+
+@_plain
+def last_fix(fixes, end, until, after):
+    """The row, before row ``end``, of the last fix after a time and up to another; -1 where there is none.
+
+    One that is frozen, or no number, does not count.
+    """
+    for f in range(end - 1, -1, -1):
+        if fixes[f, _T] <= after:
+            break
+        if fixes[f, _T] <= until and _counts(fixes, f):
+            return f
+    return -1
+
+
+@_plain
+def _counts(fixes, f):
+    return fixes[f, _KIND] < FROZEN and math.isfinite(fixes[f, _X]) and math.isfinite(fixes[f, _Y])
+
+
+@_plain
+def rough_heading(samples, newest, n, fixes, end, gyro_bias):
+    """The heading at the last sample, rad, as `Alignments.course` has it, and turned on; NaN where nothing tells.
+
+    Parameters
+    ----------
+    samples, newest, n : the ring, the row of its last sample, how many samples it holds
+    fixes, end : fixes, and how many
+    gyro_bias : what is known of it, rad/s
+    """
+    now = samples[newest, 0]
+    last = last_fix(fixes, end, now, -math.inf)
+    if last < 0 or n < 2:
+        return math.nan
+    oldest = max(fixes[last, _T] - MAX_DURATION, samples[(newest + 1 - n) % len(samples), 0])
+    first, count, f = last, 0, last
+    while f >= 0 and fixes[f, _T] >= oldest:
+        if _counts(fixes, f):
+            first = f
+            count += 1
+        f -= 1
+    east, north = fixes[last, _X] - fixes[first, _X], fixes[last, _Y] - fixes[first, _Y]
+    span = fixes[last, _T] - fixes[first, _T]
+    if span < MIN_DURATION or count < FEWEST_FIXES or not math.hypot(east, north) >= WORTH_TRAVEL:
+        return math.nan
+    begin, steps = newest, 0
+    while steps < n - 1 and samples[begin, 0] > fixes[first, _T]:
+        begin = begin - 1 if begin > 0 else len(samples) - 1
+        steps += 1
+    east_way, north_way, turned = _way(samples, begin, steps, fixes[first, _T], fixes[last, _T], gyro_bias)
+    return math.atan2(north, east) - math.atan2(north_way, east_way) + turned
+
+
+@_plain
+def _way(samples, k, steps, since, until, gyro_bias):
+    """The way between two moments at 1 m/s, heading east at first, and how far it had turned by the last sample.
+
+    Row ``k`` is the last sample up to ``since``; so many ``steps`` follow.
+    """
+    before, east, north, turned, cos, sin = samples[k, 0], 0.0, 0.0, 0.0, 1.0, 0.0
+    for _ in range(steps):
+        k = k + 1 if k + 1 < len(samples) else 0
+        t, gz = samples[k, 0], samples[k, 3] - gyro_bias
+        if not math.isfinite(gz + samples[k, 1] + samples[k, 2]):
+            continue
+        turned += gz * (t - before)
+        new_cos, new_sin = math.cos(turned), math.sin(turned)
+        inside = min(t, until) - max(before, since)
+        if inside > 0.0:
+            east += 0.5 * (cos + new_cos) * inside
+            north += 0.5 * (sin + new_sin) * inside
+        before, cos, sin = t, new_cos, new_sin
+    return east, north, turned

@@ -1,0 +1,282 @@
+"""Several lanes in C: a `LiveSwarm` without searches, in the same numbers."""
+
+import ctypes
+import importlib.util
+import math
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exported import SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc
+from exported import replay as replay_c
+from filter_cases import OPTIONS, WEIGHED, equipped, parameters, rough, straying
+from microcontroller import M4F, build_for, needs_arm, replay_on
+from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.errors import InputError
+from sigmaswarm.export.check import check_export
+from sigmaswarm.export.lanes import Lanes
+from sigmaswarm.export.targets import export_filter
+from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.swarm.live import LiveSwarm
+from sigmaswarm.filters.swarm.spread import FIXED
+from support import DRIVES, make_drive, needs_shared, quickly
+
+CASES = [
+    ("planar8", "ukf", "all", 16),
+    ("planar8", "ukf", "both", 5),
+    ("tilted12", "ekf", "all", 3),
+    ("planar5", "ekf", "plain", 2),
+    ("planar5", "strong-tracking-ukf", "accuracy", 8),
+    ("planar8", "adaptive-ukf", "all", 4),
+    ("planar8", "fuzzy-ukf", "accuracy", 8),
+    ("planar8", "ukf", "plain", 16),
+]
+
+
+def given(model: str, kind: str, option: str) -> FilterParameters:
+    return parameters(model, kind=kind, nominal_interval=0.01, **(OPTIONS | WEIGHED)[option])
+
+
+def c_filter(folder: Path, p: FilterParameters, drive: Drive, lanes: int, seed: int = 0) -> Any:
+    """The exported lanes, called from Python, at the drive's start."""
+    export_filter(p, "c99", folder, lanes=lanes, seed=seed)
+    sources = [folder / "ins_gps.c", folder / "ins_gps_shared.c"]
+    library = folder / "libins_gps.so"
+    command = ["gcc", *STRICT[:-2], "-O2", "-shared", "-fPIC", *sources, "-lm", "-o", library]
+    subprocess.run(command, check=True)
+    spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    start = initial_state(drive)
+    return module.Filter(start.time, start.mean, start.covariance.ravel(), [1.0, 0.5, 1.2], library)
+
+
+def python_lanes(p: FilterParameters, drive: Drive, lanes: int, seed: int = 0) -> LiveSwarm:
+    swarm = LiveSwarm(
+        p, initial_state(drive), nominal_interval=drive.nominal_interval, lever_arm=[1.0, 0.5, 1.2],
+        seed=seed, searches=False, recover=False,
+    )  # fmt: skip
+    swarm.count_only(lanes)
+    return swarm
+
+
+def both(drive: Drive, c: Any, swarm: LiveFilter, late: float) -> Iterator[float]:
+    """Feed C and Python alike, every third fix ``late`` s after its time; the time of each sample."""
+    p, gps, imu = swarm.parameters, drive.gps, drive.imu
+    axes = ("ax", "ay", "az", "gx", "gy", "gz") if MODELS[p.model].tilts else ("ax", "ay", "gz")
+    samples = [(t, True, i) for i, t in enumerate(imu.time)]
+    for t, is_imu, i in sorted(
+        samples + [(t + (late if i % 3 else 0.0), False, i) for i, t in enumerate(gps.time)]
+    ):
+        if is_imu:
+            swarm.predict(t, [getattr(imu, axis)[i] for axis in MODELS[p.model].imu])
+            c.predict(t, [getattr(imu, axis)[i] for axis in axes])
+            yield t
+            continue
+        velocity, std = None, (0.5, 0.6)
+        if p.velocity_noise is not None and gps.speed is not None and gps.course is not None:
+            velocity = (gps.speed[i] * math.cos(gps.course[i]), gps.speed[i] * math.sin(gps.course[i]))
+        swarm.update(gps.time[i], (gps.x[i], gps.y[i]), velocity, std)
+        stated = {} if p.accuracy_scale is None else {"std": std}
+        c.update(gps.time[i], (gps.x[i], gps.y[i]), velocity=velocity, **stated)
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("model", "kind", "option", "lanes"), quickly(CASES, lambda *case: case in CASES[:4])
+)
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_it_is_the_swarm_without_searches(
+    tmp_path: Path, model: str, kind: str, option: str, lanes: int, late: float
+):
+    p, drive = given(model, kind, option), straying() if option in WEIGHED else rough()
+    c, swarm = c_filter(tmp_path, p, drive, lanes), python_lanes(p, drive, lanes)
+    seen, largest, start = 0, [], initial_state(drive).time
+    for t in both(drive, c, swarm, late):
+        if t <= start or round(100 * t) % 23:
+            continue
+        seen += 1
+        ours = swarm.state
+        largest.append(max(c.weights))
+        assert distance(np.array([c.mean]), ours.mean[np.newaxis]) < 1e-9
+        scale = np.sqrt(np.outer(np.diag(ours.covariance), np.diag(ours.covariance)))
+        assert np.max(np.abs(np.array(c.covariance) - ours.covariance) / scale) < 1e-9
+        np.testing.assert_allclose(c.weights, swarm.weights[:lanes], rtol=0, atol=1e-9)
+    assert seen > 50
+    assert min(largest) < 0.99  # more than one of them counts
+    assert not c.failed
+
+
+@needs_gcc
+def test_the_seed_draws_the_lanes_after_the_fixed_ones(tmp_path: Path):
+    p = given("planar8", "ukf", "plain")
+    one, other = Lanes(16, seed=1).filters(p), Lanes(16, seed=2).filters(p)
+    assert one[: len(FIXED)] == other[: len(FIXED)]
+    assert one[0] == p
+    assert all(a != b for a, b in zip(one[len(FIXED) :], other[len(FIXED) :], strict=True))
+    drive = equipped()
+    c, swarm = c_filter(tmp_path, p, drive, 16, seed=1), python_lanes(p, drive, 16, seed=1)
+    for _ in both(drive, c, swarm, 0.0):
+        pass
+    np.testing.assert_allclose(c.weights, swarm.weights, rtol=0, atol=1e-9)
+    unlike = python_lanes(p, drive, 16)
+    for _ in both(drive, c, unlike, 0.0):  # C leaves out what it has had
+        pass
+    assert np.max(np.abs(unlike.weights - swarm.weights)) > 1e-3
+
+
+@needs_gcc
+def test_the_heading_of_the_mixture_goes_around_the_circle(tmp_path: Path):
+    drive = make_drive(duration=40.0, seed=2, gps_std=1.0)
+    drive = turned_west(drive)
+    p = given("planar8", "ukf", "plain")
+    c, swarm = c_filter(tmp_path, p, drive, 16), python_lanes(p, drive, 16)
+    crossed, start = 0, initial_state(drive).time
+    for t in both(drive, c, swarm, 0.0):
+        if t > start and round(100 * t) % 5 == 0:
+            ours = swarm.state.mean
+            assert distance(np.array([c.mean]), ours[np.newaxis]) < 1e-9
+            headings = swarm._rows_of(swarm._numbers)[4]
+            crossed += bool(np.abs(ours[4]) > 3.0 and np.ptp(np.sign(np.sin(headings))) == 2)
+    assert crossed > 10, "the lanes' headings never lay on both sides of west"
+
+
+def turned_west(drive: Drive) -> Drive:
+    """The drive turned so that it goes west where it is half over."""
+    gps, start = drive.gps, initial_state(drive)
+    half = drive.gps.time > drive.imu.time[0] + 0.5 * drive.duration
+    middle = np.flatnonzero(half)[0]
+    way = complex(gps.x[middle + 2] - gps.x[middle - 2], gps.y[middle + 2] - gps.y[middle - 2])
+    turn = -np.conj(way) / abs(way)
+    z = (gps.x + 1j * gps.y) * turn
+    assert start.time < gps.time[middle]
+    return replace(
+        drive, gps=replace(gps, x=z.real.copy(), y=z.imag.copy(), speed=None, course=None), truth=None
+    )
+
+
+@needs_gcc
+def test_that_all_lanes_failed_is_told_and_nothing_counts(tmp_path: Path):
+    p, drive = given("planar8", "ukf", "plain"), equipped()
+    c = c_filter(tmp_path, p, drive, 4)
+    t = initial_state(drive).time + 0.01
+    assert c.predict(t, (0.0, 0.0, 0.0))
+    assert not c.failed and sum(c.weights) == pytest.approx(1.0)
+    c.predict(t + 0.01, (1e200, 0.0, 0.0))
+    assert c.failed
+    assert c.weights == [0.0] * 4
+
+
+@needs_gcc
+def test_one_lane_that_failed_does_not_count(tmp_path: Path):
+    """A lane's numbers are planted with NaN, where C holds them; the others' mixture goes on."""
+    p, drive = given("planar8", "ukf", "plain"), equipped()
+    c, swarm = c_filter(tmp_path, p, drive, 3), python_lanes(p, drive, 3)
+    for k, _ in enumerate(both(drive, c, swarm, 0.0)):
+        if k == 1500:
+            swarm._rows_of(swarm._numbers)[4, 1] = np.nan
+            plant(c, lane=1)
+    assert c.weights[1] == 0.0 == swarm.weights[1]
+    np.testing.assert_allclose(c.weights, swarm.weights[:3], rtol=0, atol=1e-9)
+    assert distance(np.array([c.mean]), swarm.state.mean[np.newaxis]) < 1e-9
+
+
+def plant(c: Any, lane: int) -> None:
+    """NaN into a lane's heading: found by its mean, which no other place of the memory holds."""
+    state = type(c._state)()
+    c._c.ins_gps_lane(c._memory, lane, ctypes.byref(state))
+    assert -math.pi < state.mean[4] <= math.pi
+    memory = np.frombuffer(c._memory, dtype=np.float64)
+    (place,) = np.flatnonzero(
+        np.abs(np.mod(memory - state.mean[4] + math.pi, 2 * math.pi) - math.pi) < 1e-13
+    )[:1]
+    memory[place] = np.nan
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",), ("-DINS_GPS_HISTORY=0",), SANITIZERS])
+@pytest.mark.parametrize(
+    "case", quickly([(0,), (2,)], lambda case: case == 0), ids=lambda case: CASES[case][0]
+)
+def test_the_replay_builds_without_a_word(tmp_path: Path, case: int, flags: tuple[str, ...]):
+    model, kind, option, lanes = CASES[case]
+    p, drive = given(model, kind, option), equipped()
+    theirs = replay_c(build(tmp_path, p, *flags, lanes=lanes), drive, p.model)
+    (checked,) = check_export(tmp_path, p, [drive], lanes=lanes)
+    assert checked.double.state < 1e-9
+    assert checked.single is not None and 0.0 < checked.single.position < 1e-3
+    assert np.isfinite(theirs.mean).all()
+
+
+@needs_clang
+def test_clang_has_nothing_to_say(tmp_path: Path):
+    build(tmp_path, given("planar8", "ukf", "all"), compiler="clang", lanes=16)
+
+
+@needs_gcc
+@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+def test_cpp_takes_the_header(tmp_path: Path):
+    export_filter(given("planar8", "ukf", "all"), "c99", tmp_path, lanes=16)
+    (tmp_path / "main.cpp").write_text(
+        '#include "ins_gps.h"\nstatic InsGps f;\nint main() { return f.now.failed; }\n'
+    )
+    subprocess.run(["g++", "-Wall", "-Wextra", "-Werror", "-c", "main.cpp"], cwd=tmp_path, check=True)
+
+
+@needs_arm
+def test_a_board_finds_the_mixture(tmp_path: Path):
+    p, drive = given("planar8", "ukf", "all"), equipped()
+    program = build_for(M4F, tmp_path, p, "-DINS_GPS_FLOAT", "-DINS_GPS_HISTORY=0", lanes=4)
+    board = replay_on(M4F, program, drive, p.model)
+    swarm, means = python_lanes(p, drive, 4), []
+    c = c_filter(tmp_path / "host", p, drive, 4)
+    for t in both(drive, c, swarm, 0.0):
+        if t > initial_state(drive).time:
+            means.append(swarm.state.mean)
+    off = board.mean - np.array(means)
+    assert 0.0 < np.max(np.hypot(off[:, 0], off[:, 1])) < 0.01
+
+
+@needs_gcc
+@needs_shared
+@pytest.mark.parametrize("name", ["kitti-09-30-0033", "colorado-1"])
+def test_it_is_the_swarm_on_real_drives(tmp_path: Path, name: str):
+    p, drive = given("planar8", "ukf", "lateral"), read_drive(DRIVES / name)
+    drive = clip(drive, 0.0, initial_state(drive).time - drive.imu.time[0] + 45.0)
+    export_filter(p, "c99", tmp_path, lanes=16)
+    (checked,) = check_export(tmp_path, p, [drive], lanes=16)
+    assert checked.double.state < 1e-9
+
+
+@pytest.mark.parametrize("lanes", [-1, 0, LANES + 1])
+def test_there_are_not_any_number_of_lanes(tmp_path: Path, lanes: int):
+    with pytest.raises(InputError, match=f"lanes = {lanes}"):
+        export_filter(given("planar8", "ukf", "all"), "c99", tmp_path, lanes=lanes)
+
+
+def test_other_targets_run_one_filter(tmp_path: Path):
+    with pytest.raises(InputError, match="--lanes is for --to c99 only"):
+        export_filter(given("planar8", "ukf", "all"), "filterpy", tmp_path, lanes=4)
+
+
+def test_one_lane_is_the_filter_alone(tmp_path: Path):
+    p = given("planar8", "ukf", "all")
+    texts = [
+        {path.name: path.read_text() for path in export_filter(p, "c99", tmp_path / name, lanes=1, seed=seed)}
+        for name, seed in (("alone", 0), ("one", 5))
+    ]
+    assert texts[0] == texts[1]
+    assert "lane" not in texts[0]["ins_gps.c"].replace("planar", "")
