@@ -25,7 +25,7 @@ needs_arm = pytest.mark.skipif(bool(_MISSING), reason=f"not installed: {', '.joi
 
 BOARD = Path(__file__).parent / "arm"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
-_START, _EVENT = 40, 8  # as in arm/replay.c
+_START, _EVENT = 48, 8  # as in arm/replay.c
 _EVENTS = {"imu": 0.0, "fix": 1.0, "odometer": 2.0}
 
 
@@ -65,12 +65,8 @@ def build_for(
     *flags: str,
     main: Path = BOARD / "replay.c",
     optimize: str = "-O2",
-    align: bool = False,
 ) -> Path:
-    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``.
-
-    ``align``: with the search for the start.
-    """
+    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``."""
     export_filter(parameters, "c99", folder)
     common = (
         *machine.flags,
@@ -83,7 +79,7 @@ def build_for(
         f"-I{folder}",
     )
     objects: list[Path] = []
-    sources = [folder / "ins_gps.c", folder / "ins_gps_align.c"][: 2 if align else 1]
+    sources = [folder / "ins_gps.c", folder / "ins_gps_align.c"]
     for source in (*sources, main, BOARD / "board.c"):
         strict = WARNINGS if source in sources else ("-std=gnu99", "-fno-tree-loop-distribute-patterns")
         objects.append(folder / f"{source.stem}.o")

@@ -126,7 +126,8 @@ class LiveFilter:
         self._calls = live.live_calls()
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
-        self._planar = tuple(self._axes.index(axis) for axis in ("ax", "ay", "gz"))
+        aligning = ("ax", "ay", "gz", "gx", "gy")
+        self._aligning = tuple(self._axes.index(axis) for axis in aligning if axis in self._axes)
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
         self._plausible = plausible(p)
         self._takes_velocity = p.velocity_noise is not None
@@ -188,10 +189,9 @@ class LiveFilter:
             return
         if took == live.BOTH:
             held = self._belief[live.SAMPLE_AHEAD]
-            self._lately.sample(tuple(held[:4].tolist()))
+            self._lately.sample(tuple(held[[0, *_ALIGNING[: len(self._aligning)]]].tolist()))
             self._last_fix = (self._lately.last_fix(held[0]) or (self._last_fix,))[0]
-        ax, ay, gz = self._planar
-        self._lately.sample((t, imu[ax], imu[ay], imu[gz]))
+        self._lately.sample((t, *(imu[axis] for axis in self._aligning)))
         # Most samples bring nothing to look at.
         if (self._unseen or self._holds) and t > self._belief[live.START]:
             self._watch(self._recovery, t)
@@ -383,6 +383,10 @@ def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
     return LiveState(time, mean, covariance, not sound, lost)
+
+
+_ALIGNING = (1, 2, 3, 5, 6)
+"""Where ax, ay, gz, gx, gy stand in a kept sample, behind its time: see `AXES`."""
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:

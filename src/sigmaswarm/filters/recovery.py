@@ -148,11 +148,12 @@ class Seen:
         aligned = self.align()
         if aligned is None:
             return None
-        mean = aligned.mean
+        mean, gyro = aligned.mean, aligned.gyro
+        biases = np.array([0.0, 0.0, gyro.taken if gyro else 0.0])
         for dt, *imu in self.since:
-            mean = planar5(mean, dt, np.array(imu))
+            mean = planar5(mean, dt, np.array(imu) - biases)
         sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
-        return InitialState(mean, aligned.covariance, self.time) if sound else None
+        return InitialState(mean, aligned.covariance, self.time, gyro) if sound else None
 
 
 class Recovery:
@@ -233,8 +234,8 @@ class Lately:
         self._lever = tuple(lever)
         self._samples, self._fixes = deque[tuple[float, ...]](), deque[tuple[float, ...]]()
 
-    def sample(self, sample: tuple[float, float, float, float]) -> None:
-        """An IMU sample, after all before it: time, ax, ay, gz."""
+    def sample(self, sample: tuple[float, ...]) -> None:
+        """An IMU sample, after all before it: time, ax, ay, gz, and gx, gy of a filter that reads them."""
         samples = self._samples
         samples.append(sample)
         if samples[0][0] < sample[0] - _KEPT:
@@ -271,7 +272,7 @@ class Lately:
             if sample[0] < time:
                 break
             rows.append(sample)
-        steps = np.array(rows[::-1])
+        steps = np.array(rows[::-1])[:, :4]
         steps[:, 0] = np.diff(steps[:, 0], prepend=time)
         return steps
 
@@ -279,7 +280,8 @@ class Lately:
     def alignments(self) -> Alignments:
         """Of the fixes of these seconds, and what samples there are that are numbers."""
         samples = np.array(self._samples)
-        imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
+        columns = samples[np.isfinite(samples).all(axis=1)].T
+        imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
         now = self._samples[-1][0]
         gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)
         return Alignments(Drive("live", imu, gps, metadata={"gps_lever_arm_m": self._lever}))
