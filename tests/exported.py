@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.export.c99 import replay_rows
@@ -112,9 +112,7 @@ def twin(drive: Drive, parameters: FilterParameters, moved: float = 1e-13) -> tu
     mean[4] += moved
     ours = run_filter(drive, parameters, initial=initial, recover=False)
     assert ours.failure is None
-    other = run_filter(
-        drive, parameters, initial=InitialState(mean, initial.covariance, initial.time), recover=False
-    )
+    other = run_filter(drive, parameters, initial=replace(initial, mean=mean), recover=False)
     return ours.mean, distance(other.mean, ours.mean)
 
 

@@ -51,12 +51,15 @@ static void predict(double time)
 {
     const ins_gps_real ax = number(5.0), rate = number(0.5);
 #ifdef HAS_TILT
-    ins_gps_predict(&filter, time, ax, number(5.0), (ins_gps_real)9.81 + number(1.0), number(0.1), number(0.1), rate);
+    const ins_gps_real gx = number(0.1), gy = number(0.1);
+    ins_gps_predict(&filter, time, ax, number(5.0), (ins_gps_real)9.81 + number(1.0), gx, gy, rate);
+    ins_gps_align_predict(&align, time, ax, gx, gy, rate);
+    ins_gps_watch_sample(&watch, &filter, time, ax, gx, gy, rate);
 #else
     ins_gps_predict(&filter, time, ax, number(5.0), rate);
-#endif
     ins_gps_align_predict(&align, time, ax, rate);
     ins_gps_watch_sample(&watch, &filter, time, ax, rate);
+#endif
 }
 
 static void update(double time)
@@ -72,8 +75,13 @@ static void update(double time)
     ins_gps_update(&filter, time, x, y, given);
     ins_gps_watch_fix(&watch, time, x, y);
 #endif
-    if (ins_gps_align_fix(&align, time, x, y, mean, covariance) && (!all_finite(mean, 5) || !all_finite(covariance, 25))) {
-        seed = 0u; /* tells main */
+    if (ins_gps_align_fix(&align, time, x, y, mean, covariance)) {
+        if (!all_finite(mean, 5) || !all_finite(covariance, 25)) {
+            seed = 0u; /* tells main */
+        } else if (pick(8) == 0) {
+            ins_gps_init(&filter, time, mean, covariance, 0);
+            ins_gps_tell_gyro(&filter, &align.gyro);
+        }
     }
 #ifdef HAS_ODOMETER
     ins_gps_odometer(&filter, time + 0.01 * (double)pick(3), number(20.0));

@@ -7,10 +7,11 @@
  */
 #include "board.h"
 #include "ins_gps.h"
+#include "ins_gps_align.h"
 
 #include <math.h>
 
-enum { START = 40, EVENT = 8, AT_ONCE = 64 };
+enum { START = 48, EVENT = 8, AT_ONCE = 64 };
 enum { IMU, FIX, ODOMETER };
 
 static InsGps filter;
@@ -54,6 +55,21 @@ static void start(const double given[START])
     }
     const ins_gps_real lever_arm[3] = {z[1], z[2], z[33]};
     ins_gps_init(&filter, given[0], z + 3, z + 8, lever_arm);
+#ifdef HAS_TILT
+    const double *seen = given + 34;
+#else
+    const double *seen = given + 33;
+#endif
+    InsGpsGyro gyro;
+    for (int i = 0; i < 3; i++) {
+        gyro.bias[i] = seen[i];
+        gyro.variance[i] = seen[3 + i];
+    }
+    gyro.taken = seen[6];
+    for (int i = 0; i < 5; i++) {
+        gyro.turns[i] = seen[7 + i];
+    }
+    ins_gps_tell_gyro(&filter, &gyro);
 }
 
 int main(void)

@@ -135,7 +135,7 @@ FUZZED = {
 def test_random_calls_trap_nothing_on_a_board(
     tmp_path: Path, machine: Machine, case: str, flags: tuple[str, ...]
 ):
-    program = build_for(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c", align=True)
+    program = build_for(machine, tmp_path, FUZZED[case], *flags, main=BOARD / "fuzz.c")
     assert emulate(machine, program) == 0
 
 

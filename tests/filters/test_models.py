@@ -1,6 +1,7 @@
 """Models are descriptions: what reads them agrees with them, and a larger one would find its place."""
 
 import importlib
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -64,7 +65,8 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
 
 @EACH_MODEL
 def test_all_forms_start_from_the_same_state(name: str):
-    initial, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
+    seen, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
+    initial = replace(seen, gyro=None)
     mean, covariance = start_of(initial, p)
     assert mean[:5].tolist() == initial.mean.tolist()
     tilt, gyro = np.radians(3.0) ** 2, 0.004**2
@@ -76,6 +78,12 @@ def test_all_forms_start_from_the_same_state(name: str):
     off = 1e-15 if MODELS[name].tilts else 0.0  # an attitude is turned into a quaternion and back
     assert np.max(np.abs(means - mean)) <= off
     assert all(c.tolist() == covariance.tolist() for c in covariances)
+    mean, covariance = start_of(seen, p)
+    rows = start_rows([seen], [0.01], Chunk((p,)))[0]
+    means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
+    np.testing.assert_allclose(means, np.tile(mean, (len(means), 1)), atol=1e-15)
+    np.testing.assert_allclose(covariances[0], covariance, atol=1e-18, rtol=1e-13)
+    assert (p.n_states > 5) == (mean[:5].tolist() != initial.mean.tolist())
 
 
 @EACH_MODEL

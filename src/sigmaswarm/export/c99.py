@@ -6,8 +6,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from sigmaswarm.drives import frozen, gaps, standstill
-from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, standstill
+from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, in_range, listed, plain, values_of
@@ -108,6 +108,7 @@ def replay_events(
     if MODELS[model].tilts is not None:
         start = [*start, drive.antenna_height]
         axes += ["az", "gx", "gy"]
+    start += _gyro(initial)
     events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps)]  # a fix before the sample of its time
     if drive.odometer is not None:
         readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
@@ -116,6 +117,13 @@ def replay_events(
     events += [(t, 1, "imu", [t, *u]) for t, *u in samples]
     ordered = sorted(events, key=itemgetter(0, 1))
     return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
+
+
+def _gyro(initial: InitialState) -> list[float]:
+    """What a start shows of the gyro, in the order of InsGpsGyro."""
+    seen = initial.gyro
+    assert seen is not None  # an alignment says it
+    return [*seen.bias, *seen.variance, seen.taken, *seen.turns]
 
 
 def _fixes(gps: Gps) -> list[list[float]]:
@@ -193,11 +201,19 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "HEADING_OFF": float(recovery.HEADING_OFF),
         "POSITION_OFF": recovery.POSITION_OFF,
         "SPEED_STD": recovery.SPEED_STD,
+        "CONTRADICTS": gyro_seen.CONTRADICTS,
+        "STRANGE": gyro_seen.STRANGE,
+        "STRANGE_STD": gyro_seen.STRANGE_STD,
+        "YAW_STD": float(gyro_seen.YAW_STD),
+        "TURN_SHARE": gyro_seen.TURN_SHARE,
+        "LEAN_STD": float(gyro_seen.LEAN_STD),
+        "MOST_BIAS": gyro_seen.MOST_BIAS,
     }
     return (
         plain(derived)
         | {
             "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "REFITS": str(alignment.REFITS),
             "SLOTS": str(round(1.0 / schedule.LATERAL_INTERVAL)),  # of the standstill and the odometer, too
             "BLOCKS": str(round(1.0 / standstill.BLOCK)),
             "PROCESS_NOISE": listed(p.process_noise, "R({})"),

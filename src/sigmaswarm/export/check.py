@@ -23,7 +23,7 @@ from sigmaswarm.filters.run import replay_of, run_filter
 from sigmaswarm.filters.swarm.run import SwarmRun
 
 COMPILERS = ("cc", "gcc", "clang")
-_SOURCES = ("ins_gps.c", "ins_gps_shared.c")
+_SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,9 @@ def _replay(
     )
     (_, start), *told = events
     lever_arm = (start[1], start[2], start[33] if tilted else 0.0)
-    board: Any = module.Filter(start[0], start[3:8], start[8:33], lever_arm, library)
+    board: Any = module.Filter(
+        start[0], start[3:8], start[8:33], lever_arm, library, start[34 if tilted else 33 :]
+    )
     means: list[list[float]] = []
     for name, (time, *z) in told:
         if name == "imu":

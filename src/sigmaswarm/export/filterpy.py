@@ -9,7 +9,7 @@ import inspect
 from types import ModuleType
 
 from sigmaswarm import geodesy
-from sigmaswarm.drives import alignment, frozen, gaps, standstill
+from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import features_of, listed, values_of
 from sigmaswarm.export.template import fill
@@ -59,7 +59,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
         "FROZEN_SOURCE": source_of(frozen),
         "GAPS_SOURCE": source_of(gaps),
         "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
-        "ALIGNMENT_SOURCE": source_of(alignment),
+        "ALIGNMENT_SOURCE": "\n\n\n".join(map(source_of, (gyro_seen, alignment_fit, alignment))),
         "STANDSTILL_SOURCE": source_of(standstill),
     }
     return {FILE: fill("filterpy.py.in", features, values)}

@@ -151,7 +151,7 @@ class LiveFilter:
                 np.zeros((0 if p.odometer_noise is None else MOST_READINGS + int(200 * history), 2)),
                 np.zeros((samples, live.N_RECORD)),
                 np.zeros((0, 0)),
-                np.zeros((2 + int(FASTER_IMU * WATCHED / nominal_interval) if recover else 0, 4)),
+                np.zeros((2 + int(FASTER_IMU * WATCHED / nominal_interval) if recover else 0, live.N_SAMPLE)),
             ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
@@ -278,22 +278,22 @@ class LiveFilter:
             fix_variance=self._variance_of(fix),
             lever=self._lever,
             latency=self.parameters.latency,
-            since=lambda: steps_since(self._samples(gyro_bias), time),
+            since=lambda: steps_since(self._samples, time),
             heading=lambda: self._calls.heading(self._memory.handle, gyro_bias),
-            align=cache(lambda: self._aligned(gyro_bias)),
+            align=cache(self._aligned),
         )
 
-    def _samples(self, gyro_bias: float) -> Array:
-        """Those of the last `WATCHED` seconds, and one before them, (k, 4): time, ax, ay, gz less its bias."""
-        of = self._memory.arrays
+    @property
+    def _samples(self) -> Array:
+        """Those of the last `WATCHED` seconds, and one before, (k, 4 or 6): time, ax, ay, gz, and gx, gy if read."""
+        of, columns = self._memory.arrays, [0, *_ALIGNING[: 5 if "gx" in self._axes else 3]]
         newest, n = int(of.counts[live.NEWEST]), int(of.counts[live.N_LATELY])
-        samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)]
-        samples[:, 3] -= gyro_bias
+        samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
 
-    def _aligned(self, gyro_bias: float) -> InitialState | None:
+    def _aligned(self) -> InitialState | None:
         """The alignment that ends at the last fix, if there is one."""
-        return aligned_by(self._samples(gyro_bias), self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
+        return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
 
     @property
     def _counted_fixes(self) -> Array:
@@ -373,6 +373,10 @@ def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
     return LiveState(time, mean, covariance, not sound, lost)
+
+
+_ALIGNING = (1, 2, 3, 5, 6)
+"""Where ax, ay, gz, gx, gy stand in a kept sample, behind its time: see `AXES`."""
 
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:

@@ -246,6 +246,11 @@ class CarModel:
         names = enumerate(self.states)
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
+    @cached_property
+    def gyro_places(self) -> dict[int, int]:
+        """The same by the axes' numbers: 0 forward, 1 left, 2 up."""
+        return {"xyz".index(axis[-1]): place for axis, place in self.gyro_axes.items()}
+
 
 def _plane(variance: tuple[float, float]) -> tuple[State, ...]:
     return (

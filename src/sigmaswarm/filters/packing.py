@@ -200,12 +200,13 @@ def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[floa
     model, bias_std = chunk.model, np.array([p.bias_std for p in chunk.sets])[_lanes(len(chunk.sets))]
     rows = np.zeros((len(initial), N_KEPT, len(bias_std)))
     for each, start, interval in zip(rows, initial, nominal_intervals, strict=True):
-        each[:N_STATE] = pack_states(*starts_of(start, MODELS[model], bias_std), model)
+        mean, covariance = starts_of(start, MODELS[model], bias_std)
+        each[:N_STATE] = pack_states(mean, covariance, model)
+        each[R.HEADING] = mean[:, THETA]
         each[CONSTANT_ROWS] = chunk.constants(interval)
     rows[:, [R.DET, R.TAIL, R.OK]] = 1.0
     rows[:, [R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
     rows[:, R.RECENT] = -1.0
-    rows[:, R.HEADING] = np.array([start.mean[THETA] for start in initial])[:, np.newaxis]
     return rows
 
 

@@ -144,11 +144,12 @@ class Seen:
         aligned = self.align()
         if aligned is None:
             return None
-        mean = aligned.mean
+        mean, gyro = aligned.mean, aligned.gyro
+        biases = np.array([0.0, 0.0, gyro.taken if gyro else 0.0])
         for dt, *imu in self.since():
-            mean = planar5(mean, dt, np.array(imu))
+            mean = planar5(mean, dt, np.array(imu) - biases)
         sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
-        return InitialState(mean, aligned.covariance, self.time) if sound else None
+        return InitialState(mean, aligned.covariance, self.time, gyro) if sound else None
 
 
 class Recovery:
@@ -217,15 +218,16 @@ class _Contradiction:
 
 
 def steps_since(samples: Array, time: float) -> Array:
-    """The steps from a moment to the last sample, (k, 4), as `Seen.since`, of samples (m, 4)."""
-    steps = samples[samples[:, 0] >= time]
+    """The steps from a moment to the last sample, (k, 4), as `Seen.since`, of samples (m, 4 or more)."""
+    steps = samples[samples[:, 0] >= time, :4]
     steps[:, 0] = np.diff(steps[:, 0], prepend=time)
     return steps
 
 
 def aligned_by(samples: Array, fixes: Array, lever: Array) -> InitialState | None:
-    """By the last seconds of a stream: samples (k, 4) s, m/s2, m/s2, rad/s, and fixes (m, 3) s, m, m."""
-    imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
+    """By the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy, and fixes (m, 3) s, m, m."""
+    columns = samples[np.isfinite(samples).all(axis=1)].T
+    imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
     if not len(imu):
         return None
     drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})

@@ -173,7 +173,8 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[Array, Array]:
     """Means (..., n) and covariances (..., n, n) for bias_std of shape (..., 2).
 
-    What a start does not say is 0: a bias, as unsure as ``bias_std`` says, or roll and pitch, as their states say.
+    What a start does not say is 0: a bias, as unsure as ``bias_std`` says, or roll and pitch, as their states say. What
+    it shows of the gyro's biases goes into them: see `GyroSeen.tell`.
     """
     n, known = len(model.states), min(len(model.states), len(initial.mean))
     mean, covariance = np.zeros((*bias_std.shape[:-1], n)), np.zeros((*bias_std.shape[:-1], n, n))
@@ -185,6 +186,9 @@ def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[
             covariance[..., i, i] = bias_std[..., sensors.index(state.bias_of)] ** 2
         else:
             covariance[..., i, i] = state.start_std**2
+    if initial.gyro is not None and model.gyro_places:
+        std = bias_std[..., sensors.index("gyro")]
+        initial.gyro.tell(mean, covariance, model.gyro_places, std)
     return mean, covariance
 
 

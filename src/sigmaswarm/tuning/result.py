@@ -33,6 +33,10 @@ MARGIN_TAKEN = (
     "the tuning has not seen, the one that doubts more does better. On the same roads it drifts somewhat farther over "
     "outages; --margin 0 leaves it out"
 )
+OF_THESE_SENSORS = (
+    "tuned with truth it belongs to the receiver and the IMU of these drives: on others it may be far worse than their "
+    "fixes. For those tune without truth (--objective innovation-t)"
+)
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
 
@@ -155,6 +159,8 @@ class Tuning(Generic[P]):
                 f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
                 "search longer, with more trials, or polish"
             )
+        if isinstance(self.parameters, FilterParameters) and "truth" in self.config.objective:
+            remarks.append(OF_THESE_SENSORS)
         if self.validation is None:
             remarks.append(NOT_VALIDATED)
         elif not np.isfinite(self.validation.cost):

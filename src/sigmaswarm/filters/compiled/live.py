@@ -11,7 +11,7 @@ what is here is compiled once for all models. The memory is eight arrays:
     history (h, N_RECORD) a ring: the last samples, and the belief before each of them
     marks   (m, k) a ring: the k numbers behind the belief, which the step changes too, before each MARK_EVERY-th
             sample; of no rows where there are none
-    lately  (l, 4) a ring: the last samples as the watch reads them, see `watch`; of no rows where nobody watches
+    lately  (l, N_SAMPLE) a ring: the last samples, for the watch (see `watch`); of no rows where nobody watches
 
 A sample is its time and the IMU's axes in the order of `timeline.AXES`, 0 where the model does not read one.
 """
@@ -415,7 +415,7 @@ def _watch(counts, lately, sample):
     if lately.shape[0] > 0:
         row = counts[NEWEST] = (counts[NEWEST] + 1) % lately.shape[0]
         counts[N_LATELY] = min(counts[N_LATELY] + 1, lately.shape[0])
-        _copy(sample, lately[row], 4)
+        _copy(sample, lately[row], N_SAMPLE)
 
 
 @_plain

@@ -1,6 +1,7 @@
 """What a live filter's watch asks for at every sample: the last fix that counts, and a rough heading by the log alone.
 
-The samples of the last seconds are in a ring, (k, 4): time, ax, ay, gz. Rows of fixes are those of `live`.
+The samples of the last seconds are in a ring: time, ax, ay, gz, and what else a sample has. Rows of fixes are those of
+`live`.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false

@@ -1,0 +1,98 @@
+"""What the last seconds before a start show of the gyro's bias, and what a filter makes of it.
+
+A cheap gyro may be off by 20 deg/s when it is turned on. Then the way that it bends is not the way that the fixes went,
+and a car that hardly leans seems to roll over. Both show the bias, to about a degree per second: less than a filter's
+``bias_std`` says of a good gyro, which stays what it is, and far more than is known of a cheap one.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UP = 2
+"""The place of the rate about the vertical axis."""
+CONTRADICTS = 5.0
+"""Standard deviations of the bias about up, from which on an alignment takes it off."""
+STRANGE = 1e-5
+"""How likely it is that a filter gets a gyro far worse than what it was tuned for: five sigmas make it sure. More would
+make each start less sure of a good gyro: by 0.07 deg/s with a thousandth."""
+STRANGE_STD = 0.2
+"""rad/s: of the biases of such ones; uncalibrated, an MPU-6050 may be off by 20 deg/s."""
+YAW_STD = np.radians(1.0)
+"""rad/s: no way shows the bias better, for the car slips, and receivers smooth their fixes."""
+TURN_SHARE = 0.3
+"""Of the mean rate of a turn: by so much it may be taken for bias, since fixes lag behind, and the car slips more."""
+LEAN_STD = np.radians(8.0)
+"""rad: how much roll and pitch change within some seconds, on a road that begins to climb, say."""
+MOST_BIAS = 0.5
+"""rad/s: no gyro is off by more, so what shows more are fixes that jumped."""
+
+
+@dataclass(frozen=True, eq=False)
+class GyroSeen:
+    """What an alignment shows of the gyro.
+
+    Attributes
+    ----------
+    bias, variance : ndarray, shape (3,)
+        rad/s about forward, left and up, and squared; infinite where nothing is known.
+    taken : float
+        rad/s: the bias about up for which the alignment's mean and covariance hold.
+    turns : ndarray, shape (5,)
+        How x, y, vx, vy, theta change with that bias, per rad/s.
+    """
+
+    bias: Array
+    variance: Array
+    taken: float
+    turns: Array
+
+    def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
+        """Put it into a filter's states at the start.
+
+        The bias is what two measurements say: 0, as unsure as ``std``, and what is seen. Or the filter was not
+        tuned for this gyro (`STRANGE`), which then may be off by far more (`STRANGE_STD`); how likely that is, all axes
+        tell together. The two cases count as they are likely.
+
+        Parameters
+        ----------
+        mean : ndarray, shape (..., n)
+            Those of the states 0 to 4 as the alignment gives them; changed in place.
+        covariance : ndarray, shape (..., n, n)
+            The same.
+        places : mapping of int to int
+            Of the axes, 0 to 2, whose bias the filter estimates: the place of the bias among the states.
+        std : ndarray, shape (...)
+            rad/s: how far off the filter expects the gyro to be.
+        """
+        bias, variance = self._with(np.asarray(std)[..., None], [*places])
+        for k, (axis, place) in enumerate(places.items()):
+            mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]
+            if axis == UP:
+                across = variance[..., k, None] * self.turns
+                mean[..., :5] += (bias[..., k, None] - self.taken) * self.turns
+                covariance[..., :5, :5] += across[..., None] * self.turns
+                covariance[..., :5, place] = covariance[..., place, :5] = across
+
+    def _with(self, std: Array, axes: list[int]) -> tuple[Array, Array]:
+        """Biases and variances (..., k) of some axes, for ``std`` (..., 1)."""
+        usual, strange = (self._measured(each, axes) for each in (std, np.array([STRANGE_STD])))
+        odds = np.log(STRANGE / (1 - STRANGE)) + strange[2] - usual[2]
+        share = 1.0 / (1.0 + np.exp(np.clip(-odds, -700.0, 700.0)))
+        bias = (1 - share) * usual[0] + share * strange[0]
+        parts = [each[1] + (each[0] - bias) ** 2 for each in (usual, strange)]
+        return bias, (1 - share) * parts[0] + share * parts[1]
+
+    def _measured(self, std: Array, axes: list[int]) -> tuple[Array, Array, Array]:
+        """Biases and variances, (..., k), of a gyro that may be off by ``std``, and its likelihood.
+
+        That is the logarithm, (..., 1), of the density of what is seen, but for a constant.
+        """
+        seen, variance = self.bias[axes], self.variance[axes]
+        left = std**2 / (1.0 + std**2 / variance)
+        surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)
+        return seen * left / variance, left, -0.5 * surprise.sum(axis=-1, keepdims=True)

@@ -1,0 +1,95 @@
+"""The exported C filter starts with what is seen of the gyro's bias: as the library does, and by its own alignment."""
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exported import SANITIZERS, build, distance, needs_gcc, replay, tuned
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.geodesy import wrap_angle
+from support import make_drive
+
+KINDS = {"planar8": "ukf", "tilted12": "ekf"}
+OFF = np.radians([9.0, -6.0, 14.0])
+
+
+def off(share: float) -> Drive:
+    drive = make_drive(duration=30.0, seed=4)
+    imu = drive.imu
+    assert imu.gx is not None
+    assert imu.gy is not None
+    x, y, z = share * OFF
+    return replace(
+        drive,
+        imu=replace(imu, gx=imu.gx + x, gy=imu.gy + y, gz=imu.gz + z),
+        metadata={"gps_lever_arm_m": [0.8, -0.3, 1.0]},
+    )
+
+
+def filter_of(model: str) -> FilterParameters:
+    """Tuned on a gyro that is hardly off."""
+    return replace(tuned(model, KINDS[model], 0.01, everything=False), bias_std=(0.1, 3e-4))
+
+
+@needs_gcc
+@pytest.mark.parametrize("share", [0.1, 0.6, 1.0])
+@pytest.mark.parametrize("model", KINDS)
+def test_told_of_the_start_it_is_the_run(tmp_path: Path, model: str, share: float):
+    drive, p = off(share), filter_of(model)
+    ours = run_filter(drive, p, recover=False)
+    theirs = replay(build(tmp_path, p, *SANITIZERS), drive, model)
+    np.testing.assert_array_equal(theirs.time, ours.time)
+    assert distance(theirs.mean, ours.mean) < 1e-9
+    deviation = np.sqrt(np.diagonal(ours.covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(np.sqrt(theirs.variance), deviation, rtol=1e-7)
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [(), ("-DINS_GPS_FLOAT",)], ids=["double", "float"])
+@pytest.mark.parametrize("model", KINDS)
+def test_its_own_alignment_sees_the_bias(tmp_path: Path, model: str, flags: tuple[str, ...]):
+    drive, p = off(1.0), filter_of(model)
+    arm = [*drive.lever_arm.tolist(), drive.antenna_height][: 3 if model == "tilted12" else 2]
+    rows = [",".join(["align", *map(repr, arm)]), *replay_rows(drive, model).splitlines()[1:]]
+    done = subprocess.run(
+        [build(tmp_path, p, *SANITIZERS, *flags)],
+        input="\n".join(rows) + "\n",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    table = np.loadtxt(done.stdout.splitlines(), delimiter=",", skiprows=1)
+    ours, truth = run_filter(drive, p), drive.truth
+    assert truth is not None
+    assert not ours.restarts
+    soon = 100  # 1 s after the start
+    theta = np.interp(table[soon, 0], truth.time, np.unwrap(truth.theta))
+    assert abs(wrap_angle(float(table[soon, 5] - theta))) < np.radians(12.0)  # without it 25 to 30
+    assert table[soon, 8] == pytest.approx(OFF[2], abs=np.radians(5.0))
+    np.testing.assert_allclose(table[-1, 1:6], ours.mean[-1, :5], atol=0.3)
+    assert abs(table[-1, 8] - OFF[2]) < np.radians(0.5)
+
+
+@needs_gcc
+def test_a_start_without_it_is_one_as_before(tmp_path: Path):
+    drive, p = off(0.1), filter_of("planar8")
+    first, *rest = replay_rows(drive, "planar8").splitlines()
+    plain = ",".join(first.split(",")[:34])
+    done = subprocess.run(
+        [build(tmp_path, p)],
+        input="\n".join([plain, *rest]) + "\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    last = np.array([float(cell) for cell in done.stdout.splitlines()[-1].split(",")])
+    initial = replace(run_filter(drive, p, recover=False).initial, gyro=None)
+    ours = run_filter(drive, p, initial=initial, recover=False)
+    np.testing.assert_allclose(last[1:9], ours.mean[-1], rtol=0, atol=1e-8)
