@@ -2,9 +2,11 @@
 
 import csv
 import json
+import math
 import random
 import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +18,12 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.run import Study, run_study
 from sigmaswarm.report.study import save_study
+from sigmaswarm.tuning.racing import MANY
 from sigmaswarm.tuning.search import Search
 from sigmaswarm.tuning.space import SearchSpace, search_space
 from sigmaswarm.tuning.tune import tune
@@ -103,6 +107,42 @@ def test_the_papers_protocol_does_not_race(design: Design):
     raced = {(m, p): racing.tune_config(m, p).racing for m, each in TUNED_METHODS.items() for p in each}
     assert raced == {variant: variant[1] != "paper" for variant in raced}
     assert not any(design.tune_config(m, p).racing for m, p in raced)
+
+
+def test_it_races_by_itself_where_training_drives_are_many():
+    def races(of_each: int, **asked: object) -> bool:
+        strata = tuple(name for name in ("turns-clear", "turns-rain") for _ in range(of_each))
+        config = TINY.model_copy(update=asked)
+        return Design((), (("", ""),) * len(strata), strata, config).tune_config("pso-ukf", "honest").racing
+
+    enough = math.ceil(MANY / 2 / TINY.train_fraction)
+    assert races(enough)
+    assert not races(enough - 2)
+    assert not races(enough, per_condition=True)
+    assert races(2 * enough, per_condition=True)
+    assert not races(enough, racing=False)
+    assert races(3, racing=True)
+
+
+def test_what_racing_was_asked_for_is_kept(tmp_path: Path):
+    for racing, kept in ((None, False), (True, True), (False, True)):
+        config = TINY.model_copy(update={"racing": racing})
+        (tmp_path / "study.toml").write_text(config.to_toml())
+        assert ("racing" in config.to_toml()) == kept
+        assert read_config(tmp_path / "study.toml") == config
+
+
+def test_the_longest_begin_first_and_order_stays():
+    begun: list[str] = []
+
+    def run(task: str, tell: Tell) -> str:
+        begun.append(task)
+        return task.upper()
+
+    with ThreadPoolExecutor(1) as pool:
+        found = run_grid(["a", "ccc", "bb", "dd"], run, pool, effort=len)
+    assert begun == ["ccc", "bb", "dd", "a"]
+    assert list(found.items()) == [("a", "A"), ("ccc", "CCC"), ("bb", "BB"), ("dd", "DD")]
 
 
 def test_the_budget_counts_the_first_generation(whole: Study):

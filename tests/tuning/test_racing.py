@@ -14,8 +14,9 @@ from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.optimizers import OPTIMIZERS
 from sigmaswarm.tuning.problem import CarProblem, car_problem
-from sigmaswarm.tuning.racing import race, rungs
-from sigmaswarm.tuning.search import Progress
+from sigmaswarm.tuning.racing import FIRST, MANY, Leader, leader_at, race, rungs
+from sigmaswarm.tuning.search import Progress, Search
+from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.tuning.tune import tune as tune_by_default
 from support import make_drive
 
@@ -165,3 +166,121 @@ def test_every_optimizer_can_race(optimizer: str, tmp_path: Path):
     with pytest.raises(KeyboardInterrupt):
         tune(DRIVES, out=tmp_path, progress=stop, **asked)
     assert bits(tune(DRIVES, out=tmp_path, resume=True, **asked)) == bits(tuning)
+
+
+class Bowls:
+    """A bowl a drive, each with a bottom of its own; some points fail on one drive. Counts what it was asked."""
+
+    def __init__(self, n_drives: int) -> None:
+        rng = np.random.default_rng(7)
+        self.bottoms = rng.normal(0.3, 0.1, (n_drives, 3))
+        self.hard, self.steps = rng.uniform(1, 5, n_drives), np.full(n_drives, 100)
+        self.space = Box3()
+        self.asked = 0
+
+    def each(self, points: np.ndarray, drives, executor) -> np.ndarray:
+        self.asked += len(points) * len(drives)
+        costs = self.hard[list(drives)] + ((points[:, None] - self.bottoms[list(drives)]) ** 2).sum(axis=2)
+        costs[np.ix_(points[:, 0] < -0.8, [k for k, drive in enumerate(drives) if drive == 5])] = np.inf
+        return costs
+
+    def mean(self, each: np.ndarray) -> np.ndarray:
+        return each.mean(axis=1)
+
+    def costs(self, points: np.ndarray, executor) -> np.ndarray:
+        return self.mean(self.each(points, range(len(self.steps)), executor))
+
+
+class Box3:
+    low, high = np.full(3, -1.0), np.full(3, 1.0)
+
+
+def searched(problem: Bowls, folder: ResultFolder | None = None, progress=None, **options):
+    config = TuneConfig(particles=20, generations=30, racing=True, optimizer="pso", **options)
+    return Search(config, problem, None, folder, progress).trial(0)  # pyright: ignore
+
+
+def test_among_many_drives_it_begins_with_some():
+    assert rungs(30, 350) == [(30, 29), (15, 58), (8, 116), (4, 232), (2, 350)]
+    assert (rungs(30, MANY)[0], rungs(30, MANY - 1)[0]) == ((30, 8), (30, 1))
+
+
+def test_whoever_is_no_better_than_the_best_stops_when_it_is_plain():
+    """Drives differ by much more than candidates do, so that only a comparison on the same drives can tell."""
+    rng = np.random.default_rng(0)
+    hard = rng.uniform(0, 100, 120)
+    noise = rng.normal(0, 0.1, (6, 120))
+    costs = hard + np.array([1.0, 2.0, 3.0, 4.0, 5.0, 0.5])[:, None] + noise
+    leader = Leader(float(costs[0].mean()), costs[0])
+    order = rng.permutation(120)
+    table = Table(costs[1:5])
+    result = race(table, np.arange(4.0)[:, None], order, None, leader)
+    assert {drive for _, drive in table.asked} == set(order[: 120 // FIRST].tolist())  # nobody went on
+    assert result.leader is leader
+    assert result.costs == pytest.approx(costs[1:5].mean(axis=1), abs=1.0)  # told for all drives
+    assert (result.costs > leader.cost).all()
+
+    table = Table(costs[[1, 5, 2]])
+    result = race(table, np.arange(3.0)[:, None], order, None, leader)
+    assert result.costs[1] == costs[5].mean()
+    assert result.leader is not None
+    assert result.leader.cost == result.costs[1]
+    assert np.array_equal(result.leader.each, costs[5])
+    assert result.steps < 0.55 * 3 * table.steps.sum()
+
+
+def test_without_a_best_and_alone_all_drives_are_seen():
+    costs = np.random.default_rng(1).normal(size=(4, MANY))
+    costs[2, 3] = np.inf
+    table, result = raced(costs, range(MANY))
+    assert result.steps == 4 * table.steps.sum()
+    assert result.costs.tolist() == costs.mean(axis=1).tolist()
+    _, failed = raced(np.full((4, MANY), np.inf), range(MANY))
+    assert failed.leader is None
+    best = Leader(-10.0, np.full(MANY, -10.0))
+    alone = race(table, np.zeros((1, 1)), range(MANY), None, best)
+    assert (alone.costs[0], alone.leader) == (costs[0].mean(), best)
+
+
+def test_of_equal_costs_the_first_leads():
+    costs = np.tile(np.random.default_rng(2).normal(size=MANY), (2, 1))
+    first = Leader(float(costs[0].mean()), costs[0])
+    alone = race(Table(costs), np.zeros((1, 1)), range(MANY), None, first)
+    assert alone.leader is first
+
+
+def test_many_drives_cost_a_fraction_and_the_best_is_found():
+    raced_, plain = Bowls(100), Bowls(100)
+    found = searched(raced_)
+    best = float(plain.costs(plain.bottoms.mean(axis=0)[None], None)[0])
+    assert found.steps[-1] == 100 * raced_.asked
+    assert raced_.asked < 0.25 * 20 * 30 * 100
+    assert found.cost == plain.costs(found.point[None], None)[0]
+    assert found.cost - best < 0.01 < 0.1 < found.best[0] - best
+
+
+@pytest.mark.parametrize("polish", [0, 40])
+def test_among_many_drives_it_goes_on_in_the_same_bits(tmp_path: Path, polish: int):
+    whole = searched(Bowls(100), polish=polish)
+    for stopped in (1, 7, 29):
+        folder = ResultFolder(tmp_path / f"{polish}-{stopped}", {}, resume=True)
+
+        def stop(progress: Progress, at: int = stopped):
+            if progress.generation == at:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            searched(Bowls(100), folder, stop, polish=polish)
+        again = searched(Bowls(100), folder, polish=polish)
+        for name in ("point", "best", "median", "steps"):
+            assert getattr(again, name).tobytes() == getattr(whole, name).tobytes()
+
+
+def test_who_led_is_looked_up_in_the_same_bits():
+    problem = Bowls(120)
+    points = np.random.default_rng(3).uniform(-0.5, 0.5, (9, 3))
+    result = race(problem, points, np.random.default_rng(4).permutation(120), None)  # pyright: ignore
+    assert result.leader is not None
+    again = leader_at(problem, points[np.argmin(result.costs)], None)  # pyright: ignore
+    assert again.cost == result.leader.cost
+    assert again.each.tobytes() == result.leader.each.tobytes()

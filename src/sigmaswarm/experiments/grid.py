@@ -22,6 +22,7 @@ def run_grid(
     executor: Executor,
     *,
     rounds: int = 1,
+    effort: Callable[[T], float] | None = None,
     progress: Callable[[int, int, T], None] | None = None,
 ) -> dict[T, R]:
     """Run every task of a grid; where one fails or is interrupted, the others stop when they next tell.
@@ -34,6 +35,8 @@ def run_grid(
     executor : concurrent.futures.Executor
     rounds : int
         Of each task.
+    effort : callable, optional
+        How long a task takes, in any unit: the longest begin first, so that workers end together.
     progress : callable, optional
         Called with the rounds done, and of all tasks, and with the task that told.
 
@@ -50,12 +53,13 @@ def run_grid(
         tell(rounds)
         return result
 
-    futures = [executor.submit(one, task) for task in tasks]
+    queue = sorted(tasks, key=effort, reverse=True) if effort else tasks
+    futures = {task: executor.submit(one, task) for task in queue}
     try:
-        return {task: future.result() for task, future in zip(tasks, futures, strict=True)}
+        return {task: futures[task].result() for task in tasks}
     except BaseException:
         tally.stopped.set()
-        for future in futures:
+        for future in futures.values():
             future.cancel()
         raise
 

@@ -57,7 +57,8 @@ class SharedOptions(TypedDict, total=False):
         bool,
         Doc(
             "Try each generation on one drive first, its better half on two, and so on: fewer filter steps, with a "
-            "part of the drives deciding who goes on. With one drive it changes nothing."
+            "part of the drives deciding who goes on. With one drive it changes nothing; of 96 and more it begins with "
+            "a twelfth, and only who is better there than the best so far goes on."
         ),
     ]
     inertia: Annotated[float, Doc("The w of pso.")]

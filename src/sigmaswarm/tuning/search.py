@@ -13,7 +13,7 @@ from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Landscape
-from sigmaswarm.tuning.racing import Raced, race
+from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
 from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
 
 
@@ -93,6 +93,7 @@ class Search:
             past.median.append(float(np.median(told.costs)))
             past.steps.append(told.steps + (past.steps[-1] if past.steps else 0))
             past.failures += told.failures
+            past.leader = told.leader
             self._save(number, optimizer, past)
             self._report(number, past.best)
         history: dict[str, Any] = {"point": optimizer.global_best, **past.arrays()}
@@ -116,23 +117,23 @@ class Search:
 
     def _generation(self, number: int, optimizer: Budgeted, past: "_Past") -> Raced:
         """Ask for as many points as there are particles, in one batch or several. Nothing told once stalled."""
-        told = Raced(np.empty(0), 0, 0)
+        told = Raced(np.empty(0), 0, 0, past.leader)
         if self._stalled(past.best) and not optimizer.settle():
             return told
         while len(told.costs) < self.config.particles and len(points := optimizer.ask()):
-            batch = self._told(number, optimizer.spent, points)
+            batch = self._told(number, optimizer.spent, points, told.leader)
             optimizer.tell(batch.costs)
             told += batch
         return told
 
-    def _told(self, number: int, spent: int, points: Array) -> Raced:
+    def _told(self, number: int, spent: int, points: Array, leader: Leader | None) -> Raced:
         """What is told of a batch: its costs on all drives, or those of a race over them."""
         if not self.config.racing:
             costs = self.problem.costs(points, self.executor)
             return Raced(costs, len(points) * int(self.problem.steps.sum()), int(np.isinf(costs).sum()))
         chance = np.random.SeedSequence(self.config.seed, spawn_key=(number, spent))
         order = np.random.default_rng(chance).permutation(len(self.problem.steps))
-        return race(self.problem, points, order, self.executor)
+        return race(self.problem, points, order, self.executor, leader)
 
     def _stalled(self, best: list[float]) -> bool:
         patience = self.config.patience
@@ -150,14 +151,19 @@ class Search:
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if checkpoint is None or saved is None:
-            return _Past([], [], [], 0)
+            return _Past([], [], [], 0, None)
         arrays, notes = saved
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
             best, median, steps = (arrays[name].tolist() for name in ("best", "median", "steps"))
-            return _Past(best, median, steps, int(notes["failures"]))
+            return _Past(best, median, steps, int(notes["failures"]), self._leader(optimizer))
         except (KeyError, TypeError, ValueError):
             raise unreadable(checkpoint) from None
+
+    def _leader(self, optimizer: Budgeted) -> Leader | None:
+        """Who a resumed search races against: the best so far, if it had a finite cost and drives are many."""
+        needed = self.config.racing and len(self.problem.steps) >= MANY and np.isfinite(optimizer.global_cost)
+        return leader_at(self.problem, optimizer.global_best, self.executor) if needed else None
 
     def _report(self, number: int, best: list[float]) -> None:
         if self.progress:
@@ -174,6 +180,7 @@ class _Past:
     median: list[float]
     steps: list[int]
     failures: int
+    leader: Leader | None
 
     def arrays(self) -> dict[str, Any]:
         """Best and median cost, and steps spent, after each generation."""

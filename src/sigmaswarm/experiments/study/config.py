@@ -105,8 +105,9 @@ class StudyConfig(BaseModel):
     """Decides drives, splits and swarms."""
     per_condition: bool = False
     """Tune each condition by itself instead of one filter for all of them."""
-    racing: bool = False
-    """Drop the worse candidates of a generation before all drives are tried; not under the paper's protocol."""
+    racing: bool | None = None
+    """Drop the worse candidates of a generation before all drives are tried; not under the paper's protocol. None:
+    where each tuning has many training drives (`tuning.racing.MANY`)."""
     rivals: bool = False
     """Tune a fuzzy filter and by Bayesian optimization, and train networks, too."""
     learn_minutes: float = Field(default=20.0, ge=2)
@@ -151,9 +152,13 @@ class StudyConfig(BaseModel):
 
     @model_serializer(mode="wrap")
     def _as_asked(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A study without rivals says what it said before there were any."""
+        """A study without rivals says what it said before there were any, and TOML has no None."""
         told: dict[str, Any] = dump(self)
-        return {name: value for name, value in told.items() if self.rivals or name not in RIVALS_OPTIONS}
+        left_out = {
+            *(() if self.rivals else RIVALS_OPTIONS),
+            *(() if self.racing is not None else ("racing",)),
+        }
+        return {name: value for name, value in told.items() if name not in left_out}
 
     def to_toml(self) -> str:
         """The file that `read_config` reads."""

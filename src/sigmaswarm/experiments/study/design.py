@@ -40,6 +40,7 @@ from sigmaswarm.scoring.fleet import FleetReplays, of_each_prepared
 from sigmaswarm.simulation.conditions import Simulated, simulate_many
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import objective_for, with_filter
+from sigmaswarm.tuning.racing import MANY
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -123,9 +124,17 @@ class Design:
             trials=c.trials,
             seed=c.seed,
             outage_seed=c.seed,
-            racing=c.racing and protocol != "paper" and method != BY_BO,
+            racing=self._races and protocol != "paper" and method != BY_BO,
             as_recorded=True,
         )
+
+    @cached_property
+    def _races(self) -> bool:
+        """Whether tunings race: as asked for, or else where it costs no accuracy, among many training drives."""
+        if self.config.racing is not None:
+            return self.config.racing
+        train = set(self.split(0)[0])
+        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MANY
 
     @cached_property
     def _suiting(self) -> dict[str, Any]:

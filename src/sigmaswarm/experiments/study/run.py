@@ -46,8 +46,10 @@ from sigmaswarm.experiments.study.spread import spreads_of
 from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
 from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.tracks import Picture, save_tracks
+from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
 from sigmaswarm.tuning.search import Search, Trial
@@ -57,6 +59,10 @@ from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     from distributed import Client
+
+
+RACED = 0.2
+"""What racing leaves of a tuning's time, about: who begins first depends on it, nothing else."""
 
 
 @dataclass(frozen=True)
@@ -293,7 +299,18 @@ def _tune_all(
     def told(done: int, _: int, task: Task) -> None:
         progress(done, task)
 
-    return run_grid(list(design.tasks), one, pool, rounds=design.config.generations, progress=told)
+    def effort(task: Task) -> float:
+        variant = task.protocol, task.method
+        return _effort(configs[variant], needs[variant])
+
+    tasks, rounds = list(design.tasks), design.config.generations
+    return run_grid(tasks, one, pool, rounds=rounds, effort=effort, progress=told)
+
+
+def _effort(config: TuneConfig, outages: bool) -> float:
+    """About how long a tuning takes beside others on as many drives: of passes, of a step, of what racing leaves."""
+    passes, step = 1 + outages, len(MODELS[config.model].states) ** 1.5
+    return passes * step * (RACED if config.racing else 1.0) * config.particles * config.generations
 
 
 def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
