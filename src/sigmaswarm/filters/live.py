@@ -285,9 +285,10 @@ class LiveFilter:
         believed: Callable[[], tuple[Array, Array]],
         *,
         due: bool,
+        gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Where what is ``believed`` is to start anew, if it is."""
-        start = recovery.look(self._seen(now, fix, *believed())) if due else None
+        """Where what is ``believed`` is to start anew, if it is; ``gyro_bias``: what is known of it, rad/s."""
+        start = recovery.look(self._seen(now, fix, *believed(), gyro_bias)) if due else None
         if recovery.lost:
             theta = float(believed()[0][THETA])
             return at_fix(now, np.array(fix[1:3]), self._variance_of(fix), theta, self._lever)
@@ -297,8 +298,10 @@ class LiveFilter:
         """Diagonal of R of a fix, (2,) m2."""
         return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * np.array(fix[3:5])
 
-    def _seen(self, now: float, fix: tuple[float, ...], mean: Array, covariance: Array) -> Seen:
-        alignments = cache(lambda: self._lately.alignments)
+    def _seen(
+        self, now: float, fix: tuple[float, ...], mean: Array, covariance: Array, gyro_bias: float = 0.0
+    ) -> Seen:
+        alignments = cache(lambda: self._lately.alignments(gyro_bias))
         return Seen(
             time=now,
             mean=mean,
@@ -308,7 +311,7 @@ class LiveFilter:
             fix_variance=self._variance_of(fix),
             lever=self._lever,
             latency=self.parameters.latency,
-            since=self._lately.steps_since(fix[0]),
+            since=self._lately.steps_since(fix[0]) - np.array([0.0, 0.0, 0.0, gyro_bias]),
             course=lambda: float(alignments().course[-1]) if len(alignments().time) else np.nan,
             align=lambda: alignments().at(len(alignments().time) - 1) if len(alignments().time) else None,
         )

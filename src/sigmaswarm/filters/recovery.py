@@ -275,10 +275,9 @@ class Lately:
         steps[:, 0] = np.diff(steps[:, 0], prepend=time)
         return steps
 
-    @property
-    def alignments(self) -> Alignments:
-        """Of the fixes of these seconds, and what samples there are that are numbers."""
-        samples = np.array(self._samples)
+    def alignments(self, gyro_bias: float) -> Alignments:
+        """Of the fixes of these seconds, and what samples there are that are numbers; the gyro's less a bias, rad/s."""
+        samples = np.array(self._samples) - np.array([0.0, 0.0, 0.0, gyro_bias])
         imu = Imu(*samples[np.isfinite(samples).all(axis=1)].T)
         now = self._samples[-1][0]
         gps = Gps(*np.array([fix[:3] for fix in self._fixes if fix[0] <= now]).T)
