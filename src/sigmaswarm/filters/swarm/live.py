@@ -132,11 +132,12 @@ class _Pending:
 class LiveSwarm(LiveFilter):
     """Sixteen filters of a tuning, differently tuned, on one stream of samples; their mixture is the estimate.
 
-    How much a filter counts is told by the fixes: each lane foretells them, and its evidence is their likelihood under
-    Student's t, which fades within a minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes
-    stand for other receivers. Every 10 s while the car drives the worst lanes are replaced: by what a search finds over
-    the last minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or
-    the sky closes; on the car that a filter was tuned for it drives no better than the filter.
+    How much a filter counts is told by the fixes: each lane foretells them, and its evidence is their likelihood, which
+    fades within a minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other
+    receivers. Every 10 s while the car drives the worst lanes are replaced: by what a search finds over the last
+    minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or the sky
+    closes; on the car that a filter was tuned for it drives no better than the filter. Where its mixture is lost, lanes
+    start anew as a `LiveFilter` does, but by the gyro less the bias that they know, which most of them keep.
 
     It takes and gives what a `LiveFilter` does, and is used in the same way, but has no hindsight. A copy by `pickle`
     goes on with the same bits. A fix from before a moment at which lanes started anew comes too late for all of them.
