@@ -31,7 +31,7 @@ from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.filters.swarm.spread import Spread
 
-GENERATIONS = 4
+GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
 """Of differential evolution: F and CR."""
 NOT_SCORED = 2.0
