@@ -66,13 +66,9 @@ def build_for(
     *flags: str,
     main: Path = BOARD / "replay.c",
     optimize: str = "-O2",
-    align: bool = False,
     lanes: int = 1,
 ) -> Path:
-    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``.
-
-    ``align``: with the search for the start.
-    """
+    """An exported filter with a program (``main``) for a board; the linker's map is beside it, ``program.map``."""
     export_filter(parameters, "c99", folder, lanes=lanes)
     common = (
         *machine.flags,

@@ -28,16 +28,16 @@ from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.live import LiveFilter
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.packing import pack_constants
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
-from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE
 from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
 from sigmaswarm.filters.swarm.run import SwarmRun, run_swarm
-from sigmaswarm.filters.swarm.search import Steps, search
+from sigmaswarm.filters.swarm.search import Steps, Told, search
 from sigmaswarm.filters.swarm.spread import FIXED, START, R, Spread
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.scenarios import simulate
 from support import make_drive
 
 ALL = OPTIONS["all"]
@@ -148,8 +148,7 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
         innovations = run_innovations(seen, own, initial=start())
         before = start().time
         for t, nis, s in zip(innovations.time, innovations.nis, innovations.covariance, strict=True):
-            loss = 0.5 * math.log(np.linalg.det(s))
-            loss += 0.5 * (INNOVATION_DOF + 2) * math.log1p(nis / INNOVATION_SCALE)
+            loss = 0.5 * math.log(np.linalg.det(s)) + 0.5 * min(nis, swarm.LARGEST_NIS)
             evidence[lane] = evidence[lane] * math.exp((before - t) / swarm.EVIDENCE_LASTS) - loss
             before = t
     np.testing.assert_allclose(found._numbers[swarm.EVIDENCE], evidence, rtol=1e-8)
@@ -268,24 +267,35 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     p = parameters("planar8", **ALL)
     filter = fed(LiveSwarm, p, searches=False)
     taped = filter._tape(0, int(filter._numbers[swarm.TAPED]))
-    begins = filter._snapshots[0].lane
+    begins, told = filter._snapshots[0].lanes[:, 0], Told(0.0, start().time)
     steps = Steps(p.model, taped, np.array([1.0, 0.5, 1.2]))
     zero = np.zeros(len(filter.spread.names))
     wrong = zero.copy()
     wrong[filter.spread.names.index(R)] = 2.0
     population = filter.spread.first(np.random.default_rng(1))
 
+    def evidence_of(offsets: np.ndarray) -> float:
+        """As a swarm has it that began with these offsets."""
+        own = made(LiveSwarm, p, searches=False)
+        own.offsets[8] = offsets
+        own._start_lanes(start(), slice(None))
+        for _ in feed(own, events()):
+            pass
+        return float(own._numbers[swarm.EVIDENCE][8])
+
     def found():
-        return search(filter.spread, steps, begins, wrong, population, drive().nominal_interval, (3,))
+        return search(filter.spread, steps, begins, told, wrong, population, drive().nominal_interval, (3,))
 
     first, again = found(), found()
     assert first is not None and again is not None
-    assert first.better_by > 10.0  # than a hundred times R
+    assert first.told.evidence > evidence_of(wrong) + 10.0  # a hundred times R
     assert abs(first.offsets[filter.spread.names.index(R)]) < 1.0
     assert first.offsets.tobytes() == again.offsets.tobytes()
     assert first.lane.tobytes() == again.lane.tobytes()
+    assert first.told == again.told
+    assert first.told.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
     few = Steps(p.model, taped[:300], np.zeros(3))
-    assert search(filter.spread, few, begins, zero, population, 0.01, (0,)) is None
+    assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
 
 
 @pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
@@ -351,6 +361,49 @@ def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew(at: float):
     true = np.array([drive().truth.x[-1], drive().truth.y[-1]])
     assert np.linalg.norm(filter.state.mean[:2] - true) < 5.0
     assert filter.state.covariance[0, 0] < 4.0
+
+
+BIAS = 0.25
+
+
+@cache
+def biased() -> Drive:
+    """A drive whose gyro is as it comes from the factory, rad/s off."""
+    made = simulate("urban", seed=4, duration=60.0, gps="white-1m")
+    return replace(made, imu=replace(made.imu, gz=made.imu.gz + BIAS))
+
+
+def biases(turned_at: float = math.inf) -> tuple[LiveSwarm, np.ndarray]:
+    """A swarm on that drive, all of whose headings are turned at a moment; times, and the bias as most lanes say."""
+    p = parameters("planar8", lateral_noise=0.05, rear_axle=1.5, bias_std=(0.5, 0.3))
+    imu, gps = biased().imu, biased().gps
+    filter = LiveSwarm(p, initial_state(biased()), nominal_interval=0.01, searches=False)
+    fixes, found = iter(zip(gps.time, gps.x, gps.y, strict=True)), []
+    fix = next(fixes, None)
+    for t, *sample in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True):
+        while fix and fix[0] <= t:
+            filter.update(fix[0], fix[1:])
+            fix = next(fixes, None)
+        filter.predict(t, sample)
+        if t >= turned_at:
+            filter._rows_of(filter._numbers)[THETA] += 2.5
+            turned_at = math.inf
+        found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED) :])))
+    return filter, np.array(found)
+
+
+def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
+    filter, found = biases()
+    assert not filter.restarts  # nor has the tuning by itself, whose start sees the bias
+    assert not filter.swarm_restarts
+    assert abs(found[-1, 1] - BIAS) < 0.02
+
+
+def test_what_it_knows_of_biases_outlives_a_new_start():
+    filter, found = biases(turned_at=30.0)
+    began = filter.swarm_restarts[0]
+    after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
+    assert abs(after - BIAS).max() < 0.05
 
 
 def test_a_fix_beyond_all_bounds_is_one_fix():

@@ -6,7 +6,7 @@ and a car that hardly leans seems to roll over. Both show the bias, to about a d
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,12 @@ class GyroSeen:
     variance: Array
     taken: float
     turns: Array
+
+    def beside(self, known: float) -> "GyroSeen":
+        """The same of the gyro as it is, where a bias about up, rad/s, was known and taken off beforehand."""
+        bias = self.bias.copy()
+        bias[UP] += known
+        return replace(self, bias=bias, taken=self.taken + known)
 
     def tell(self, mean: Array, covariance: Array, places: Mapping[int, int], std: Array) -> None:
         """Put it into a filter's states at the start.

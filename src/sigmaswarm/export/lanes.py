@@ -6,7 +6,6 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.export.features import listed, plain
-from sigmaswarm.filters import student
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS
@@ -45,18 +44,17 @@ class Lanes:
         """The template's values; of a filter alone its numbers stand where the table's are asked for."""
         if self.n == 1:
             own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in _numbers(tuning).items()}
-            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"}
+            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | self._biases(tuning)
         spread = Spread(tuning)
         against = spread.against(self._offsets(spread)).tolist()
         rows = [_row(p, held) for p, held in zip(self.filters(tuning), against, strict=True)]
         evidence: dict[str, float | None] = {
             "EVIDENCE_LASTS": swarm.EVIDENCE_LASTS,
             "EVIDENCE_COUNTS": swarm.EVIDENCE_COUNTS,
-            "INNOVATION_DOF": student.INNOVATION_DOF,
-            "INNOVATION_SCALE": student.INNOVATION_SCALE,
-            "LARGEST_TAIL": student.LARGEST_TAIL,
+            "LARGEST_NIS": swarm.LARGEST_NIS,
         }
         return plain(evidence) | {
+            **self._biases(tuning),
             **{f"OF_{name.upper()}": f"lanes[b->lane].{name}" for name in _numbers(tuning)},
             "Q": "lanes[b->lane].process_noise",
             "R": "lanes[b->lane].measurement_noise",
@@ -64,6 +62,10 @@ class Lanes:
             "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
             "LANE_ROWS": ",\n".join(rows),
         }
+
+    def _biases(self, tuning: FilterParameters) -> dict[str, str]:
+        """What each lane expects of the gyro at the start."""
+        return {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in self.filters(tuning)])}
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:

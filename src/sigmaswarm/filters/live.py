@@ -280,7 +280,7 @@ class LiveFilter:
             latency=self.parameters.latency,
             since=lambda: steps_since(self._samples, time),
             heading=lambda: self._calls.heading(self._memory.handle, gyro_bias),
-            align=cache(self._aligned),
+            align=cache(lambda: self._aligned(gyro_bias)),
         )
 
     @property
@@ -291,9 +291,9 @@ class LiveFilter:
         samples = of.lately[np.arange(newest - n + 1, newest + 1) % len(of.lately)][:, columns]
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
 
-    def _aligned(self) -> InitialState | None:
+    def _aligned(self, gyro_bias: float) -> InitialState | None:
         """The alignment that ends at the last fix, if there is one."""
-        return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever)
+        return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
 
     @property
     def _counted_fixes(self) -> Array:

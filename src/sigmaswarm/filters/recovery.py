@@ -11,7 +11,7 @@ the fixes for 6 s; where it is lost, for 18 s and more.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -224,15 +224,22 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
-def aligned_by(samples: Array, fixes: Array, lever: Array) -> InitialState | None:
-    """By the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy, and fixes (m, 3) s, m, m."""
+def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
+    """By the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy, and fixes (m, 3) s, m, m.
+
+    ``gyro_bias``: what is known of it about up, rad/s.
+    """
     columns = samples[np.isfinite(samples).all(axis=1)].T
+    columns[3] -= gyro_bias
     imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
     if not len(imu):
         return None
     drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
     alignments = Alignments(drive)
-    return alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    if found is None or found.gyro is None or not gyro_bias:
+        return found
+    return replace(found, gyro=found.gyro.beside(gyro_bias))
 
 
 def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:

@@ -8,8 +8,8 @@ the belief (`live.BEHIND`), so that late fixes take them back with it:
     SCRATCH   (N_ROWS - N_KEPT, LANES)
     TAPE      the last steps, N_TAPE numbers each, a ring: what a search replays
 
-The evidence of a lane is the logarithm of the likelihood of the fixes under Student's t, as `innovation-t` has it, and
-fades with time. A weight is exp(EVIDENCE_COUNTS evidence - held against it), normed.
+The evidence of a lane is the logarithm of the fixes' likelihood, Gaussian, so that a covariance which is wrong costs
+what it is wrong by; it fades with time. A weight is exp(EVIDENCE_COUNTS evidence - held against it), normed.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
@@ -30,10 +30,12 @@ from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.schedule import FIX
-from sigmaswarm.filters.student import INNOVATION_DOF, INNOVATION_SCALE, LARGEST_TAIL
 
 EVIDENCE_LASTS = 60.0
 """s in which evidence fades to 1/e."""
+LARGEST_NIS = 200.0
+"""That a fix counts at most: one alone does not decide. Student's t would forgive more, too much: between high
+buildings fixes are good until they jump, and to it the jumps are what a small R has to expect."""
 EVIDENCE_COUNTS = 0.1
 """Fixes' errors last: so many of them tell as much as one that is independent, about a tenth."""
 
@@ -143,8 +145,7 @@ def _note_fix(v, w, now):
         nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
         loss = math.inf
         if w[R.OK, lane] == 1.0 and 0.0 < det < math.inf and nis >= 0.0:
-            tail = min(1.0 + nis / INNOVATION_SCALE, LARGEST_TAIL)
-            loss = 0.5 * math.log(det) + 0.5 * (INNOVATION_DOF + 2.0) * math.log(tail)
+            loss = 0.5 * math.log(det) + 0.5 * min(nis, LARGEST_NIS)
         v[_AT_EVIDENCE + lane] = fades * v[_AT_EVIDENCE + lane] - loss
 
 

@@ -8,28 +8,29 @@ and fixes give the same bits, whether they come in time or late, live or from a 
 import os
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, state_rows
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
 from sigmaswarm.filters.live import LiveFilter, LiveState, told
-from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import Chunk, believed, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery
-from sigmaswarm.filters.swarm.search import Found, Steps, search
-from sigmaswarm.filters.swarm.spread import FIXED, Spread
+from sigmaswarm.filters.swarm.search import Found, Steps, Told, search
+from sigmaswarm.filters.swarm.spread import FIXED, START, Spread
 from sigmaswarm.geodesy import wrap_angle
 
 SEARCH_EVERY = 10.0
@@ -44,8 +45,6 @@ REPLACED = 7
 """Lanes that give way after a search: one to what was found, the others to copies of good ones, jittered."""
 JITTER = 0.6
 """Of an offset's standard deviation: how far a copy lies off its parent."""
-FADED = 0.632
-"""Of what a search tells by its 60 s, how much has not faded on average: 1 - 1/e."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,46 +83,62 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class _Snapshot:
-    """Where a replay can begin: how many steps were on tape, when that was, and the lane that led then (N_KEPT,)."""
+    """Where a replay can begin.
+
+    Attributes
+    ----------
+    taped : int
+        How many steps were on tape.
+    time, fixed_at : s: when that was, and when the last fix before it was absorbed
+    lanes : (N_KEPT, LANES)
+    evidence : (LANES,)
+    ancestors : (LANES,) of int
+        Which of these lanes each lane of today comes from.
+    """
 
     taped: int
     time: float
-    lane: Array
+    fixed_at: float
+    lanes: Array
+    evidence: Array
+    ancestors: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
 class _Pending:
-    """A search under way; it replays the steps on tape up to number ``taped``.
+    """A search under way; it replays the steps on tape up to number ``taped``, from where lane ``led`` comes from.
 
     A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
     """
 
     taped: int
+    led: int
     arguments: tuple[Any, ...]
     process: int
     found: "Future[Found | None]"
 
     @classmethod
-    def begun(cls, taped: int, *arguments: Any) -> "_Pending":
+    def begun(cls, taped: int, led: int, *arguments: Any) -> "_Pending":
         """Search beside the samples."""
-        return cls(taped, arguments, os.getpid(), _searcher().submit(search, *arguments))
+        return cls(taped, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
 
     def result(self) -> Found | None:
         """What was found, waited for if need be."""
         return self.found.result() if self.process == os.getpid() else search(*self.arguments)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Pending.begun, (self.taped, *self.arguments)
+        return _Pending.begun, (self.taped, self.led, *self.arguments)
 
 
 class LiveSwarm(LiveFilter):
     """Sixteen filters of a tuning, differently tuned, on one stream of samples; their mixture is the estimate.
 
-    How much a filter counts is told by the fixes: each lane foretells them, and its evidence is their likelihood under
-    Student's t, which fades within a minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes
-    stand for other receivers. Every 10 s while the car drives the worst lanes are replaced: by what a search finds over
-    the last minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or
-    the sky closes; on the car that a filter was tuned for it drives no better than the filter.
+    How much a filter counts is told by the fixes: each lane foretells them, and its evidence is their likelihood, which
+    fades within a minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other
+    receivers. Every 10 s while the car drives the worst lanes are replaced: by what a search finds over the last
+    minute, and by copies of good lanes with their states. So the swarm follows where a sensor is changed, or the sky
+    closes; on the car that a filter was tuned for it drives no better than the filter. Where its mixture is lost, lanes
+    start anew as a `LiveFilter` does, but by the gyro less the bias that they know, which most of them keep.
 
     It takes and gives what a `LiveFilter` does, and is used in the same way, but has no hindsight. A copy by `pickle`
     goes on with the same bits. A fix from before a moment at which lanes started anew comes too late for all of them.
@@ -178,7 +193,7 @@ class LiveSwarm(LiveFilter):
         self._counted = LANES
         self.spread = Spread(parameters)
         self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
-        self._population = self.offsets.copy()
+        self._population = self.offsets * self.spread.lasting
         self._model: ModelName = parameters.model
         self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
         self._memory = self._with_lanes(nominal_interval)
@@ -212,9 +227,8 @@ class LiveSwarm(LiveFilter):
 
     def _start_lanes(self, start: InitialState, lanes: slice) -> None:
         """Some lanes as at a start, and the evidence of all gone."""
-        sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
         rows = self._rows_of(self._numbers)
-        rows[:, lanes] = start_rows([start], [self._interval], Chunk(sets))[0][:, lanes]
+        rows[:, lanes] = self._started(start)[:, lanes]
         rows[CONSTANT_ROWS, lanes] = self.spread.grown(self._own_constants, self.offsets[lanes])
         sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
         self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
@@ -222,6 +236,11 @@ class LiveSwarm(LiveFilter):
         self._numbers[swarm.AGAINST][self._counted :] = np.inf
         self._numbers[swarm.FIXED_AT] = start.time
         swarm.weigh(self._belief)
+
+    def _started(self, start: InitialState) -> Array:
+        """All lanes as at a start, (N_KEPT, LANES)."""
+        sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
+        return start_rows([start], [self._interval], Chunk(sets))[0]
 
     def count_only(self, lanes: int) -> None:
         """From now on no lanes count but the first ones: what an export with so many does. Without searches only."""
@@ -251,7 +270,7 @@ class LiveSwarm(LiveFilter):
         if pending is not None:
             found = pending.result()
             if found is not None:
-                self._replace(found, pending.taped)
+                self._replace(found, pending.taped, pending.led)
         elif self._searches:
             self._pending = self._begin()
         self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
@@ -269,8 +288,10 @@ class LiveSwarm(LiveFilter):
         return place, record, marks[number // live.MARK_EVERY % len(marks)]
 
     def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
-        leads = int(np.argmax(numbers[swarm.WEIGHT]))
-        return _Snapshot(int(numbers[swarm.TAPED]), time, self._rows_of(numbers)[:, leads].copy())
+        rows, evidence = self._rows_of(numbers).copy(), numbers[swarm.EVIDENCE].copy()
+        return _Snapshot(
+            int(numbers[swarm.TAPED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
+        )
 
     def _begin(self) -> _Pending | None:
         mark = self._settled_mark()
@@ -281,16 +302,18 @@ class LiveSwarm(LiveFilter):
         self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
         if not numbers[swarm.WEIGHT].any():  # all have failed
             return None
-        if np.hypot(here.lane[R.U], here.lane[R.V]) <= FASTER:
+        leads = int(np.argmax(numbers[swarm.WEIGHT]))
+        if np.hypot(*here.lanes[[R.U, R.V], leads]) <= FASTER:
             return None
         begins = next(s for s in self._snapshots if self._is_taped(s.taped))
         self._n_begun += 1
-        leads = int(np.argmax(numbers[swarm.WEIGHT]))
+        was = int(begins.ancestors[leads])
         lever = self._belief[live.LEVER].copy()
         steps = Steps(self._model, self._tape(begins.taped, here.taped), lever)
         chance = self._seed, self._n_begun
         return _Pending.begun(
-            *(here.taped, self.spread, steps, begins.lane, self.offsets[leads].copy()),
+            *(here.taped, leads, self.spread, steps, begins.lanes[:, was]),
+            *(Told(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
             *(self._population, self._interval, chance),
         )
 
@@ -304,7 +327,7 @@ class LiveSwarm(LiveFilter):
         tape = self._numbers[TAPE:].reshape(length, N_TAPE)
         return tape[np.arange(first, last) % length]
 
-    def _replace(self, found: Found, replayed: int) -> None:
+    def _replace(self, found: Found, replayed: int, led: int) -> None:
         """Put what was found, and copies of good lanes, in place of the worst; then take the last samples again."""
         mark = self._settled_mark()
         if mark is None:
@@ -319,8 +342,8 @@ class LiveSwarm(LiveFilter):
         leads = int(np.argmax(weight))
         worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED)][:REPLACED]
         parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
-        offsets, states, known = [found.offsets], [self._brought_on(found, since)], [0.0]
-        known[0] = evidence[leads] + FADED * found.better_by
+        state, told = self._brought_on(found, since)
+        offsets, states, known = [found.offsets], [state], [told]
         for parent in parents:
             jitter = JITTER * self.spread.std * rng.standard_normal(len(self.spread.names))
             offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
@@ -332,6 +355,10 @@ class LiveSwarm(LiveFilter):
             rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
         for lane, its, state, told_by in zip(worst, offsets, states, known, strict=True):
             self.offsets[lane], rows[:, lane], evidence[lane] = its, state, told_by
+        for snapshot in self._snapshots:
+            of = snapshot.ancestors.copy()
+            snapshot.ancestors[worst] = of[[led, *parents]]
+            snapshot.ancestors[failed] = of[leads]
         new = [*worst, *failed]  # the constants of others may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.grown(self._own_constants, self.offsets[new])
         numbers[swarm.AGAINST] = self.spread.against(self.offsets)
@@ -344,25 +371,52 @@ class LiveSwarm(LiveFilter):
         belief[: live.N_BELIEF] = record[: live.N_BELIEF]
         again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
 
-    def _brought_on(self, found: Found, since: Array) -> Array:
-        """The filter that was found, (N_KEPT,), through the steps since the replay."""
-        lane = np.repeat(found.lane, 8, axis=1)
-        Steps(self._model, since, self._belief[live.LEVER].copy()).run(lane)
-        return lane[:, 0]
+    def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
+        """The filter that was found, (N_KEPT,), through the steps since the replay; and its evidence."""
+        steps = Steps(self._model, since, self._belief[live.LEVER].copy())
+        lane, told = steps.followed(found.lane, found.told)
+        return lane, told.evidence
 
     def _look(self, now: float, *, due: bool) -> None:
         super()._look(now, due=due)
         fix, together = self._last_fix(now), self._together
-        if fix is None or together is None:
+        if fix is None or together is None or not (due or together.lost):
             return
-        start = self._judged(together, now, fix, self._believed_together, due=due)
+        believed = self._believed_together()
+        gyro_bias = self._gyro_bias(believed[0])
+        start = self._judged(together, now, fix, lambda: believed, due=due, gyro_bias=gyro_bias)
         if start is None and due and not self.weights.any():  # all failed
             with np.errstate(all="ignore"):  # of what is not finite nothing is believed
-                start = self._seen(now, fix, *self._believed_together()).start
+                start = self._seen(now, fix, *believed).start
         if start is not None:
             self._start_lanes(start, slice(1, None))
+            self._keep_biases(start, gyro_bias, *believed)
             self._begin_history()
         self._holds = self._holds or together.lost
+
+    def _gyro_bias(self, mean: Array) -> float:
+        """What the swarm knows of it, rad/s: an alignment that takes a bad gyro as it is finds a wrong heading."""
+        names = MODELS[self._model].names
+        bias = float(mean[names.index("gyro_bias_z")]) if "gyro_bias_z" in names else 0.0
+        return bias if np.isfinite(bias) else 0.0
+
+    def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
+        """What was known (n,), (n, n) of biases; lanes that stand for other ones, and the tuning, go without it.
+
+        They start with what the alignment finds for the known bias, unless that contradicts it.
+        """
+        contradicts = start.gyro is not None and start.gyro.taken != gyro_bias
+        if contradicts or not np.isfinite(mean.sum() + covariance.sum()):
+            return
+        lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
+        biases = [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        rows, state = self._rows_of(self._numbers), state_rows(self._model)
+        of_state = state[:, np.newaxis], np.array(lanes)
+        rows[of_state] = self._started(replace(start, gyro=None))[of_state]
+        for i in biases:
+            rows[i, lanes] = mean[i]
+            for j in biases[: biases.index(i) + 1]:
+                rows[at(i, j), lanes] = covariance[i, j]
 
     def _start_anew(self, start: InitialState) -> None:
         super()._start_anew(start)

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, SUM_ROWS, R
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
 from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, NO_TARGETS, SINCE, new_place, run_lanes
 from sigmaswarm.filters.compiled.swarm import (
     EVIDENCE_COUNTS,
+    EVIDENCE_LASTS,
+    LARGEST_NIS,
     T_FIX,
     T_FLAGS,
     T_SINCE,
@@ -29,15 +31,30 @@ from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.filters.swarm.spread import Spread
 
-GENERATIONS = 4
+GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
 """Of differential evolution: F and CR."""
 NOT_SCORED = 2.0
 """s at the beginning of a replay, in which a filter of other offsets settles."""
 FEWEST_FIXES = 8
 """That are scored; fewer tell nothing."""
-FARTHEST = 4.0
+FARTHEST = 8.0
 """Standard deviations of an offset."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """The evidence of a filter, and when it was told: at the last fix, s."""
+
+    evidence: float
+    at: float
+
+    def then(self, time: Array, lost: Array) -> "Told":
+        """After fixes at some times, s, over each of which so much was lost."""
+        if not len(time):
+            return self
+        left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
+        return Told(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +71,33 @@ class Steps:
         Lost is -log of their likelihood under Student's t, as the objective ``innovation-t``, but for those of the
         first `NOT_SCORED` seconds.
         """
-        place, k = new_place(), len(self.rows)
-        if k:
+        place = self._place
+        scored = (
+            int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if len(self.rows) else 0
+        )
+        self._run(lanes, place, scored)
+        before = _lost(lanes)
+        self._run(lanes, place, len(self.rows))
+        return _lost(lanes) - before
+
+    def followed(self, lane: Array, told: Told) -> tuple[Array, Told]:
+        """A lane (N_KEPT,) after all steps, and what its fixes have told by then."""
+        lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
+        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint8) & FIX)
+        innovations = np.empty((len(fixes), 5))
+        self._run(lanes, self._place, len(self.rows), innovations)
+        return lanes[:, 0], told.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
+
+    @property
+    def _place(self) -> Array:
+        place = new_place()
+        if len(self.rows):
             place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
+        return place
+
+    def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
+        """From a place to before step ``stop``; lanes and place are changed."""
+        k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
         arrays = (
             np.ascontiguousarray(steps[:, :FIRST_AXIS]),
@@ -69,11 +110,7 @@ class Steps:
             NO_TARGETS,
             np.zeros(k, dtype=np.int32),
         )
-        scored = int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if k else 0
-        run_lanes(self.model, *arrays, lanes, place, scored, NO_RECORD, NO_INNOVATIONS)
-        before = _lost(lanes)
-        run_lanes(self.model, *arrays, lanes, place, k, NO_RECORD, NO_INNOVATIONS)
-        return _lost(lanes) - before
+        run_lanes(self.model, *arrays, lanes, place, stop, NO_RECORD, innovations)
 
     @property
     def _begins(self) -> float:
@@ -92,6 +129,15 @@ class Steps:
 def _lost(lanes: Array) -> Array:
     determinants = lanes[R.LOG_DET] + np.log(lanes[R.DET])
     return 0.5 * determinants + 0.5 * (INNOVATION_DOF + 2.0) * (lanes[R.LOG_TAIL] + np.log(lanes[R.TAIL]))
+
+
+@np.errstate(all="ignore")
+def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
+    """What a lane's evidence loses over each fix, (f,), of nu (m) and S (m2): as `compiled.swarm` has it."""
+    det = xx * yy - xy * xy
+    nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
+    lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
+    return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), lost, np.inf)
 
 
 def as_at_start(lanes: Array) -> Array:
@@ -113,17 +159,17 @@ class Found:
     Attributes
     ----------
     offsets : (d,)
-    lane : (N_KEPT, 1)
+    lane : (N_KEPT,)
         The filter at the end of the replay.
-    better_by : float
-        What the leader lost over the replay more than it.
+    told : Told
+        By the fixes up to then.
     population : (LANES, d)
         For the next search.
     """
 
     offsets: Array
     lane: Array
-    better_by: float
+    told: Told
     population: Array
 
 
@@ -131,6 +177,7 @@ def search(
     spread: Spread,
     steps: Steps,
     start: Array,
+    told: Told,
     leader: Array,
     population: Array,
     nominal_interval: float,
@@ -144,6 +191,8 @@ def search(
     steps : Steps
     start : (N_KEPT,)
         The filter before the first of them.
+    told : Told
+        By the fixes up to there.
     leader : (d,)
         The offsets of the lane that leads; they take the place of the worst of the population.
     population : (LANES, d)
@@ -156,29 +205,30 @@ def search(
         return None
     own = pack_constants((spread.tuning,), nominal_interval)[:, :1]
 
-    def replayed(offsets: Array) -> tuple[Array, Array, Array]:
-        """Costs (LANES,), losses (LANES,) and the lanes at the end (N_KEPT, LANES)."""
-        lanes = np.repeat(as_at_start(start[:, np.newaxis]), LANES, axis=1)
+    def begun(offsets: Array) -> Array:
+        lanes = np.repeat(as_at_start(start[:, np.newaxis]), len(offsets), axis=1)
         lanes[CONSTANT_ROWS] = spread.grown(own, offsets)
+        return lanes
+
+    def costs(offsets: Array) -> Array:
+        lanes = begun(offsets)
         lost = steps.run(lanes)
         lost[(lanes[R.OK] != 1.0) | ~np.isfinite(lost)] = np.inf
-        return EVIDENCE_COUNTS * lost + spread.against(offsets), lost, lanes
+        return EVIDENCE_COUNTS * lost + spread.against(offsets)
 
     offsets = population.copy()
     offsets[-1] = leader  # the last place is the leader's, in each search
-    cost, lost, lanes = replayed(offsets)
-    of_leader = lost[-1]
+    cost = costs(offsets)
     for _ in range(GENERATIONS):
         trial = _trials(offsets, spread, rng)
-        trial_cost, trial_lost, trial_lanes = replayed(trial)
+        trial_cost = costs(trial)
         better: NDArray[np.bool_] = trial_cost < cost
-        offsets[better], cost[better], lost[better] = trial[better], trial_cost[better], trial_lost[better]
-        lanes[:, better] = trial_lanes[:, better]
+        offsets[better], cost[better] = trial[better], trial_cost[better]
     best = int(np.argmin(cost))
     if not np.isfinite(cost[best]):
         return None
-    better_by = float(of_leader - lost[best]) if np.isfinite(of_leader) else 0.0
-    return Found(offsets[best], lanes[:, best : best + 1].copy(), better_by, offsets)
+    lane, known = steps.followed(begun(offsets[best : best + 1])[:, 0], told)
+    return Found(offsets[best], lane, known, offsets)
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:

@@ -15,6 +15,8 @@ from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
+OFFSET_DOF = 4.0
+"""Of the offsets' distribution, Student's t: most are small; where a sensor is another one, they are decades."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Decades of variance by which offsets are drawn: of a state's noise, a bias's walk, R, other measurements."""
 R_DOWN_STD = 0.45
@@ -26,8 +28,17 @@ START_STD = 1.5
 AXLE_STD = 0.7
 """m."""
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
-FIXED = ({}, {START: 2.0}, {START: 4.0}, {R: -1.0}, {R: -2.5}, {R: 1.0}, {R: 2.0})
-"""The first lanes, which are never replaced: the tuning itself; other biases; other receivers."""
+FIXED = (
+    {},
+    {START: 2.0},
+    {START: 4.0},
+    {R: -1.4},
+    {R: -2.8},
+    {R: 1.2},
+    {R: 2.5, START: 3.0},
+    {R: 4.5, START: 3.0},
+)
+"""The first lanes, which are never replaced: the tuning itself; other biases; other receivers, two with another IMU."""
 
 _MEASURED = {
     "velocity": ("velocity_noise", "R_VELOCITY"),
@@ -102,7 +113,7 @@ class Spread:
     @cached_property
     def groups(self) -> dict[str, list[int]]:
         """Lanes, and what people call them."""
-        biased = [lane for lane, by in enumerate(FIXED) if START in by]
+        biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
         if START not in self.names:
@@ -115,11 +126,11 @@ class Spread:
         }
 
     def against(self, offsets: Array) -> Array:
-        """What is held against lanes, (m,): half the squares of their offsets (m, d) in standard deviations."""
-        relative = offsets / self.std * self.lasting
+        """What is held against lanes, (m,), of offsets (m, d): -log of Student's t of each, in standard deviations."""
+        relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
-        return 0.5 * np.square(relative).sum(axis=-1)
+        return 0.5 * (OFFSET_DOF + 1.0) * np.log1p(np.square(relative) / OFFSET_DOF).sum(axis=-1)
 
     @cached_property
     def _decades(self) -> Array:
