@@ -171,7 +171,10 @@ def test_guesses_the_unit_of_times(tmp_path: Path, unit: str, factor: int, begin
 @pytest.mark.parametrize(
     ("name", "ticks"),
     [
-        *((name, 1e3) for name in ("boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed")),
+        *(
+            (name, 1e3)
+            for name in ("ts_ms", "boot_ms", "Uptime [ms]", "iTOW_ms", "device_time_ms", "elapsed")
+        ),
         *(("time_of_day", 1e3), ("tod_s", 1.0), ("seconds_of_week", 1.0)),
     ],
 )

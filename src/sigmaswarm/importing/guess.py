@@ -10,9 +10,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Part, Role
 from sigmaswarm.wording import names_shown
 
-_TIME = (
-    "t|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
-)
+_TIME = "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
 _CLOCK = (
     "boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
