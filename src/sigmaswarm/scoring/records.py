@@ -46,6 +46,10 @@ class ConsistencyRecord(BaseModel):
         return self.mean_nis, self.nis_band_95, self.mean_nees, self.autocorrelation[0]
 
 
+FEW = 4
+"""Outages of one placement: of fewer, all placements hide much the same fixes."""
+
+
 class DriftRecord(BaseModel):
     """The drifts over outages of one length on a drive, as placements that chance made tell them.
 
@@ -85,8 +89,11 @@ class ScoresRecord(BaseModel):
         if not count:
             return ""
         means = [sum(one[i] for one in each) / len(each) for i in range(count)]
-        said = f"{sum(one.outages for one in found)} outages in {count} placements"
-        return f"{said}; a single placement says {min(means):.3g} to {max(means):.3g} m"
+        outages = sum(one.outages for one in found)
+        said = f"{outages} outages in {count} placements"
+        said += f"; a single placement says {min(means):.3g} to {max(means):.3g} m"
+        few = ", all on the same short stretch: another one may say far more" if outages < FEW * count else ""
+        return said + few
 
     def mean_of(self, method: str, measure: str) -> float | None:
         """Over the drives that have it; None where it can't be said."""
