@@ -151,6 +151,17 @@ def test_no_sound_filter_starts_anew_on_a_recording(name: str):
         assert run_filter(drive_of(name), p).restarts == ()
 
 
+def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_knows_it():
+    """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
+    drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)
+    off = replace(drive, imu=replace(drive.imu, gz=drive.imu.gz + 0.3))
+    noise = (1e-6, 1e-6, 1e-4, 1e-4, 1e-7, 1e-8, 1e-8, 1e-10)
+    p = FilterParameters(0.5, 2.0, 1.0, noise, (1.0, 1.0), "planar8", bias_std=(0.5, 0.3), lateral_noise=0.05)
+    found = run_filter(off, p)
+    assert not found.restarts
+    assert np.degrees(score_estimate(off, found).heading_rmse) < 2.0
+
+
 @pytest.mark.parametrize("samples", [1, 333, 10_000])
 def test_looking_changes_no_bit(samples: int):
     from sigmaswarm.filters.recording import Recording

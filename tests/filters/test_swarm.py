@@ -298,7 +298,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
     assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
 
 
-@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf"])
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf", "fuzzy-ukf"])
 def test_the_fixed_lanes_stay(kind: str):
     p = parameters("planar8", kind=kind, **ALL)
     first, last = made(LiveSwarm, p), fed(LiveSwarm, p)
@@ -373,8 +373,11 @@ def biased() -> Drive:
     return replace(made, imu=replace(made.imu, gz=made.imu.gz + BIAS))
 
 
-def biases(turned_at: float = math.inf) -> tuple[LiveSwarm, np.ndarray]:
-    """A swarm on that drive, all of whose headings are turned at a moment; times, and the bias as most lanes say."""
+def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[LiveSwarm, np.ndarray]:
+    """A swarm on that drive; times, and the bias as most lanes say.
+
+    All headings are turned at a moment, or all lanes are told that they are lost.
+    """
     p = parameters("planar8", lateral_noise=0.05, rear_axle=1.5, bias_std=(0.5, 0.3))
     imu, gps = biased().imu, biased().gps
     filter = LiveSwarm(p, initial_state(biased()), nominal_interval=0.01, searches=False)
@@ -388,6 +391,10 @@ def biases(turned_at: float = math.inf) -> tuple[LiveSwarm, np.ndarray]:
         if t >= turned_at:
             filter._rows_of(filter._numbers)[THETA] += 2.5
             turned_at = math.inf
+        if t >= held_at:
+            assert filter._recovery and filter._together
+            filter._recovery.lost = filter._together.lost = filter._holds = True
+            held_at = math.inf
         found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED) :])))
     return filter, np.array(found)
 
@@ -402,6 +409,14 @@ def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
 def test_what_it_knows_of_biases_outlives_a_new_start():
     filter, found = biases(turned_at=30.0)
     began = filter.swarm_restarts[0]
+    after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
+    assert abs(after - BIAS).max() < 0.05
+
+
+def test_what_it_knows_of_biases_outlives_being_held_at_a_fix():
+    filter, found = biases(held_at=30.005)
+    began = filter.swarm_restarts[0]
+    assert 0.05 < began - 30.0 < 3.0
     after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
     assert abs(after - BIAS).max() < 0.05
 

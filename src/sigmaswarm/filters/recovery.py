@@ -21,7 +21,7 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.live import LEAP
 from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
-from sigmaswarm.filters.models import THETA, planar5
+from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
 from sigmaswarm.geodesy import wrap_angle
 
 LOST_AFTER = 10.0
@@ -134,9 +134,17 @@ class Seen:
         aligned = self.start
         if aligned is None:
             return None
-        off = abs(wrap_angle(float(aligned.mean[THETA]) - theta))
+        off = abs(wrap_angle(float(aligned.mean[THETA]) + self._turned_by_bias(aligned) - theta))
         std = np.sqrt(self.covariance[THETA, THETA] + aligned.covariance[THETA, THETA])
         return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
+
+    def _turned_by_bias(self, aligned: InitialState) -> float:
+        """How far an alignment would head elsewhere, rad, with the gyro's bias that the filter knows."""
+        gyro = aligned.gyro
+        if gyro is None or len(self.mean) <= GYRO_BIAS:
+            return 0.0
+        more = float(self.mean[GYRO_BIAS]) - gyro.taken
+        return more * (float(gyro.turns[THETA]) - (self.time - self.fix_time))
 
     @property
     def start(self) -> InitialState | None:

@@ -1,4 +1,4 @@
-"""A live filter's memory as one number: to hand nine arrays to compiled code costs more than a filter's step."""
+"""A live filter's memory as one number: to hand eight arrays to compiled code costs more than a filter's step."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportAttributeAccessIssue=false
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.gyro_seen import UP
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live, swarm
 from sigmaswarm.filters.compiled.lagged import again_call
@@ -24,19 +25,19 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, 
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
 from sigmaswarm.filters.live import LiveFilter, LiveState, told
-from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import Chunk, believed, start_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery
-from sigmaswarm.filters.swarm.search import Found, Steps, Told, search
+from sigmaswarm.filters.swarm.search import SCALED, Found, Steps, Told, search
 from sigmaswarm.filters.swarm.spread import FIXED, START, Spread
 from sigmaswarm.geodesy import wrap_angle
 
 SEARCH_EVERY = 10.0
 """s from one search to the next."""
 SEARCH_TAKES = 1.0
-"""s of the stream until what it found takes its place; a search takes some 20 ms beside it."""
+"""s of the stream until what it found takes its place; a search takes some 15 ms beside it."""
 REPLAYED = 60.0
 """s that a search looks back."""
 FASTER = 2.0
@@ -200,6 +201,7 @@ class LiveSwarm(LiveFilter):
         self._belief[live.BELIEVES_TIMES] = believe_times
         self._start_lanes(initial, slice(None))
         self._together = Recovery() if recover else None
+        self._last_sound = self._believed_together()
         self._snapshots = [self._snapshot(self._numbers, initial.time)]
         self._pending: _Pending | None = None
         self._due = initial.time + SEARCH_EVERY
@@ -361,6 +363,7 @@ class LiveSwarm(LiveFilter):
             snapshot.ancestors[failed] = of[leads]
         new = [*worst, *failed]  # the constants of others may have been adapted
         rows[CONSTANT_ROWS, new] = self.spread.grown(self._own_constants, self.offsets[new])
+        rows[np.ix_(np.array(SCALED), np.array(new))] = 1.0
         numbers[swarm.AGAINST] = self.spread.against(self.offsets)
         self._population = found.population
         self.n_searches += 1
@@ -382,7 +385,7 @@ class LiveSwarm(LiveFilter):
         fix, together = self._last_fix(now), self._together
         if fix is None or together is None or not (due or together.lost):
             return
-        believed = self._believed_together()
+        believed = self._before_it_was_lost(together.lost, *self._believed_together())
         gyro_bias = self._gyro_bias(believed[0])
         start = self._judged(together, now, fix, lambda: believed, due=due, gyro_bias=gyro_bias)
         if start is None and due and not self.weights.any():  # all failed
@@ -394,10 +397,20 @@ class LiveSwarm(LiveFilter):
             self._begin_history()
         self._holds = self._holds or together.lost
 
+    def _before_it_was_lost(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """What is believed (n,), (n, n), with the biases of when it was not lost: held at a fix, lanes forget them."""
+        if not lost:
+            self._last_sound = mean, covariance
+            return mean, covariance
+        biases = [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        was, doubt = self._last_sound
+        mean[biases], covariance[biases], covariance[:, biases] = was[biases], 0.0, 0.0
+        covariance[np.ix_(biases, biases)] = doubt[np.ix_(biases, biases)]
+        return mean, covariance
+
     def _gyro_bias(self, mean: Array) -> float:
         """What the swarm knows of it, rad/s: an alignment that takes a bad gyro as it is finds a wrong heading."""
-        names = MODELS[self._model].names
-        bias = float(mean[names.index("gyro_bias_z")]) if "gyro_bias_z" in names else 0.0
+        bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
         return bias if np.isfinite(bias) else 0.0
 
     def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
@@ -405,8 +418,14 @@ class LiveSwarm(LiveFilter):
 
         They start with what the alignment finds for the known bias, unless that contradicts it.
         """
-        contradicts = start.gyro is not None and start.gyro.taken != gyro_bias
-        if contradicts or not np.isfinite(mean.sum() + covariance.sum()):
+        seen = start.gyro  # surer than what is known, or against it
+        surer = (
+            seen is not None
+            and len(mean) > GYRO_BIAS
+            and seen.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
+        )
+        contradicts = seen is not None and seen.taken != gyro_bias
+        if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
             return
         lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
         biases = [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]

@@ -140,15 +140,20 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
     return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), lost, np.inf)
 
 
+SCALED = R.TIMES_R, R.TIMES_Q
+"""By what a fuzzy filter has scaled its constants: 1 where those are set anew."""
+
+
 def as_at_start(lanes: Array) -> Array:
     """Lanes (N_KEPT, m) that go on from where they are with nothing added up."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
-    kept = [row - SUM_ROWS.start for row in (R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.HEADING, R.OK)]
+    lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
+    kept = [row - SUM_ROWS.start for row in lasting]
     remembered = sums[kept].copy()
     sums[:] = 0.0
     sums[kept] = remembered
-    fresh[[R.DET, R.TAIL]] = 1.0
+    fresh[[R.DET, R.TAIL, *SCALED]] = 1.0
     return fresh
 
 
