@@ -81,7 +81,8 @@ def count() -> None:
         planar5.predict_planar5,
         absorb,
     ):  # each has names of its own, put there when it was written out
-        kernel.__globals__.update({k: counting for k, v in kernel.__globals__.items() if v is math})
+        names = kernel.written.names
+        names.update({name: counting for name, value in names.items() if value is math})
     rows = np.array(
         [[Counting(0.1) for _ in range(layout.LANES)] for _ in range(layout.N_ROWS)], dtype=object
     )
