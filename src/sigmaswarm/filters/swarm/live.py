@@ -397,12 +397,17 @@ class LiveSwarm(LiveFilter):
             self._begin_history()
         self._holds = self._holds or together.lost
 
+    @property
+    def _biases(self) -> list[int]:
+        """The places of the biases among the model's states."""
+        return [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+
     def _before_it_was_lost(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """What is believed (n,), (n, n), with the biases of when it was not lost: held at a fix, lanes forget them."""
         if not lost:
             self._last_sound = mean, covariance
             return mean, covariance
-        biases = [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        biases = self._biases
         was, doubt = self._last_sound
         mean[biases], covariance[biases], covariance[:, biases] = was[biases], 0.0, 0.0
         covariance[np.ix_(biases, biases)] = doubt[np.ix_(biases, biases)]
@@ -428,7 +433,7 @@ class LiveSwarm(LiveFilter):
         if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
             return
         lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
-        biases = [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+        biases = self._biases
         rows, state = self._rows_of(self._numbers), state_rows(self._model)
         of_state = state[:, np.newaxis], np.array(lanes)
         rows[of_state] = self._started(replace(start, gyro=None))[of_state]
