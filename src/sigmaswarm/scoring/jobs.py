@@ -54,9 +54,11 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, 
 
     ``steps`` : by each pass's name, how many each of its replays has
     """
+    if workers == 1:  # nobody else waits: the fewest are the best
+        return list(_jobs(steps, n_sets, model, lanes=LANES, short=SHORT))
     ways = [
         list(_jobs(steps, n_sets, model, lanes=lanes, short=short))
-        for lanes, short in product((LANES, WIDEST) if workers > 1 else (LANES,), (SHORT, 0))
+        for lanes, short in product((LANES, WIDEST), (SHORT, 0))
     ]
     return min(ways, key=lambda jobs: makespan(jobs, workers))
 
