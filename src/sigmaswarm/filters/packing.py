@@ -21,12 +21,12 @@ from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.layout import (
     CONSTANT_ROWS,
     CONSTANTS,
-    LANES,
     MEAN,
     N_KEPT,
     N_STATE,
-    WIDEST,
     R,
+    lanes_for,
+    most_lanes,
     state_rows,
 )
 from sigmaswarm.filters.models import MODELS, THETA
@@ -42,7 +42,7 @@ _SHOWN = slice(R.SQ_POSITION, R.LOG_DET + 1)
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """At most LANES parameter sets of one model and with the same switches, packed once for any number of replays."""
+    """Up to `most_lanes` parameter sets of one model and with the same switches, packed once for all replays."""
 
     sets: tuple[FilterParameters, ...]
     _constants: dict[float, Array] = field(default_factory=dict[float, Array])
@@ -90,7 +90,12 @@ def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
     groups: dict[tuple[str, Switches], list[int]] = {}
     for i, p in enumerate(parameter_sets):
         groups.setdefault((p.model, switches(p)), []).append(i)
-    parts = [g[i : i + LANES] for g in groups.values() for i in range(0, len(g), LANES)]
+    parts = [
+        group[i : i + lanes]
+        for (model, _), group in groups.items()
+        for lanes in (most_lanes(model),)
+        for i in range(0, len(group), lanes)
+    ]
     return Packed(
         len(parameter_sets),
         tuple((np.array(part), Chunk(tuple(parameter_sets[i] for i in part))) for part in parts),
@@ -98,12 +103,12 @@ def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
 
 
 def _lanes(n_sets: int) -> NDArray[np.intp]:
-    """Which of n sets is in each lane: as many lanes as it takes, WIDEST or LANES; the last set again in those left."""
-    return np.minimum(np.arange(WIDEST if n_sets <= WIDEST else LANES), n_sets - 1)
+    """Which of n sets is in each lane: as many lanes as it takes, the last set again in those left."""
+    return np.minimum(np.arange(lanes_for(n_sets)), n_sets - 1)
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
-    """The kernel's constants, shape (N_CONSTANTS, lanes), of at most LANES sets.
+    """The kernel's constants, shape (N_CONSTANTS, lanes), of a chunk's sets.
 
     ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
     """
@@ -115,8 +120,8 @@ def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval:
     q = per_interval * np.array([p.process_noise for p in parameter_sets]).T
     values = dict.fromkeys((f"Q_{letter}" for letter in MEAN), 0.0) | {
         **dict(zip((f"Q_{letter}" for letter in MEAN), q, strict=False)),
-        "GAMMA": np.sqrt(gamma2),
-        "INV_GAMMA2": 1 / gamma2,
+        "GAMMA": (1.0 - of.extended) * np.sqrt(gamma2),
+        "SHORTENS": (of.extended - 1.0) * 2 / gamma2,
         "SPREAD": of.alpha**2 * (n + of.kappa - 1) + of.beta,
         "SECOND": 1.0 - of.extended,
         "RX": of.rx,

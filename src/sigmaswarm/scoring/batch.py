@@ -6,6 +6,7 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import groupby
 from typing import Protocol
 
 import numpy as np
@@ -215,9 +216,8 @@ class Replayer:
             zip(order, (executor.map if executor else map)(run_replays, replays, packed), strict=True)
         )
         done = {name: list[Sums]() for name in self._passes}
-        for first in range(0, len(jobs), len(packs)):
-            parts = [sums[k] for k in range(first, first + len(packs))]
-            done[jobs[first].name].append(joined(parts, axis=1))
+        for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
+            done[name].append(joined([sums[k] for k in part], axis=1))
         return {name: joined(each, axis=0) for name, each in done.items()}
 
 

@@ -1,6 +1,6 @@
 """How a batch of filters is shared out: jobs of some replays and some lanes each, the longest first.
 
-A kernel takes LANES filters at once, or WIDEST, which take less time together but more each. Beside it a job holds
+A kernel takes up to `most_lanes` filters at once; fewer take less time together, but more each. Beside it a job holds
 Python's lock for a moment, in which no other job gets on. So few large jobs suit few workers, and many small ones many:
 `jobs_for` looks what each way of sharing would take, by the model of `makespan`, and takes the shortest.
 """
@@ -9,14 +9,16 @@ import heapq
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from functools import lru_cache
+from itertools import combinations_with_replacement, product
+from typing import NamedTuple
 
-from sigmaswarm.filters.compiled.layout import LANES, WIDEST
+from sigmaswarm.filters.compiled.layout import WIDEST, lanes_for, most_lanes
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 
-STEP = {LANES: 86e-9, WIDEST: 60e-9}
-"""s: a step of so many lanes of planar5; by the power of 1.5 of the number of states more of another model."""
+STEP, STEP_MORE = 20e-9, 3.4e-9
+"""s: a step of planar5, and more for each lane; by the power of 1.5 of the number of states more of another model."""
 HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
 SHORT = 20_000
@@ -33,7 +35,7 @@ class Job:
     replays : range
         Of the pass.
     sets : range
-        Of the parameter sets; at most LANES.
+        Of the parameter sets; at most `most_lanes`.
     seconds : float
         What it takes, about.
     """
@@ -49,17 +51,29 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
+def jobs_for(
+    steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int
+) -> tuple[Job, ...]:
     """All replays by all sets, in the order of passes, replays and sets.
 
     ``steps`` : by each pass's name, how many each of its replays has
     """
+    return _jobs_for(tuple((name, tuple(of)) for name, of in steps.items()), n_sets, model, workers)
+
+
+@lru_cache(maxsize=64)  # one generation is like the next
+def _jobs_for(
+    steps: tuple[tuple[str, tuple[int, ...]], ...], n_sets: int, model: ModelName, workers: int
+) -> tuple[Job, ...]:
+    most = most_lanes(model)
     if workers == 1:  # nobody else waits: the fewest are the best
-        return list(_jobs(steps, n_sets, model, lanes=LANES, short=SHORT))
-    ways = [
-        list(_jobs(steps, n_sets, model, lanes=lanes, short=short))
-        for lanes, short in product((LANES, WIDEST), (SHORT, 0))
-    ]
+        return tuple(_jobs(_parts(steps, SHORT), n_sets, model, (most, most), wide=0))
+    widths = [most >> k for k in range((most // WIDEST).bit_length())]
+    ways = list[tuple[Job, ...]]()
+    for short, (wide, narrow) in product((SHORT, 0), combinations_with_replacement(widths, 2)):
+        parts = list(_parts(steps, short))
+        rounds = len(parts) // workers * workers  # of what all workers have one each of
+        ways.append(tuple(_jobs(parts, n_sets, model, (wide, narrow), wide=rounds)))
     return min(ways, key=lambda jobs: makespan(jobs, workers))
 
 
@@ -72,27 +86,36 @@ def makespan(jobs: Iterable[Job], workers: int) -> float:
     return max(max(busy), len(each) * HELD)
 
 
+class _Part(NamedTuple):
+    """Replays of one pass that go into a job together, and their steps."""
+
+    name: str
+    replays: range
+    steps: int
+
+
 def _jobs(
-    steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, *, lanes: int, short: int
+    parts: Iterable[_Part], n_sets: int, model: ModelName, lanes: tuple[int, int], *, wide: int
 ) -> Iterator[Job]:
-    each = STEP[lanes] * (len(MODELS[model].states) / 5) ** 1.5
-    for name, of in steps.items():
-        for part in _parts(of, short):
-            held = HELD + len(part) * HELD_MORE
-            for first in range(0, n_sets, lanes):
-                yield Job(
-                    name,
-                    part,
-                    range(first, min(first + lanes, n_sets)),
-                    held + each * sum(of[part.start : part.stop]),
-                )
+    """The parts by all sets: so many of the longest parts by the first number of lanes, the others by the second."""
+    parts = list(parts)
+    more = (len(MODELS[model].states) / 5) ** 1.5
+    longest = sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide]
+    for k, part in enumerate(parts):
+        width = lanes[0] if k in longest else lanes[1]
+        for first in range(0, n_sets, width):
+            sets = range(first, min(first + width, n_sets))
+            step = (STEP + STEP_MORE * lanes_for(len(sets))) * more
+            held = HELD + len(part.replays) * HELD_MORE
+            yield Job(part.name, part.replays, sets, held + step * part.steps)
 
 
-def _parts(steps: Sequence[int], short: int) -> Iterator[range]:
+def _parts(steps: Iterable[tuple[str, Sequence[int]]], short: int) -> Iterator[_Part]:
     """Replays, in their order, in parts that are worth a job each."""
-    first, so_far = 0, 0
-    for last, more in enumerate(steps):
-        so_far += more
-        if so_far >= short or last == len(steps) - 1:
-            yield range(first, last + 1)
-            first, so_far = last + 1, 0
+    for name, of in steps:
+        first, so_far = 0, 0
+        for last, more in enumerate(of):
+            so_far += more
+            if so_far >= short or last == len(of) - 1:
+                yield _Part(name, range(first, last + 1), so_far)
+                first, so_far = last + 1, 0

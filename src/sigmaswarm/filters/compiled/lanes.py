@@ -1,7 +1,7 @@
 """What all kernels share: lanes, compiler flags, and a sine that vectorizes.
 
-**Lanes.** Arrays are (row, lane) with LANES parameter sets side by side, so that each loop over lanes becomes
-vector instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer
+**Lanes.** Arrays are (row, lane) with parameter sets side by side, so that each loop over lanes becomes vector
+instructions; `layout` names the rows. All rows of one run live in one local array: with a single base pointer
 the compiler can rule out that writing one row changes another. A failing lane turns to NaN or loses its OK flag;
 nothing branches on it, so the other lanes neither wait nor change.
 """
@@ -45,27 +45,35 @@ def _series(z):
     return s1 + zz * (s2 + zz * s3), (1.0 - 0.5 * z) + zz * (c1 + zz * (c2 + zz * c3))
 
 
+FAR = (math.pi / 4) ** 2
+"""Of a squared angle: up to there `sinc_cos` holds."""
+
+
+TINY = 1e-100
+"""Added to what may be 0 and is divided by; too small to change anything else."""
+
+
 def sinc_cos(z):
     """sin(r) / r and cos(r) of an angle between -pi/4 and pi/4 whose square is z, without root or quotient."""
     s, cos = _series(z)
     return 1.0 + z * s, cos
 
 
-def _reduced(x):
-    """The number n of right angles nearest to x, and sine and cosine of x - n pi/2, without branches or calls.
+def _near(x, n):
+    """x less n right angles, between -pi/4 and pi/4, and its sine and cosine, without branches or calls.
 
-    Cody-Waite reduction to [-pi/4, pi/4]. Error about 3e-16 for |x| below 1e5.
+    Cody-Waite reduction. Error about 3e-16 for |x| below 1e5.
     """
-    n = np.floor(x * (2 / math.pi) + 0.5)
     r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
     z = r * r
     s, cos = _series(z)
-    return n, r + r * z * s, cos
+    return r, r + r * z * s, cos
 
 
 def sincos(x):
     """Sine and cosine."""
-    n, sin, cos = _reduced(x)
+    n = np.floor(x * (2 / math.pi) + 0.5)
+    _, sin, cos = _near(x, n)
     quadrant = n - 4.0 * np.floor(n * 0.25)
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     s = cos if odd else sin
@@ -75,13 +83,13 @@ def sincos(x):
     return s, c
 
 
-def double_angle(x):
-    """sin 2x and sin^2 x, which need to know of the quadrant only whether it is odd."""
-    n, sin, cos = _reduced(x)
-    odd = n - 2.0 * np.floor(n * 0.5) == 1.0
-    double = 2.0 * sin * cos
-    sin_x = cos if odd else sin  # but for its sign
-    return -double if odd else double, sin_x * sin_x
+def sine_and_half(d):
+    """sin d and sin^2(d/2), from a quarter of the angle, less whole turns: no quadrant is left to ask for."""
+    n = np.floor(d * (0.5 / math.pi) + 0.5)
+    _, sin, cos = _near(0.25 * d, n)
+    double = sin * cos
+    sin_h = 2.0 * double
+    return 2.0 * sin_h * (1.0 - 2.0 * sin * sin), sin_h * sin_h
 
 
 def angle_of(y, x):

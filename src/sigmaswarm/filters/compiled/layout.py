@@ -8,15 +8,29 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numba import config
 from numpy.typing import NDArray
 
 from sigmaswarm.filters.models import MODELS
 
 LANES = 16
-"""Parameter sets side by side; a compile-time constant, two AVX-512 or four AVX2 vectors."""
+"""Parameter sets side by side in a row; a compile-time constant, two AVX-512 or four AVX2 vectors."""
 
 WIDEST = 8
-"""Lanes in the widest vector of any processor. An array of rows may have fewer lanes than LANES, a multiple of it."""
+"""Lanes in the widest vector of any processor. An array of rows has as many lanes, or a multiple of it."""
+
+BLOCKS = 2
+"""A run may take so many times LANES: the lanes from LANES on stand in rows of their own, behind all of the first."""
+
+
+def most_lanes(model: str) -> int:
+    """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
+    return LANES if MODELS[model].tilts or config.DISABLE_JIT else BLOCKS * LANES
+
+
+def lanes_for(n_sets: int) -> int:
+    """The lanes that so many filters take."""
+    return -(-n_sets // WIDEST) * WIDEST
 
 
 LETTERS = {
@@ -35,7 +49,7 @@ QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """The upper triangle column by column, so that a model's rows are the first of a larger one's."""
 CONSTANTS = (
-    "GAMMA", "INV_GAMMA2", "SPREAD", "SECOND",  # sigma points; SECOND = 0: an extended filter
+    "GAMMA", "SHORTENS", "SPREAD", "SECOND",  # sigma points; the first two and the last of an extended filter are 0
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
@@ -51,6 +65,7 @@ SUMS = (
     "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and the factors in force
     "HEADING",  # of models with tilts, whose mean has no row for it
+    "FACED", "COS", "SIN",  # planar5's heading's, right where FACED is not 0: whoever writes a heading makes it 0
 )  # fmt: skip
 """What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
@@ -61,9 +76,9 @@ SCRATCH = (
     "V11", "V12", "V22",  # S = H P H^T + R of a fix
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
-    "WEIGHT", "FACTOR",  # of a fix under Student's t, and by which P is stretched
+    "FACTOR",  # by which P is stretched
     # A prediction's: acceleration, its covariances with the state and with itself.
-    "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "COS", "SIN", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
+    "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it
     *(f"D{i}{j}" for i in "123" for j in "123"), "LEVER_UP", *(f"FP{k}" for k in range(7 * 7)),  # tilted12's
     "TURN_W", "TURN_X", "TURN_Y", "TURN_Z", "HALF_X", "HALF_Y", "HALF_Z",

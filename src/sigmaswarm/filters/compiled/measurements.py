@@ -15,7 +15,7 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
-from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.lanes import TINY, kernel, sincos, sine_and_half
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
     fold,
@@ -54,7 +54,6 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
         adapting += w[R.FORGETTING, l] < 1.0
         fuzzy += w[R.FUZZY, l] >= 0.0
         robust += w[R.DOF, l] > 0.0
-        w[R.WEIGHT, l] = 1.0
     _measure_fix(w, z, lever)
     for l in range(LANES):
         inside = (_look(w, l) <= w[R.GATE, l]) | (w[R.REJECTED, l] >= MOST_REJECTED)
@@ -69,7 +68,7 @@ def absorb_fix(w, z, lever, since, *, n, adaptive, note_prior):
     if note_prior:  # P may have been stretched
         note_prior(w)
     for l in range(LANES):
-        rx, ry, use = w[R.R1, l] / w[R.WEIGHT, l], w[R.R2, l] / w[R.WEIGHT, l], w[R.USE, l]
+        rx, ry, use = w[R.R1, l], w[R.R2, l], w[R.USE, l]
         s11, s12, s22 = w[R.S11, l] + rx, w[R.S12, l], w[R.S22, l] + ry
         det = s11 * s22 - s12 * s12
         g11, g12, g22 = s22 / det, -s12 / det, s11 / det
@@ -151,13 +150,12 @@ def _measure_fix(w, z, lever, *, n):
 def _turn_lever(w, lever_x, lever_y):
     """R(theta) lever, k J R(theta) lever, and e: what the heading and its spread make of the lever arm."""
     for l in range(LANES):
-        second = w[R.SECOND, l]
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + 1e-300
-        sin_d, sin2_h = double_angle(0.5 * d)
-        k = 1.0 + second * (sin_d / d - 1.0)
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, -2.0 * second * w[R.INV_GAMMA2, l] * sin2_h
+        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + TINY
+        sin_d, sin2_h = sine_and_half(d)
+        k = sin_d / d
+        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * sin2_h
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
@@ -290,7 +288,8 @@ def _weigh(w, since):
         seen = (s11 - w[R.GEE, l]) + (s22 - w[R.GNN, l])  # tr H P H^T
         wanted = (n1 * n1 + n2 * n2 - rx - ry) / seen
         w[R.FACTOR, l] = wanted if recovers & (wanted > 1.0) else 1.0
-        w[R.WEIGHT, l] = weight if used & (not recovers) else 1.0
+        weight = weight if used & (not recovers) else 1.0
+        w[R.R1, l], w[R.R2, l] = rx / weight, ry / weight
         w[R.OUTLIERS, l] = 0.0 if recovers else count
         w[R.SPAN, l] = 0.0 if recovers else span
         recovering += recovers
@@ -391,11 +390,9 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             arm = w[R.ODOMETER_LATENCY, l] + age
         tt = w[R.TT, l]
         s, c = sincos(w[R.T, l])
-        d = gamma * math.sqrt(tt) + 1e-300
-        sin_d, sin2_h = double_angle(0.5 * d)
-        sin2_h = second * sin2_h
-        e = -2.0 * w[R.INV_GAMMA2, l] * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
+        d = gamma * math.sqrt(tt) + TINY
+        sin_d, sin2_h = sine_and_half(d)
+        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
         t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]
@@ -409,7 +406,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
         else:
             variance = c * c * w[R.UU, l] + 2.0 * c * s * w[R.UV, l] + s * s * w[R.VV, l]
-        variance += k * k * (tt * away * away - second * gamma * gamma * t_along * t_along)
+        variance += k * k * (tt * away * away - gamma * gamma * t_along * t_along)
         variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
         w[R.N1, l] = arm * shown - along - mu
         if lateral == 0:
@@ -453,6 +450,7 @@ def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
 def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
+        w[R.FACED, l] = 0.0
         g = 1.0 / w[R.S11, l]
         for j in range(n):
             gain = g * w[C1 + j, l]
@@ -465,6 +463,7 @@ def _absorb_two(w, *, n, tilted):
     """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
+        w[R.FACED, l] = 0.0
         for j in range(n):
             gain_1, gain_2 = w[C1 + j, l] * g11 + w[C2 + j, l] * g12, w[C1 + j, l] * g12 + w[C2 + j, l] * g22
             w[j, l] += gain_1 * w[R.N1, l] + gain_2 * w[R.N2, l]

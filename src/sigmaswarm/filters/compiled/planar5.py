@@ -14,7 +14,10 @@ first. Then only its first column (and its mirror image) moves theta, by d = gam
 
 The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and so on; Q is added at the end.
 
-An extended Kalman filter is the same with the second-order terms off: e = 0, k = 1 (constant SECOND = 0).
+An extended Kalman filter is the same with the second-order terms off: gamma = 0, so that e = 0 and k = 1.
+
+The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, turn along; they are asked
+for anew where something else has turned it, a fix or a start: row FACED is 0 there.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -22,63 +25,78 @@ An extended Kalman filter is the same with the second-order terms off: e = 0, k 
 import math
 
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.lanes import FAR, TINY, kernel, sinc_cos, sincos, sine_and_half
 from sigmaswarm.filters.compiled.layout import LANES, R
 
 
 @kernel
-def _turn(w, ax, ay):
-    """What the mean heading and its spread do to the acceleration times dt."""
+def _face(w):
+    """The heading's cosine and sine, in the lanes where something else than the gyro has turned it."""
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
+        faced = w[R.FACED, l] > 0.0
+        w[R.COS, l] = w[R.COS, l] if faced else cos_t
+        w[R.SIN, l] = w[R.SIN, l] if faced else sin_t
+
+
+@kernel
+def _turn(w, ax, ay, turn, faced):
+    """What the mean heading and its spread do to the acceleration times dt; then the heading turns as the gyro says."""
+    for l in range(LANES):
+        k_turn, cos_turn = sinc_cos(turn * turn)
+        sin_turn = turn * k_turn
+        sin_t, cos_t = w[R.SIN, l], w[R.COS, l]
+        w[R.COS, l], w[R.SIN, l] = cos_turn * cos_t - sin_turn * sin_t, cos_turn * sin_t + sin_turn * cos_t
+        w[R.FACED, l] = faced
+        w[R.T, l] += turn
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        second = w[R.SECOND, l]
-        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + 1e-300  # never 0/0; no change to any other d
-        sin_d, sin2_h = double_angle(0.5 * d)
-        e = -2.0 * second * w[R.INV_GAMMA2, l] * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
+        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + TINY
+        sin_d, sin2_h = sine_and_half(d)
+        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
         w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
         w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
 
 
 @kernel
 def predict_planar5(w, u):
-    """One step of the process model, in two loops: a processor can't look ahead over one so long."""
+    """One step of the process model, in two loops: a processor can't look ahead over one so long.
+
+    The position moves by half a step with the velocity before, the velocity turns into the one after, and the position
+    moves by half a step with that.
+    """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
-    _turn(w, dt * ax, dt * ay)
+    unknown = 0
+    for l in range(LANES):
+        unknown += not (w[R.FACED, l] > 0.0)
+    if unknown > 0:
+        _face(w)
+    turn = dt * gz
+    _turn(w, dt * ax, dt * ay, turn, 1.0 if turn * turn < FAR else 0.0)
     h = 0.5 * dt
     for l in range(LANES):
-        # dt g0; dt k J g0, so Cov(s, dt g) / P[s, t]
-        a, b, ke, kn = w[R.EAST, l], w[R.NORTH, l], w[R.JEAST, l], w[R.JNORTH, l]
-        xu, xv, xt = w[R.XU, l], w[R.XV, l], w[R.XT, l]
-        yu, yv, yt = w[R.YU, l], w[R.YV, l], w[R.YT, l]
-        uu, uv, ut = w[R.UU, l], w[R.UV, l], w[R.UT, l]
-        vv, vt, tt = w[R.VV, l], w[R.VT, l], w[R.TT, l]
-
-        u, v = w[R.U, l], w[R.V, l]
+        u, v, tt = w[R.U, l], w[R.V, l], w[R.TT, l]
+        a, b, ke, kn = w[R.EAST, l], w[R.NORTH, l], w[R.JEAST, l], w[R.JNORTH, l]  # dt g0; dt k J g0
+        along_a, along_b = w[R.ALONG, l] * a, w[R.ALONG, l] * b
         u1, v1 = u + (a + w[R.E, l] * a), v + (b + w[R.E, l] * b)
         w[R.X, l] += h * (u + u1)
         w[R.Y, l] += h * (v + v1)
         w[R.U, l], w[R.V, l] = u1, v1
-        w[R.T, l] += dt * gz
 
-        # xu1 is Cov(x, u'), x1u is Cov(x', u), x1u1 is Cov(x', u'), and so on.
-        xu1, xv1 = xu + ke * xt, xv + kn * xt
-        yu1, yv1 = yu + ke * yt, yv + kn * yt
-        uu1, uv1 = uu + ke * ut, uv + kn * ut
-        vu1, vv1 = uv + ke * vt, vv + kn * vt
-        u1t, v1t = ut + ke * tt, vt + kn * tt
-        u1u1 = uu1 + ke * u1t + w[R.ALONG, l] * a * a
-        u1v1 = uv1 + ke * v1t + w[R.ALONG, l] * a * b
-        v1v1 = vv1 + kn * v1t + w[R.ALONG, l] * b * b
-        x1u, y1u, y1v = xu + h * (uu + uu1), yu + h * (uv + uv1), yv + h * (vv + vv1)
-        x1u1, x1v1 = xu1 + h * (uu1 + u1u1), xv1 + h * (uv1 + u1v1)
-        y1u1, y1v1 = yu1 + h * (vu1 + u1v1), yv1 + h * (vv1 + v1v1)
-        w[R.XX, l] += h * ((xu + xu1) + (x1u + x1u1)) + q_scale * w[R.Q_X, l]
-        w[R.XY, l] += h * ((xv + xv1) + (y1u + y1u1))
-        w[R.YY, l] += h * ((yv + yv1) + (y1v + y1v1)) + q_scale * w[R.Q_Y, l]
-        w[R.XU, l], w[R.XV, l], w[R.XT, l] = x1u1, x1v1, xt + h * (ut + u1t)
-        w[R.YU, l], w[R.YV, l], w[R.YT, l] = y1u1, y1v1, yt + h * (vt + v1t)
-        w[R.UU, l], w[R.UV, l], w[R.UT, l] = u1u1 + q_scale * w[R.Q_U, l], u1v1, u1t
-        w[R.VV, l], w[R.VT, l] = v1v1 + q_scale * w[R.Q_V, l], v1t
+        ut, vt, uu, uv, vv = w[R.UT, l], w[R.VT, l], w[R.UU, l], w[R.UV, l], w[R.VV, l]
+        xt, yt = w[R.XT, l] + h * ut, w[R.YT, l] + h * vt
+        xu, xv, yu, yv = w[R.XU, l], w[R.XV, l], w[R.YU, l], w[R.YV, l]
+        xu1, xv1, yu1, yv1 = xu + h * uu, xv + h * uv, yu + h * uv, yv + h * vv
+        ut1, vt1 = ut + ke * tt, vt + kn * tt
+        uu1 = uu + ke * ut + ke * ut1 + along_a * a
+        uv1 = uv + kn * ut + ke * vt1 + along_a * b
+        vv1 = vv + kn * vt + kn * vt1 + along_b * b
+        xu2, xv2, yu2, yv2 = xu1 + ke * xt, xv1 + kn * xt, yu1 + ke * yt, yv1 + kn * yt
+        xu3, xv3, yu3, yv3 = xu2 + h * uu1, xv2 + h * uv1, yu2 + h * uv1, yv2 + h * vv1
+        w[R.XX, l] += h * ((xu + xu1) + (xu2 + xu3)) + q_scale * w[R.Q_X, l]
+        w[R.XY, l] += h * ((xv + yu1) + (xv2 + yu3))
+        w[R.YY, l] += h * ((yv + yv1) + (yv2 + yv3)) + q_scale * w[R.Q_Y, l]
+        w[R.XU, l], w[R.XV, l], w[R.XT, l] = xu3, xv3, xt + h * ut1
+        w[R.YU, l], w[R.YV, l], w[R.YT, l] = yu3, yv3, yt + h * vt1
+        w[R.UU, l], w[R.UV, l], w[R.UT, l] = uu1 + q_scale * w[R.Q_U, l], uv1, ut1
+        w[R.VV, l], w[R.VT, l] = vv1 + q_scale * w[R.Q_V, l], vt1
         w[R.TT, l] = tt + q_scale * w[R.Q_T, l]

@@ -11,7 +11,7 @@ planar5, and m = (1 - cos d) / P[theta, theta]. Adding up the sigma points gives
     Cov(g)      = R P[b, b] R^T + k^2 (P[theta, theta] J g0 (J g0)^T - gamma^2 t t^T)
                   - k cos d (J g0 t^T + t (J g0)^T) + (alpha^2 (n + kappa - 1) + beta) mu mu^T
 
-The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^2 term; the extended Kalman filter.
+The second-order terms off (gamma = SECOND = 0): mu = 0, m = 0, k = cos d = 1; the extended Kalman filter.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -19,7 +19,7 @@ The second-order terms off (SECOND = 0): mu = 0, m = 0, k = cos d = 1, no gamma^
 import math
 
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import double_angle, kernel, sincos
+from sigmaswarm.filters.compiled.lanes import TINY, kernel, sincos, sine_and_half
 from sigmaswarm.filters.compiled.layout import LANES, R
 
 
@@ -32,11 +32,9 @@ def _turn(w, dt, ax, ay):
         fx, fy = ax - w[R.A, l], ay - w[R.B, l]
         a, b = c * fx - s * fy, s * fx + c * fy
         second, gamma, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.TT, l]
-        d = gamma * math.sqrt(tt) + 1e-300
-        sin_d, sin2_h = double_angle(0.5 * d)
-        sin2_h = second * sin2_h
-        k = 1.0 + second * (sin_d / d - 1.0)
-        e = -2.0 * w[R.INV_GAMMA2, l] * sin2_h
+        d = gamma * math.sqrt(tt) + TINY
+        sin_d, sin2_h = sine_and_half(d)
+        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
         mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
@@ -46,7 +44,7 @@ def _turn(w, dt, ax, ay):
 
         aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
         ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
-        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l], second * gamma * gamma
+        k2, kc, spread, g2 = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l], gamma * gamma
         w[R.GEE, l] = (
             c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
         )

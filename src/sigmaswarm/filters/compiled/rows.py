@@ -12,7 +12,7 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from sigmaswarm.filters.compiled.layout import LANES, N_ROWS
+from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
 
 CACHE_LINE = 64
 """Bytes; also the width of the widest vectors."""
@@ -24,13 +24,13 @@ def _on_the_stack(typing_context, lanes):
 
     def generate(context, builder, signature, arguments):
         size = ir.IntType(64)
-        data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), N_ROWS * LANES))
+        data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
         data.align = CACHE_LINE
         array = context.make_array(kind)(context, builder)
         context.populate_array(
             array,
             data=builder.bitcast(data, ir.DoubleType().as_pointer()),
-            shape=[size(N_ROWS), arguments[0]],
+            shape=[size(BLOCKS * N_ROWS), arguments[0]],
             strides=[size(8 * LANES), size(8)],
             itemsize=size(8),
             meminfo=None,
@@ -45,7 +45,8 @@ def _in_python(lanes):
 
 
 new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
-"""``(lanes)``: an array of shape (N_ROWS, lanes), not yet written; it lives as long as the kernel that asked for it.
+"""``(lanes)``: an array of rows, not yet written; it lives as long as the kernel that asked for it.
 
-Lanes are LANES or WIDEST; always LANES where nothing is compiled.
+It is said to have ``lanes`` columns, but has LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
+where nothing is compiled.
 """

@@ -1,4 +1,4 @@
-"""The compiled run: up to LANES filters over one time line, with scores along the way."""
+"""The compiled run: up to `most_lanes` filters over one time line, with scores along the way."""
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -85,6 +85,17 @@ def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
         w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
 
 
+def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
+    """As `_score` at the very time of an IMU sample."""
+    for l in range(LANES):
+        x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, w[heading, l] - true_theta
+        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
+        w[R.SQ_POSITION, l] += x * x + y * y
+        w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
+        xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
+        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+
+
 def _score_doubtful(
     w, weight, true_x, true_y, true_theta, scores_heading, counts, heading_counts, var_x, var_y, *, heading
 ):
@@ -107,7 +118,7 @@ def _score_doubtful(
 
 def _run(
     w, steps, sample, driving, flags, fixes, speeds, lever, targets, target_end, place, stop, record, innovations,
-    *, step, state, n_axes, heading, score, score_doubtful,
+    *, step, state, n_axes, heading, score, score_there, score_doubtful,
 ):  # fmt: skip
     """The steps from a place to a stop; w holds what the filters are and remember, before and after.
 
@@ -124,7 +135,7 @@ def _run(
     interval_starts = True
     weight, true_x, true_y, true_theta, scores_heading, doubts = targets
     for s in range(int(place[NEXT_STEP]), stop):
-        if interval_starts:
+        if interval_starts and n_targets < len(weight) and (weight[n_targets] != 1.0 or doubts.shape[0] > 0):
             for l in range(LANES):
                 w[R.BEFORE_X, l] = w[R.X, l]
                 w[R.BEFORE_Y, l] = w[R.Y, l]
@@ -159,7 +170,11 @@ def _run(
         while n_targets < target_end[s]:
             t = n_targets
             if doubts.shape[0] == 0:
-                score(w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0)
+                counts = 1.0 if scores_heading[t] else 0.0
+                if weight[t] == 1.0:
+                    score_there(w, true_x[t], true_y[t], true_theta[t], counts)
+                else:
+                    score(w, weight[t], true_x[t], true_y[t], true_theta[t], counts)
             else:
                 score_doubtful(
                     w, weight[t], true_x[t], true_y[t], true_theta[t], 1.0 if scores_heading[t] else 0.0,
@@ -180,19 +195,23 @@ def _run(
 
 @njit(**OPTIONS)
 def _load(w, rows):
-    for r in range(N_KEPT):
-        for lane in range(w.shape[1]):
-            w[r, lane] = rows[r, lane % rows.shape[1]]  # uncompiled, w has always LANES
-    for r in range(N_KEPT, N_ROWS):
-        for lane in range(w.shape[1]):
-            w[r, lane] = 0.0
+    for first in range(0, w.shape[1], LANES):
+        below = first // LANES * N_ROWS
+        for r in range(N_KEPT):
+            for lane in range(first, min(first + LANES, w.shape[1])):
+                w[below + r, lane - first] = rows[r, lane % rows.shape[1]]  # uncompiled, w has always LANES
+        for r in range(N_KEPT, N_ROWS):
+            for lane in range(first, min(first + LANES, w.shape[1])):
+                w[below + r, lane - first] = 0.0
 
 
 @njit(**OPTIONS)
 def _store(w, rows):
-    for r in range(N_KEPT):
-        for lane in range(rows.shape[1]):
-            rows[r, lane] = w[r, lane]
+    for first in range(0, rows.shape[1], LANES):
+        below = first // LANES * N_ROWS
+        for r in range(N_KEPT):
+            for lane in range(first, min(first + LANES, rows.shape[1])):
+                rows[r, lane] = w[below + r, lane - first]
 
 
 _ELSEWHERE = alignment, frozen, fuzzy, gaps, odometer, standstill, timeline, models, schedule, student, tilted
@@ -283,7 +302,8 @@ def _kernel_of(model, step, rows, name):
     def known():
         steps_to = kernel(
             _run, step=step(), state=rows, n_axes=len(described.imu), heading=heading,
-            score=kernel(_score, heading=heading), score_doubtful=kernel(_score_doubtful, heading=heading),
+            score=kernel(_score, heading=heading), score_there=kernel(_score_there, heading=heading),
+            score_doubtful=kernel(_score_doubtful, heading=heading),
         )  # fmt: skip
         return {"steps_to": steps_to}
 
@@ -319,7 +339,7 @@ def run_lanes(
     record: Array,
     innovations: Array,
 ) -> None:
-    """Run up to LANES filters over some steps of one time line, from where the last call has left them.
+    """Run up to `most_lanes` filters over some steps of one time line, from where the last call has left them.
 
     Runs in pieces give the bits of the whole run, if each piece but the last stops after a step that has IMU.
 
@@ -336,7 +356,7 @@ def run_lanes(
     lever : (3,) m forward, left and up from the IMU to the antenna
     targets : columns (m,) as `Targets.columns`: moments of truth inside an IMU interval
     target_end : (k,) how many targets lie before the end of each step (constant where flags lack IMU)
-    rows : (N_KEPT, LANES or WIDEST), changed: state, constants and sums of each lane, and what it remembers
+    rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete
     record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes at

@@ -33,7 +33,7 @@ from sigmaswarm.drives.timeline import (
     GZ,
     Q_SCALE,
 )
-from sigmaswarm.filters.compiled.lanes import angle_of, kernel, sinc_cos, sincos
+from sigmaswarm.filters.compiled.lanes import FAR, angle_of, kernel, sinc_cos, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
@@ -54,10 +54,6 @@ def fp(i, j):
     return at(i, j) if j in KEPT else FP + len(MOVED) * MOVED.index(i) + MOVED.index(j)
 
 
-_FAR = (math.pi / 4) ** 2
-"""Of the squared angle of a quaternion, half of the turn's: up to there `sinc_cos` holds."""
-
-
 @kernel
 def _turn_far(w):
     """The quaternions of `_half_turn` for any angle; those of the lanes whose angle is small stay as they are."""
@@ -66,7 +62,7 @@ def _turn_far(w):
         angle = math.sqrt(x * x + y * y + z * z) + 1e-300
         sine, c = sincos(angle)
         k = sine / angle
-        near = x * x + y * y + z * z < _FAR
+        near = x * x + y * y + z * z < FAR
         w[R.TURN_W, l] = w[R.TURN_W, l] if near else c
         w[R.TURN_X, l] = w[R.TURN_X, l] if near else k * x
         w[R.TURN_Y, l] = w[R.TURN_Y, l] if near else k * y
@@ -84,7 +80,7 @@ def _half_turn(w, u):
         k, c = sinc_cos(angle2)
         w[R.TURN_W, l], w[R.TURN_X, l], w[R.TURN_Y, l], w[R.TURN_Z, l] = c, k * x, k * y, k * z
         w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l] = x, y, z
-        far += not (angle2 < _FAR)
+        far += not (angle2 < FAR)
     if far > 0:
         _turn_far(w)
 

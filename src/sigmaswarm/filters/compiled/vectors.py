@@ -172,13 +172,14 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
     builder.branch(body)
     builder.position_at_end(body)
     lane = builder.phi(_WHOLE)
-    none = ir.Constant(ir.VectorType(_WHOLE, width), [0] * width)
-    counts = {name: builder.phi(none.type) for name in loop.counted}
+    counts = {name: builder.phi(_WHOLE) for name in loop.counted}
     frame = _Frame(loop.names, values | counts)
-    _Emitter(builder, vector, builder.gep(rows, [lane])).block(loop.body, frame)
+    block = builder.lshr(lane, _WHOLE(LANES.bit_length() - 1))
+    place = builder.add(lane, builder.mul(block, _WHOLE((N_ROWS - 1) * LANES)))
+    _Emitter(builder, vector, builder.gep(rows, [place])).block(loop.body, frame)
     after = builder.add(lane, _WHOLE(width))
     for phi, before, behind in (
-        (lane, _WHOLE(0), after), *((phi, none, frame.values[name]) for name, phi in counts.items()),
+        (lane, _WHOLE(0), after), *((phi, _WHOLE(0), frame.values[name]) for name, phi in counts.items()),
     ):  # fmt: skip
         phi.add_incoming(before, entry)
         phi.add_incoming(behind, body)
@@ -189,10 +190,7 @@ def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:
         return function
     sums = ir.Constant(result, ir.Undefined)
     for number, name in enumerate(loop.counted):
-        total = _WHOLE(0)
-        for k in range(width):
-            total = builder.add(total, builder.extract_element(frame.values[name], ir.IntType(32)(k)))
-        sums = builder.insert_value(sums, total, number)
+        sums = builder.insert_value(sums, frame.values[name], number)
     builder.ret(sums)
     return function
 
@@ -316,9 +314,14 @@ class _Emitter:
         in_python, in_llvm = _ARITHMETIC[type(op)]
         if isinstance(a, int | float) and isinstance(b, int | float):
             return in_python(a, b)
-        if _is_vector_of(a, _WHOLE):  # lanes are counted
-            return self.builder.add(a, self.builder.zext(b, a.type))
+        if isinstance(a, ir.Value) and a.type == _WHOLE:
+            return self.builder.add(a, self.lanes_of(b))
         return getattr(self.builder, in_llvm)(self.as_vector(a), self.as_vector(b), flags=FLAGS)
+
+    def lanes_of(self, test: Any) -> Any:
+        """In how many lanes a test holds."""
+        bits = self.builder.bitcast(test, ir.IntType(self.vector.count))
+        return self.builder.zext(self.builder.ctpop(bits), _WHOLE)
 
     def as_vector(self, value: Any) -> Any:
         known = isinstance(value, int | float)
@@ -340,9 +343,3 @@ class _Emitter:
         module, name = self.builder.module, f"llvm.{name}.v{self.vector.count}f64"
         there = module.globals.get(name)
         return there or ir.Function(module, ir.FunctionType(self.vector, [self.vector]), name)
-
-
-def _is_vector_of(value: Any, kind: ir.Type) -> bool:
-    return (
-        isinstance(value, ir.Value) and isinstance(value.type, ir.VectorType) and value.type.element == kind
-    )
