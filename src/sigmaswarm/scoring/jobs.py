@@ -21,6 +21,8 @@ STEP, STEP_MORE = 20e-9, 3.4e-9
 """s: a step of planar5, and more for each lane; by the power of 1.5 of the number of states more of another model."""
 HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
+MANY = 16
+"""Jobs of each worker: with more it does not matter how they are shared out."""
 SHORT = 20_000
 """Steps: replays that are shorter may be run one after the other in one job."""
 
@@ -66,9 +68,10 @@ def _jobs_for(
     steps: tuple[tuple[str, tuple[int, ...]], ...], n_sets: int, model: ModelName, workers: int
 ) -> tuple[Job, ...]:
     most = most_lanes(model)
-    if workers == 1:  # nobody else waits: the fewest are the best
-        return tuple(_jobs(_parts(steps, SHORT), n_sets, model, (most, most), wide=0))
-    widths = [most >> k for k in range((most // WIDEST).bit_length())]
+    parts = list(_parts(steps, SHORT))
+    if workers == 1 or len(parts) >= MANY * workers:  # nobody waits, or not for long: the fewest are the best
+        return tuple(_jobs(parts, n_sets, model, (most, most), wide=0))
+    widths = range(most, 0, -WIDEST)
     ways = list[tuple[Job, ...]]()
     for short, (wide, narrow) in product((SHORT, 0), combinations_with_replacement(widths, 2)):
         parts = list(_parts(steps, short))

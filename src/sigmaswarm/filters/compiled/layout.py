@@ -25,7 +25,8 @@ BLOCKS = 2
 
 def most_lanes(model: str) -> int:
     """Filters that a run takes at once: many, for they hide what each waits for, but all in a core's nearest cache."""
-    return LANES if MODELS[model].tilts or config.DISABLE_JIT else BLOCKS * LANES
+    uncompiled = config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
+    return LANES if MODELS[model].tilts or uncompiled else BLOCKS * LANES
 
 
 def lanes_for(n_sets: int) -> int:
