@@ -7,6 +7,7 @@ import random
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Tell, run_grid
+from sigmaswarm.experiments.study import run as study_run
 from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.run import Study, run_study
@@ -86,6 +88,28 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     monkeypatch.setattr(Search, "_generation", lambda *_: pytest.fail("a finished trial was redone"))
     run_study(TINY, whole.folder, resume=True)
     assert contents(whole.folder) == before
+
+
+def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch: pytest.MonkeyPatch):
+    """Python's own number of threads is larger, and they would wait for each other; nor does one worker fork."""
+    asked: list[int] = []
+
+    def forked(one: object, size: int) -> AbstractContextManager[object]:
+        asked.append(size)
+        return nullcontext(one)
+
+    def threads(workers: int) -> ThreadPoolExecutor:
+        asked.append(workers)
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr(study_run, "cores", lambda: 3)
+    monkeypatch.setattr(study_run, "forked", forked)
+    monkeypatch.setattr(study_run, "ThreadPoolExecutor", threads)
+    for workers in (None, 1, 2):
+        run_study(TINY, whole.folder, resume=True, workers=workers)
+    with ThreadPoolExecutor(2) as own:
+        run_study(TINY, whole.folder, resume=True, executor=own)
+    assert asked == [3, 3, 1, 0, 2, 2, 0]
 
 
 def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
