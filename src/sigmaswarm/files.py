@@ -31,6 +31,8 @@ except ImportError:  # not on Windows: nothing is locked there, and nothing swep
     fcntl = None
 
 T = TypeVar("T", "_Part", "_Staging")
+_HELD = set[int]()
+"""Of `held_folder`: open folders that this process has locked."""
 _OURS = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}")
 
 
@@ -89,11 +91,12 @@ def held_folder(path: Path) -> Generator[Path]:
     """
     make_folder(path)
     handle = os.open(path, os.O_RDONLY) if fcntl else -1
+    _HELD.add(handle)
     try:
         if fcntl:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        os.close(handle)
+        _let_go_of(handle)
         raise InputError(
             f"{path}: another run is filling it; wait for its end, or choose another --out"
         ) from None
@@ -102,8 +105,19 @@ def held_folder(path: Path) -> Generator[Path]:
     try:
         yield path
     finally:
-        if fcntl:
-            os.close(handle)  # the lock ends with it, and with the process
+        _let_go_of(handle)  # the lock ends with it, and with the process
+
+
+def let_go() -> None:
+    """In a fork: let go of the folders that the parent holds, or they would be held as long as the fork lives."""
+    for handle in tuple(_HELD):
+        _let_go_of(handle)
+
+
+def _let_go_of(handle: int) -> None:
+    if fcntl and handle in _HELD:
+        os.close(handle)
+    _HELD.discard(handle)
 
 
 @contextmanager

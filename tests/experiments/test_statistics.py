@@ -216,3 +216,19 @@ def test_intervals_for_new_drives_cover_and_the_naive_one_does_not():
     assert naive < 0.8
     assert corrected > 0.91  # of 150: 0.95 less 2.2 standard errors
     assert 0.90 < resampled < 0.99
+
+
+def test_what_was_drawn_for_the_same_drives_is_not_drawn_again(monkeypatch: pytest.MonkeyPatch):
+    """Neither for other scores nor for other figures, and every figure is what it is alone."""
+    other = np.where(np.isnan(FROZEN), np.nan, FROZEN**2)
+
+    def figures(known: s.Known | None) -> list[object]:
+        pairs = [compare_paired(FROZEN, other, STRATA, rng(), known)]
+        return [*pairs, *(summarize(values, STRATA, 2 / 3, rng(), known) for values in (FROZEN, other))]
+
+    alone, known = figures(None), s.Known()
+    assert figures(known) == alone
+    monkeypatch.setattr(s, "_weights", lambda *_: pytest.fail("drawn again"))
+    assert figures(known) == alone
+    with pytest.raises(pytest.fail.Exception):
+        summarize(FROZEN, STRATA, 2 / 3, np.random.default_rng(1), known)

@@ -7,6 +7,7 @@ import random
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.grid import Tell, run_grid
+from sigmaswarm.experiments.study import run as study_run
 from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.run import Study, run_study
@@ -88,6 +90,28 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
     assert contents(whole.folder) == before
 
 
+def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch: pytest.MonkeyPatch):
+    """Python's own number of threads is larger, and they would wait for each other; nor does one worker fork."""
+    asked: list[int] = []
+
+    def forked(one: object, size: int) -> AbstractContextManager[object]:
+        asked.append(size)
+        return nullcontext(one)
+
+    def threads(workers: int) -> ThreadPoolExecutor:
+        asked.append(workers)
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr(study_run, "cores", lambda: 3)
+    monkeypatch.setattr(study_run, "forked", forked)
+    monkeypatch.setattr(study_run, "ThreadPoolExecutor", threads)
+    for workers in (None, 1, 2):
+        run_study(TINY, whole.folder, resume=True, workers=workers)
+    with ThreadPoolExecutor(2) as own:
+        run_study(TINY, whole.folder, resume=True, executor=own)
+    assert asked == [3, 3, 1, 0, 2, 2, 0]
+
+
 def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
     """The shared, prepared drives give the same bits as a tuning of its own on the same split."""
     train = [design.drives[i] for i in design.split(0)[0]]
@@ -102,11 +126,11 @@ def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
         assert whole.parameters[task] == tuning.parameters
 
 
-def test_the_papers_protocol_does_not_race(design: Design):
+def test_all_race_or_none(design: Design):
     racing = make_design(TINY.model_copy(update={"racing": True}))
-    raced = {(m, p): racing.tune_config(m, p).racing for m, each in TUNED_METHODS.items() for p in each}
-    assert raced == {variant: variant[1] != "paper" for variant in raced}
-    assert not any(design.tune_config(m, p).racing for m, p in raced)
+    variants = [(method, protocol) for method, each in TUNED_METHODS.items() for protocol in each]
+    assert all(racing.tune_config(*variant).racing for variant in variants)
+    assert not any(design.tune_config(*variant).racing for variant in variants)
 
 
 def test_it_races_by_itself_where_training_drives_are_many():

@@ -72,8 +72,8 @@ def study(
     per_condition
         Tune each condition by itself instead of one filter for all.
     racing
-        Drop the worse candidates of a generation after a few drives, but under the paper's protocol. By default where
-        each tuning has 96 training drives or more, where it takes a fifth of the time.
+        Drop the worse candidates of a generation after a few drives. By default where each tuning has 96 training
+        drives or more, where it takes a fifth of the time; --no-racing tries all on all, as the paper does.
     rivals
         Beside all others tune a UKF whose noises fuzzy rules scale, and a UKF by Bayesian optimization, of at most 100
         evaluations; and train two networks, outage-lstm and noise-gru, beside planar8 in each trial. Drift over 15, 30
@@ -85,7 +85,8 @@ def study(
         With --rivals, drives with truth, of other sensors or another car than those of --drives; without --drives they
         are simulated by default.
     workers
-        Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
+        Processes, or threads where none can be forked; all cores by default. With --cluster, tunings side by side. The
+        result does not depend on it.
     cluster
         A Dask cluster whose workers make or read the drives, hold them and do the work: tcp://host:8786, a scheduler
         file, or local:4 for so many processes of this machine. Nor does the result depend on it.

@@ -48,19 +48,25 @@ def run_grid(
 
     def one(task: T) -> R:
         tell = tally.of(task)
-        tell(0)
-        result = run(task, tell)
-        tell(rounds)
+        try:
+            tell(0)
+            result = run(task, tell)
+            tell(rounds)
+        except BaseException as error:
+            tally.stop(error)
+            raise
         return result
 
     queue = sorted(tasks, key=effort, reverse=True) if effort else tasks
     futures = {task: executor.submit(one, task) for task in queue}
     try:
         return {task: futures[task].result() for task in tasks}
-    except BaseException:
-        tally.stopped.set()
+    except BaseException as error:
+        first = tally.stop(error)
         for future in futures.values():
             future.cancel()
+        if first is not error:
+            raise first from None
         raise
 
 
@@ -69,7 +75,13 @@ class _Tally(Generic[T]):
 
     def __init__(self, total: int, progress: Callable[[int, int, T], None] | None) -> None:
         self._lock, self._done, self._total, self._progress = threading.Lock(), 0, total, progress
-        self.stopped = threading.Event()
+        self._stopped_by: BaseException | None = None
+
+    def stop(self, error: BaseException) -> BaseException:
+        """Stop all tasks; returns what stopped them first."""
+        with self._lock:
+            self._stopped_by = self._stopped_by or error
+            return self._stopped_by
 
     def of(self, task: T) -> Tell:
         """The function that one task tells its rounds; those before the first it tells are done."""
@@ -77,7 +89,7 @@ class _Tally(Generic[T]):
 
         def tell(rounds: int) -> None:
             nonlocal told
-            if self.stopped.is_set():
+            if self._stopped_by:
                 raise InterruptedError("the experiment was interrupted")
             with self._lock:
                 if rounds == told:

@@ -9,7 +9,7 @@ n of n makes the variance of a mean too small by (n - 1) / n, which tells where 
 
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
 """From and to."""
+Known = dict[Hashable, tuple[Array, Any]]
+"""What was drawn for whom from which state of a generator, and the state behind it."""
 RESAMPLES = 2000
 """Of each bootstrap."""
 LEVEL = 0.95
@@ -64,20 +66,26 @@ def corrected_interval(values: Array, test_per_train: float, level: float = LEVE
 
 
 def bootstrap(
-    statistic: Callable[..., Array], columns: Sequence[Array], strata: Sequence[str], rng: np.random.Generator
+    statistic: Callable[..., Array],
+    columns: Sequence[Array],
+    strata: Sequence[str],
+    rng: np.random.Generator,
+    known: Known | None = None,
 ) -> Interval:
     """Percentile interval of a statistic of the means of paired columns, drives resampled within their conditions.
 
-    ``statistic`` takes the mean of each column, shape (RESAMPLES,).
+    ``statistic`` takes the mean of each column, shape (RESAMPLES,). ``known`` remembers what was drawn: see `_once`.
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):
         return math.nan, math.nan
-    weight = _drive_weights(strata, rng)
+    weight = _once(known, rng, tuple(strata), lambda: _drive_weights(strata, rng))
     return _middle(statistic(*(weight @ column / n for column in columns)))
 
 
-def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Generator) -> Interval:
+def crossed_bootstrap(
+    values: Array, strata: Sequence[str], rng: np.random.Generator, known: Known | None = None
+) -> Interval:
     """Percentile interval of the mean, with drives and trials resampled independently of each other.
 
     As in A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007: what the choice of drives leaves
@@ -86,14 +94,16 @@ def crossed_bootstrap(values: Array, strata: Sequence[str], rng: np.random.Gener
     tails that are cut off are Student's, in normal scale (T. C. Hesterberg, What teachers should know about the
     bootstrap, The American Statistician 69, 2015): with few trials or drives, quantiles alone would be too narrow.
     """
-    known = ~np.isnan(values)
-    kept, trials = known.any(axis=0), known.any(axis=1)
-    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known]).all():
+    told = ~np.isnan(values)
+    kept, trials = told.any(axis=0), told.any(axis=1)
+    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[told]).all():
         return math.nan, math.nan
     drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
-    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], known[:, kept].sum(axis=0)
-    by_drive = _drive_weights(own, rng, times.astype(np.float64)) @ drive_levels / times.sum()
-    by_trial = _weights(len(trial_levels), rng) @ trial_levels / len(trial_levels)
+    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], told[:, kept].sum(axis=0)
+    of_drives, n = (*own, times.tobytes()), len(trial_levels)
+    drives = _once(known, rng, of_drives, lambda: _drive_weights(own, rng, times.astype(np.float64)))
+    by_drive = drives @ drive_levels / times.sum()
+    by_trial = _once(known, rng, n, lambda: _weights(n, rng)) @ trial_levels / n
     variances = np.array([np.var(by_drive), np.var(by_trial)])
     freedom = np.array([max(len(own) - len(set(own)), 1), len(trial_levels) - 1])
     if not variances.any():
@@ -111,6 +121,17 @@ def levels(values: Array) -> tuple[Array, Array]:
     normal = np.diag(counted.sum(axis=1)) - share @ counted.T
     trials = np.linalg.lstsq(normal, filled.sum(axis=1) - share @ filled.sum(axis=0), rcond=1e-9)[0]
     return (filled.sum(axis=0) - trials @ counted) / counted.sum(axis=0), trials
+
+
+def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Callable[[], Array]) -> Array:
+    """What is drawn, or was: a study has hundreds of figures of the same drives, which begin with the same chance."""
+    if known is None:
+        return draw()
+    key = of, str(rng.bit_generator.state)
+    if key not in known:
+        known[key] = draw(), rng.bit_generator.state
+    found, rng.bit_generator.state = known[key]
+    return found
 
 
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:

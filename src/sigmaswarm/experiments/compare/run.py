@@ -27,6 +27,7 @@ from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.files import held_folder, write_whole
 from sigmaswarm.fleets.gathering import held_drives
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
@@ -116,7 +117,7 @@ def compare(
     with (
         TemporaryDirectory() as scratch,
         held_folder(Path(scratch if out is None else out)) as place,
-        ThreadPoolExecutor(workers) as pool,
+        ThreadPoolExecutor(workers or (cores() if cluster is None else None)) as pool,
     ):
         folder = ResultFolder(place, asked, resume=resume or out is None)
         job = _Job(_searched(problem, rivals), beside, folder.path, threading.Lock())

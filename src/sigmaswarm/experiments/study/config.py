@@ -106,8 +106,8 @@ class StudyConfig(BaseModel):
     per_condition: bool = False
     """Tune each condition by itself instead of one filter for all of them."""
     racing: bool | None = None
-    """Drop the worse candidates of a generation before all drives are tried; not under the paper's protocol. None:
-    where each tuning has many training drives (`tuning.racing.MANY`)."""
+    """Drop the worse candidates of a generation before all drives are tried. None: where each tuning has many training
+    drives (`tuning.racing.MANY`)."""
     rivals: bool = False
     """Tune a fuzzy filter and by Bayesian optimization, and train networks, too."""
     learn_minutes: float = Field(default=20.0, ge=2)

@@ -124,7 +124,7 @@ class Design:
             trials=c.trials,
             seed=c.seed,
             outage_seed=c.seed,
-            racing=self._races and protocol != "paper" and method != BY_BO,
+            racing=self._races and method != BY_BO,
             as_recorded=True,
         )
 

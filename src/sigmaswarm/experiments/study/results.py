@@ -6,6 +6,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.experiments.statistics import (
+    Known,
     bootstrap,
     corrected_interval,
     crossed_bootstrap,
@@ -51,6 +52,7 @@ def results_of(
     rivals: RivalResults | None = None,
 ) -> Results:
     """Everything that results.json says."""
+    known: Known = {}
     return Results(
         config=design.config,
         drives=DriveCount(
@@ -59,8 +61,8 @@ def results_of(
         protocols=PROTOCOLS,
         methods=labels_of(design.config),
         measures=measures_of(design.config),
-        summary=list(_summaries(scores)),
-        comparisons=list(_comparisons(scores)),
+        summary=list(_summaries(scores, known)),
+        comparisons=list(_comparisons(scores, known)),
         tunings=[_tuning(task, trials[task], parameters[task], touched[task]) for task in trials],
         convergence=list(_convergences(trials)),
         paper=PAPER_RESULTS,
@@ -78,23 +80,28 @@ def resampling(design: Design) -> np.random.Generator:
     return np.random.default_rng(design.config.seed)
 
 
-def _summaries(scores: ScoreTable) -> Iterator[VariantSummary]:
+def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
     """Of every variant and measure, over all conditions and in each."""
     design = scores.design
+    ratio = _ratio(design)
     each = dict.fromkeys(condition for condition in design.conditions if condition != (ALL, ALL))
     for (protocol, method), measures in scores.values.items():
         for measure, values in measures.items():
             for place in ((ALL, ALL), *each):
                 chosen = [i for i, c in enumerate(design.conditions) if place in ((ALL, ALL), c)]
                 strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, _ratio(design), resampling(design))
+                found = summarize(values[:, chosen], strata, ratio, resampling(design), known)
                 if found.n_drives:
                     of = {"protocol": protocol, "method": method, "measure": measure}
                     yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
 
 
 def summarize(
-    values: Array, strata: Sequence[str], test_per_train: float, rng: np.random.Generator
+    values: Array,
+    strata: Sequence[str],
+    test_per_train: float,
+    rng: np.random.Generator,
+    known: Known | None = None,
 ) -> ScoreStatistics:
     """Mean, spread and intervals of scores (trials, drives); ``test_per_train`` is the ratio of the split's sizes."""
     each, drives = trial_means(values), drive_means(values)
@@ -104,18 +111,18 @@ def summarize(
         sd=spread(each),
         trial_interval=trial_interval(each),
         corrected_t_interval=corrected_interval(each, test_per_train),
-        bootstrap_interval=crossed_bootstrap(values, strata, rng),
+        bootstrap_interval=crossed_bootstrap(values, strata, rng, known),
         n_trials=len(each),
         n_drives=int(np.count_nonzero(~np.isnan(drives))),
     )
 
 
-def _comparisons(scores: ScoreTable) -> Iterator[PairedComparison]:
+def _comparisons(scores: ScoreTable, known: Known) -> Iterator[PairedComparison]:
     """The PSO-UKF of each protocol against every other method that is untuned or tuned under the same one."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
         for measure in compared_measures(scores.design.config):
-            yield from against(scores, (protocol, MAIN), measure, others)
+            yield from against(scores, (protocol, MAIN), measure, others, known)
 
 
 def compared_measures(config: StudyConfig) -> list[str]:
@@ -124,7 +131,11 @@ def compared_measures(config: StudyConfig) -> list[str]:
 
 
 def against(
-    scores: ScoreTable, variant: Variant, measure: str, others: Sequence[Variant]
+    scores: ScoreTable,
+    variant: Variant,
+    measure: str,
+    others: Sequence[Variant],
+    known: Known | None = None,
 ) -> Iterator[PairedComparison]:
     """A variant against others; p is corrected over these."""
     design, (protocol, method) = scores.design, variant
@@ -133,7 +144,7 @@ def against(
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            found[other[1]] = compare_paired(own, theirs, design.strata, resampling(design))
+            found[other[1]] = compare_paired(own, theirs, design.strata, resampling(design), known)
     corrected = holm([row.p for row in found.values()])
     for (other, row), p in zip(found.items(), corrected, strict=True):
         yield PairedComparison(
@@ -142,20 +153,24 @@ def against(
 
 
 def compare_paired(
-    method: Array, other: Array, strata: Sequence[str], rng: np.random.Generator
+    method: Array,
+    other: Array,
+    strata: Sequence[str],
+    rng: np.random.Generator,
+    known: Known | None = None,
 ) -> PairedStatistics:
     """A method against another on the drives that both have a value for; each of shape (trials, drives)."""
     a, b = drive_means(method), drive_means(other)
-    known = np.isfinite(a) & np.isfinite(b)
-    a, b, kept = a[known], b[known], [s for s, k in zip(strata, known, strict=True) if k]
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
     difference = a - b
     return PairedStatistics(
         mean_difference=float(np.mean(difference)) if len(a) else None,
-        interval=bootstrap(np.asarray, [difference], kept, rng),
+        interval=bootstrap(np.asarray, [difference], kept, rng, known),
         p=signed_rank(a, b),
         rank_biserial=rank_biserial(difference),
         improvement=float(improvement(a.mean(), b.mean())) if len(a) else None,
-        improvement_interval=bootstrap(improvement, [a, b], kept, rng),
+        improvement_interval=bootstrap(improvement, [a, b], kept, rng, known),
         n_drives=len(a),
     )
 

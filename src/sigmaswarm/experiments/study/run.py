@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.forked import forked
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, Task, kind, make_design
@@ -48,6 +49,7 @@ from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
@@ -146,9 +148,9 @@ def run_study(
     resume : bool
         Go on with what ``out`` holds. The result has the same bits as that of an uninterrupted study.
     executor : concurrent.futures.Executor, optional
-        Runs the tunings side by side; a pool of threads of its own by default.
+        Runs the tunings side by side; by default forks of this process do, where it can be forked, else threads.
     workers : int, optional
-        Threads of that pool; as many as the machine has cores by default. The result does not depend on it.
+        So many of these; as many as the machine has cores by default. The result does not depend on it.
     cluster : distributed.Client, optional
         Of a Dask cluster, whose workers make or read the drives, hold them, and do the work; the threads here only
         ask. Nor does the result depend on it. Not with rivals: networks are trained here.
@@ -174,12 +176,16 @@ def run_study(
         if config.rivals:  # bo silences it, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
-        pool = executor or stack.enter_context(ThreadPoolExecutor(workers))
+        crew = (
+            workers or cores()
+        )  # Python's own number of threads is larger, and they would wait for each other
+        pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
         design = make_design(config, pool, cluster)
         elsewhere = designs_elsewhere(design, pool)
         spaces, lessons = _spaces(design), trainings(design)
         tell = _telling(design, sum(map(epochs_of, lessons)), progress)
-        trials = _tune_all(design, spaces, folder, pool, tell)
+        alone = executor is not None or cluster is not None or config.rivals  # JAX bears no fork
+        trials = _tune_all(design, spaces, folder, pool, tell, forks=0 if alone else crew)
         watch.lap("tuning")
         boxes = {task: spaces[task.protocol, task.method] for task in trials}
         points = {task: boxes[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
@@ -270,8 +276,10 @@ def _tune_all(
     out: Path,
     pool: Executor,
     progress: Callable[[int, Task], None],
+    *,
+    forks: int,
 ) -> dict[Task, Trial]:
-    """Every tuning of the study, on the drives of its group that its trial trains on."""
+    """Every tuning of the study, on the drives of its group that its trial trains on; in forks, if there are any."""
     configs = {(p, m): design.tune_config(m, p) for p, m in spaces}
     needs = {variant: objective_named(config.objective).needs_outages for variant, config in configs.items()}
     replays = {outages: design.replays(outages=outages) for outages in set(needs.values())}
@@ -304,7 +312,12 @@ def _tune_all(
         return _effort(configs[variant], needs[variant])
 
     tasks, rounds = list(design.tasks), design.config.generations
-    return run_grid(tasks, one, pool, rounds=rounds, effort=effort, progress=told)
+    if forks > 1:
+        for variant, config in configs.items():  # compiled and loaded here, once for all
+            problem = CarProblem(config, spaces[variant], [], replays[needs[variant]])
+            problem.each(problem.space.low[np.newaxis], [0], None)
+    with forked(one, forks if forks > 1 else 0) as run:
+        return run_grid(tasks, run, pool, rounds=rounds, effort=effort, progress=told)
 
 
 def _effort(config: TuneConfig, outages: bool) -> float:
