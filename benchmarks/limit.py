@@ -25,8 +25,8 @@ from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
+from sigmaswarm.filters.groups import Chunk
 from sigmaswarm.filters.models import MODELS
-from sigmaswarm.filters.packing import Chunk
 from sigmaswarm.filters.replay import start_replays
 from sigmaswarm.scoring.targets import tracking_replay
 
@@ -106,7 +106,7 @@ def kernel_call(fixes: bool = True):
     drive = simulate("urban", duration=600.0, seed=1)
     replay = tracking_replay(prepared(drive))
     steps, sample, driving, flags, *others, ends = replay.arrays(False, False, False)
-    rows = start_replays([replay], Chunk((datasheet(drive),) * layout.LANES))[0]
+    rows = start_replays([replay], Chunk.of((datasheet(drive),) * layout.LANES))[0]
 
     def call():
         run.run_lanes(

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled.layout import LANES, WIDEST
-from sigmaswarm.scoring.jobs import HELD, Job, jobs_for, makespan
+from sigmaswarm.scoring.jobs import HELD, TOGETHER, Job, jobs_for, makespan
 
 
 def passes(*lengths: list[int]) -> dict[str, list[int]]:
@@ -24,7 +24,7 @@ def test_every_replay_meets_every_set_once_and_in_order(lengths: list[list[int]]
     met = [(job.name, r, s) for job in jobs for r in job.replays for s in job.sets]
     assert set(Counter(met).values()) == {1}
     assert len(met) == n_sets * sum(map(len, lengths))
-    assert all(1 <= len(job.sets) <= LANES for job in jobs)
+    assert all(1 <= len(job.sets) <= (TOGETHER if workers == 1 else LANES) for job in jobs)
     # `Replayer` joins them in this order: the sets of a part side by side, the parts one after the other
     assert jobs == sorted(jobs, key=lambda job: (job.name, job.replays.start, job.sets.start))
 
@@ -37,7 +37,7 @@ def test_a_makespan_lies_between_its_bounds(seconds: list[float], workers: int):
     assert least - 1e-9 <= found <= sum(seconds) / workers + max(seconds) + 1e-9
 
 
-@pytest.mark.parametrize(("workers", "lanes"), [(1, LANES), (2, LANES), (8, WIDEST)])
+@pytest.mark.parametrize(("workers", "lanes"), [(1, 30), (2, LANES), (8, WIDEST)])
 def test_many_workers_take_fewer_lanes_each(workers: int, lanes: int):
     jobs = jobs_for(passes([60_000]), 30, "planar5", workers)
     assert len(jobs[0].sets) == lanes
@@ -45,5 +45,5 @@ def test_many_workers_take_fewer_lanes_each(workers: int, lanes: int):
 
 def test_short_replays_share_a_job_unless_workers_would_wait():
     short = passes([5_000] * 12)
-    assert len(jobs_for(short, LANES, "planar5", 1)) == 3
+    assert len(jobs_for(short, LANES, "planar5", 1)) == 1
     assert len(jobs_for(short, LANES, "planar5", 12)) >= 12

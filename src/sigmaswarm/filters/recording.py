@@ -12,8 +12,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.groups import Chunk, start_rows, unpack_sums
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import Chunk, believed, definite, start_rows, unpack_sums
+from sigmaswarm.filters.packing import believed, definite
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
 from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
@@ -113,7 +114,7 @@ class Recording:
         samples: int = SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._replay, self._chunk, self._samples = replay, Chunk((parameters,)), samples
+        self._replay, self._chunk, self._samples = replay, Chunk.of((parameters,)), samples
         self._rows, self._place = start_replays([replay], self._chunk), new_place()
         self._state = state_rows(parameters.model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
@@ -177,7 +178,7 @@ class Recording:
 
     def _look(self, step: int) -> bool:
         """Look at the filter after a step; whether it started anew."""
-        line, p = self._replay.timeline, self._chunk.sets[0]
+        line, p = self._replay.timeline, self._chunk.like
         assert self._looks is not None
         fix = int(self._looks.fix[np.searchsorted(self._looks.step, step)])
         time = float(line.fix_time[fix])

@@ -12,6 +12,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.fleets.fleet import Fleet, told_of_each
 from sigmaswarm.fleets.held import Held, Kept
 from sigmaswarm.fleets.holder import Refused, tried
@@ -93,7 +94,8 @@ class FleetReplays:
 
     def _joined(self, take: Callable[[Scores], Array], parameter_sets: Sequence[FilterParameters]) -> Array:
         """Answers of shape (..., n_sets, n_drives), put in the order of the drives as one process has them."""
-        answers = self.held.ask(_taken, *self._asked, take, tuple(parameter_sets))
+        sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
+        answers = self.held.ask(_taken, *self._asked, take, sets)
         shape = answers[0][1].shape[:-1]
         whole = np.empty((len(self.held), *shape[::-1])).T  # as `Replayer`: sums over drives depend on it
         for places, part in answers:

@@ -19,6 +19,8 @@ STEP = {LANES: 86e-9, WIDEST: 60e-9}
 """s: a step of so many lanes of planar5; by the power of 1.5 of the number of states more of another model."""
 HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
+TOGETHER = 4 * LANES
+"""Parameter sets that one worker alone takes in a job: more would take more memory."""
 SHORT = 20_000
 """Steps: replays that are shorter may be run one after the other in one job."""
 
@@ -33,7 +35,7 @@ class Job:
     replays : range
         Of the pass.
     sets : range
-        Of the parameter sets; at most LANES.
+        Of the parameter sets; at most LANES, or of one worker TOGETHER.
     seconds : float
         What it takes, about.
     """
@@ -55,7 +57,7 @@ def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, 
     ``steps`` : by each pass's name, how many each of its replays has
     """
     if workers == 1:  # nobody else waits: the fewest are the best
-        return list(_jobs(steps, n_sets, model, lanes=LANES, short=SHORT))
+        return list(_jobs(steps, n_sets, model, lanes=TOGETHER, short=None))
     ways = [
         list(_jobs(steps, n_sets, model, lanes=lanes, short=short))
         for lanes, short in product((LANES, WIDEST), (SHORT, 0))
@@ -73,9 +75,9 @@ def makespan(jobs: Iterable[Job], workers: int) -> float:
 
 
 def _jobs(
-    steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, *, lanes: int, short: int
+    steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, *, lanes: int, short: int | None
 ) -> Iterator[Job]:
-    each = STEP[lanes] * (len(MODELS[model].states) / 5) ** 1.5
+    each = STEP[min(lanes, LANES)] * max(lanes // LANES, 1) * (len(MODELS[model].states) / 5) ** 1.5
     for name, of in steps.items():
         for part in _parts(of, short):
             held = HELD + len(part) * HELD_MORE
@@ -88,8 +90,10 @@ def _jobs(
                 )
 
 
-def _parts(steps: Sequence[int], short: int) -> Iterator[range]:
-    """Replays, in their order, in parts that are worth a job each."""
+def _parts(steps: Sequence[int], short: int | None) -> Iterator[range]:
+    """Replays, in their order, in parts that are worth a job each; all together if nothing is."""
+    if short is None:
+        short = sum(steps)
     first, so_far = 0, 0
     for last, more in enumerate(steps):
         so_far += more
