@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from sigmaswarm.scoring.jobs import Job, cores, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
+T = TypeVar("T")
 MANY_STARTS = 20_000
 """More of them, 2 kB each, are found when it is their turn."""
 
@@ -102,6 +103,10 @@ class Replays(Protocol):
         """What a function of a module takes of the scores, number by number, shape (n_sets, n_drives)."""
         ...
 
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function of a module says of each drive, which it shares with what is replayed."""
+        ...
+
 
 class Replayer:
     """Drives made ready once, to be replayed by any number of parameter sets.
@@ -134,6 +139,7 @@ class Replayer:
         outage_seed: int = 0,
     ) -> None:
         ready = [prepared(drive) for drive in drives]
+        self._ready = tuple(ready)
         self.drives = tuple(one.drive for one in ready)
         self.initial = tuple(one.initial for one in ready)
         self._passes = {"tracking": tuple(map(tracking_replay, ready))}
@@ -148,6 +154,7 @@ class Replayer:
         """The drives of several, which have the same passes, without making anything ready again."""
         whole = copy(parts[0])
         whole._forget()
+        whole._ready = tuple(one for part in parts for one in part._ready)
         whole.drives = tuple(drive for part in parts for drive in part.drives)
         whole.initial = tuple(initial for part in parts for initial in part.initial)
         names = parts[0]._passes
@@ -165,6 +172,7 @@ class Replayer:
             return self
         part = copy(self)
         part._forget()
+        part._ready = tuple(self._ready[i] for i in drives)
         part.drives = tuple(self.drives[i] for i in drives)
         part.initial = tuple(self.initial[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
@@ -221,6 +229,10 @@ class Replayer:
     ) -> Array:
         """What a function takes of the scores, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
+
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function says of each drive."""
+        return [function(one) for one in self._ready]
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from sigmaswarm.fleets.held import Held, Kept
 from sigmaswarm.fleets.holder import Refused, tried
 from sigmaswarm.scoring.batch import Passes, Replayer, Replays, Scores
 
+T = TypeVar("T")
 Fits = Callable[[Replayer], None]
 """Raises an `InputError` where what was made ready does not serve; of a module, or a partial of such."""
 
@@ -91,6 +92,11 @@ class FleetReplays:
     ) -> Array:
         """What a function of a module takes from the scores, shape (n_sets, n_drives)."""
         return self._joined(take, parameter_sets)
+
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function of a module says of each drive."""
+        passes, _ = self._asked
+        return told_of_each(self.held.ask(of_each_prepared, function, passes.as_recorded))
 
     def _joined(self, take: Callable[[Scores], Array], parameter_sets: Sequence[FilterParameters]) -> Array:
         """Answers of shape (..., n_sets, n_drives), put in the order of the drives as one process has them."""
