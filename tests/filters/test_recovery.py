@@ -6,6 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import sigmaswarm
 from exported import tuned
@@ -411,6 +413,42 @@ def test_a_filter_that_failed_is_not_looked_at():
     broken = [replace(seen(t, off=50.0), mean=np.full(5, np.nan)) for t in np.arange(0.0, 30.0)]
     assert [recovery.look(one) for one in broken] == [None] * 30
     assert not recovery.lost
+
+
+RUNS = st.tuples(st.integers(1, 12), st.floats(0.3, 4.0), st.sampled_from("tfn"), st.sampled_from("tf"))
+"""So many looks, s apart, that say of the heading and of the position what contradicts; n: nothing."""
+
+
+@given(st.lists(RUNS, max_size=8), st.data())
+def test_looking_back_finds_what_looking_at_each_moment_finds(
+    runs: list[tuple[int, float, str, str]], data: st.DataObject
+):
+    said = [look for n, *look in runs for _ in range(n)]
+    times = np.cumsum([wait for wait, _, _ in said]).tolist()
+    each = [
+        seen(t, heading=0.4 if turned == "t" else 0.0, off=25.0 if far == "t" else 0.0, aligns=turned != "n")
+        for t, (_, turned, far) in zip(times, said, strict=True)
+    ]
+    one_by_one, back, at = Recovery(), Recovery(), 0
+    while at < len(each):
+        end = at + 1 if back.lost else data.draw(st.integers(at + 1, len(each)))
+        first, start = back.look_back(times[at:end], lambda k, at=at: each[at + k])
+        end = end if first is None else at + first + 1
+        found = [one_by_one.look(one) for one in each[at:end]]
+        assert (back.lost, back.restarts) == (one_by_one.lost, one_by_one.restarts)
+        assert [one is not None for one in found] == [False] * (end - at - 1) + [start is not None]
+        at = end
+
+
+def test_hardly_any_look_at_a_sound_filter_is_taken():
+    times, asked = np.arange(0.0, 100.0).tolist(), list[int]()
+
+    def at(k: int) -> Seen:
+        asked.append(k)
+        return seen(times[k])
+
+    assert Recovery().look_back(times, at) == (None, None)
+    assert len(set(asked)) <= 11
 
 
 def test_the_looks_are_once_a_second_after_fixes_and_at_samples():

@@ -27,9 +27,9 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.groups import pack_constants
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
-from sigmaswarm.filters.packing import pack_constants
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
 from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import drifts_of, said_of_drifts, said_of_lost
+from sigmaswarm.tuning.lost import drifts_of, may_drift_far, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 
@@ -40,20 +42,34 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
     assert not [doubt for doubt in good.doubts if "DON'T" in doubt]
-    found = [drifts_of(DRIVE, good.parameters, as_recorded=False)]
+    found = [drifts_of(PreparedDrive(DRIVE), good.parameters)]
     assert said_of_drifts(found) == []
     q = list(good.parameters.process_noise)
     q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
     bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
-    (tuned, other) = drifts_of(DRIVE, bad, as_recorded=False)
+    (tuned, other) = drifts_of(PreparedDrive(DRIVE), bad)
     assert tuned > found[0][0]
     (said,) = said_of_drifts([(100.0, 20.0), (np.nan, np.nan)])
     assert said.startswith("DON'T USE IT: over 30 s without fixes the tuned filter drifts 100 m")
     assert said_of_drifts([(29.0, 20.0)]) == said_of_drifts([]) == []
+    assert not may_drift_far([(20.0, 20.0), (np.nan, np.nan)])
+    assert not may_drift_far([])
+    assert may_drift_far([(25.0, 20.0)])
+    assert np.isfinite(drifts_of(PreparedDrive(DRIVE), bad, most=2)).all()
     whole = evaluate([DRIVE], bad)
     assert (tuned, other) == pytest.approx(
         [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "datasheet")]
     )
+
+
+def test_a_car_that_stands_has_no_drift():
+    imu, gps = DRIVE.imu, DRIVE.gps
+    still = replace(
+        DRIVE,
+        imu=replace(imu, ax=0.0 * imu.ax, ay=0.0 * imu.ay, gz=0.0 * imu.gz),
+        gps=replace(gps, x=0.0 * gps.x, y=0.0 * gps.y),
+    )
+    assert np.isnan(drifts_of(PreparedDrive(still), datasheet(DRIVE))).all()
 
 
 @needs_shared

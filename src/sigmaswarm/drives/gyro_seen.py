@@ -5,8 +5,8 @@ and a car that hardly leans seems to roll over. Both show the bias, to about a d
 ``bias_std`` says of a good gyro, which stays what it is, and far more than is known of a cheap one.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ MOST_BIAS = 0.5
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
-    """What an alignment shows of the gyro.
+    """What an alignment shows of the gyro; or what several show: see `together`.
 
     Attributes
     ----------
@@ -80,8 +80,8 @@ class GyroSeen:
             mean[..., place], covariance[..., place, place] = bias[..., k], variance[..., k]
             if axis == UP:
                 across = variance[..., k, None] * self.turns
-                mean[..., :5] += (bias[..., k, None] - self.taken) * self.turns
-                covariance[..., :5, :5] += across[..., None] * self.turns
+                mean[..., :5] += (bias[..., k, None] - np.asarray(self.taken)[..., None]) * self.turns
+                covariance[..., :5, :5] += across[..., None] * self.turns[..., None, :]
                 covariance[..., :5, place] = covariance[..., place, :5] = across
 
     def _with(self, std: Array, axes: list[int]) -> tuple[Array, Array]:
@@ -98,7 +98,13 @@ class GyroSeen:
 
         That is the logarithm, (..., 1), of the density of what is seen, but for a constant.
         """
-        seen, variance = self.bias[axes], self.variance[axes]
+        seen, variance = self.bias[..., axes], self.variance[..., axes]
         left = std**2 / (1.0 + std**2 / variance)
         surprise = seen**2 / (std**2 + variance) + np.log(1.0 + std**2 / variance)
         return seen * left / variance, left, -0.5 * surprise.sum(axis=-1, keepdims=True)
+
+
+def together(seen: Sequence[GyroSeen]) -> GyroSeen:
+    """What m alignments show, to be told to the filters of each, means (m, r, n): every array has shape (m, 1, ...)."""
+    stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
+    return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (of many ``taken`` is an array, too)

@@ -17,9 +17,10 @@ from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
+from sigmaswarm.filters.groups import Chunk, plausible, start_rows
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.packing import Chunk, believed, plausible, start_rows
+from sigmaswarm.filters.packing import believed
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
@@ -305,7 +306,7 @@ class LiveFilter:
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
-        rows = start_rows([start], [self._interval], Chunk((self.parameters,)))
+        rows = start_rows([start], [self._interval], Chunk.of((self.parameters,)))
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
@@ -394,7 +395,7 @@ def _believe(
 ) -> Array:
     """The belief at the start, and the settings behind it."""
     v = np.zeros(live.N_ALL)
-    v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk((p,)))[0, :, 0]
+    v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk.of((p,)))[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
     v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = v[live.ODOMETER_SLOT] = -1.0
     v[live.ODOMETER_TIME] = initial.time

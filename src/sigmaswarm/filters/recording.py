@@ -12,13 +12,16 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_place
+from sigmaswarm.filters.groups import Chunk, start_rows, unpack_sums
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import Chunk, believed, definite, start_rows, unpack_sums
+from sigmaswarm.filters.packing import believed, definite
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
 from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
+ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
+"""Kinds whose R is another one at each look."""
 SAMPLES = 10_000
 """IMU samples in a piece; planar8 takes 9 MB for so many."""
 
@@ -113,11 +116,17 @@ class Recording:
         samples: int = SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._replay, self._chunk, self._samples = replay, Chunk((parameters,)), samples
+        self._replay, self._chunk, self._samples = replay, Chunk.of((parameters,)), samples
         self._rows, self._place = start_replays([replay], self._chunk), new_place()
         self._state = state_rows(parameters.model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._looks = looks_of(replay.timeline) if recover else None
+        if self._looks is not None:
+            line = replay.timeline
+            moments = line.fix_time[self._looks.fix]
+            self._ends = (
+                np.searchsorted(line.alignments.time, moments, side="right") - 1
+            )  # of their alignments
         self._recovery = Recovery()
         self.restarts = self._recovery.restarts
         self._parts = self._run()
@@ -151,69 +160,96 @@ class Recording:
         self._complete = True
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
-        """Run to the last of the stops, (r,), each behind a step that ends at an IMU sample; (r,) where it is lost."""
+        """Run to the last of the stops, (r,), each behind a step that ends at an IMU sample; (r,) where it is lost.
+
+        The filter runs on as if it kept its way, and is looked at afterwards, by what is recorded; where it was to
+        start anew it goes back. To stop for each look takes longer than the steps do.
+        """
         lost = np.zeros(len(stops), dtype=np.bool_)
         if self._looks is None:
             self._steps_to(int(stops[-1]), record)
             return lost
-        due = np.flatnonzero(np.isin(stops - 1, self._looks.step))
         row = 0
         while row < len(stops):
-            k = int(np.searchsorted(due, row))
-            looks = k < len(due) and (due[k] == row or not self._recovery.lost)
-            last = int(due[k]) if looks else row if self._recovery.lost else len(stops) - 1
-            step = int(stops[last]) - 1
-            self._steps_to(step + 1, record[row : last + 1])
-            if (looks and self._look(step)) or self._recovery.lost:
-                if self._recovery.lost:
-                    self._hold(step)
-                record[last, :-1, 0] = self._rows[0, self._state, 0]
+            behind = self._ahead(stops, row)
+            before = self._rows.copy(), self._place.copy()
+            self._steps_to(int(stops[behind - 1]), record[row:behind])
+            looked, start = self._look(stops[row:behind] - 1, record[row:behind])
+            last, row = row + looked, row + looked + 1
+            if start is None and not self._recovery.lost:
+                continue
+            if row < behind:
+                self._rows[:], self._place[:] = before
+                self._steps_to(int(stops[last]), record[last - looked : row])
+            self._start_anew(start or self._at_fix(int(stops[last]) - 1))
+            record[last, :-1, 0] = self._rows[0, self._state, 0]
             lost[last] = self._recovery.lost
-            row = last + 1
         return lost
+
+    def _ahead(self, stops: NDArray[np.intp], row: int) -> int:
+        """Behind which stop to look next, from a row on."""
+        assert self._looks is not None
+        if self._recovery.lost:
+            return row + 1
+        if self._chunk.like.kind not in ADAPTS_R:
+            return len(stops)
+        due = np.flatnonzero(np.isin(stops[row:] - 1, self._looks.step))
+        return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
         run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, record, self._innovations)
 
-    def _look(self, step: int) -> bool:
-        """Look at the filter after a step; whether it started anew."""
-        line, p = self._replay.timeline, self._chunk.sets[0]
-        assert self._looks is not None
-        fix = int(self._looks.fix[np.searchsorted(self._looks.step, step)])
-        time = float(line.fix_time[fix])
-        alignments = line.alignments
-        ends = int(np.searchsorted(alignments.time, time, side="right")) - 1
-        mean, covariance = self._believed()
-        since = [line.end[step] - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
-        seen = Seen(
-            time=float(line.end[step]),
+    def _look(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
+        """Look at the filter after some steps, by what is recorded of them, until one at which it is lost.
+
+        The row of that one, or the last one, and where the filter is to start anew there, if it can.
+        """
+        looks = self._looks
+        assert looks is not None
+        first, last = np.searchsorted(looks.step, [steps[0], steps[-1] + 1]).tolist()
+        rows = np.searchsorted(steps, looks.step[first:last])
+        means, covariances = believed(record[rows, :-1, 0].T, self._chunk.model)
+        sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # where it is not it failed, and says so
+        times = self._replay.timeline.end[looks.step[first:last][sound]].tolist()
+        if not times:
+            return len(steps) - 1, None
+        k, start = self._recovery.look_back(
+            times, lambda k: self._seen(first + sound[k], means[sound[k]], covariances[sound[k]])
+        )
+        return len(steps) - 1 if k is None else int(rows[sound[k]]), start
+
+    def _seen(self, k: int, mean: Array, covariance: Array) -> Seen:
+        """What the k-th look sees of what the filter believes."""
+        line, looks = self._replay.timeline, self._looks
+        assert looks is not None
+        alignments, step, fix, ends = line.alignments, looks.step[k], looks.fix[k], int(self._ends[k])
+        time, end = float(line.fix_time[fix]), float(line.end[step])
+        since = [end - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
+        return Seen(
+            time=end,
             mean=mean,
             covariance=covariance,
             fix_time=time,
             fix=line.fixes[fix, :2],
             fix_variance=self._variance_of(fix),
             lever=line.lever,
-            latency=p.latency,
+            latency=self._chunk.like.latency,
             since=lambda: np.array([since]),
             heading=lambda: float(alignments.course[ends] + since[0] * since[3]),
             align=lambda: alignments.at(ends),
         )
-        start = self._recovery.look(seen)
-        if start is not None:
-            self._start_anew(start)
-        return start is not None
+
+    def _at_fix(self, step: int) -> InitialState:
+        """What is known after a step at which it is lost: the last fix."""
+        line, time = self._replay.timeline, float(self._replay.timeline.end[step])
+        fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
+        theta = float(self._believed()[0][THETA])
+        return at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
     def _believed(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
         mean, covariance = believed(self._rows[0, self._state, :1], self._chunk.model)
         return mean[0], covariance[0]
-
-    def _hold(self, step: int) -> None:
-        """Take the last fix for the estimate."""
-        line, time = self._replay.timeline, float(self._replay.timeline.end[step])
-        fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
-        theta = float(self._believed()[0][THETA])
-        self._start_anew(at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever))
 
     def _variance_of(self, fix: int) -> Array:
         """Diagonal of R of a fix, (2,) m2."""

@@ -180,21 +180,31 @@ class Recovery:
         """Where the filter is to start anew; None where it goes on as it is, or is ``lost``."""
         if not np.isfinite(seen.mean).all():  # it failed, and says so
             return None
-        with np.errstate(all="ignore"):  # of what is not finite nothing is believed
-            return self._judged(seen)
+        return self.look_back([seen.time], lambda _: seen)[1]
 
-    def _judged(self, seen: Seen) -> InitialState | None:
-        if not self.lost:
-            self._position.note(seen.time, seen.position_contradicts)
-            self._heading.note(seen.time, seen.heading_contradicts)
-            if not (self._position.lasts or self._heading.lasts):
-                return None
-        start = seen.start
+    def look_back(
+        self, times: Sequence[float], seen: Callable[[int], Seen]
+    ) -> tuple[int | None, InitialState | None]:
+        """Look at a filter at some moments: the first at which it is lost, and where it could start anew there.
+
+        ``seen`` gives what is seen at the k-th of the times, s. Of one that is ``lost`` already only one is looked at.
+        """
+        with np.errstate(all="ignore"):  # of what is not finite nothing is believed
+            first = 0 if self.lost else self._first_lost(times, seen)
+            if first is None:
+                return None, None
+            start = seen(first).start
         self.lost = start is None
         if start is not None:
             self.restarts.append(float(start.time))
             self._position, self._heading = _Contradiction(), _Contradiction()
-        return start
+        return first, start
+
+    def _first_lost(self, times: Sequence[float], seen: Callable[[int], Seen]) -> int | None:
+        far = self._position.first_lasting(times, lambda k: seen(k).position_contradicts)
+        times = times if far is None else times[: far + 1]
+        turned = self._heading.first_lasting(times, lambda k: seen(k).heading_contradicts)
+        return far if turned is None else turned
 
 
 def said_of_restarts(drive: str, times: Sequence[float]) -> str:
@@ -209,6 +219,34 @@ class _Contradiction:
 
     def __init__(self) -> None:
         self._since, self._now, self._looks = 0.0, 0.0, 0
+
+    def first_lasting(self, times: Sequence[float], says: Callable[[int], bool | None]) -> int | None:
+        """The first of some looks at which it lasts; None where it does not.
+
+        ``says`` takes long, so it is asked backwards from the next look at which it could last, until one says that
+        nothing contradicts: what was before that one plays no part.
+        """
+        begin = 0
+        while begin < len(times):
+            end, said = begin + self._soonest(times[begin:]), list[tuple[int, bool | None]]()
+            for k in range(end, begin - 1, -1):
+                said.append((k, says(k)))
+                if said[-1][1] is False:
+                    break
+            for k, contradicts in reversed(said):
+                self.note(times[k], contradicts)
+                if self.lasts:
+                    return k
+            begin = end + 1
+        return None
+
+    def _soonest(self, times: Sequence[float]) -> int:
+        """The first look at which it would last if all contradicted; the last one where none is."""
+        since = self._since if self._looks else times[0]
+        lasting = (
+            t - since >= LOST_AFTER and self._looks + k + 1 >= FEWEST_LOOKS for k, t in enumerate(times)
+        )
+        return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
 
     def note(self, time: float, contradicts: bool | None) -> None:
         """What a look says; None: nothing, which is no break."""

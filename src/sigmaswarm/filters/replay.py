@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
-from sigmaswarm.filters.packing import N_SUMS, Chunk, Packed, pack, start_rows, unpack_sums
+from sigmaswarm.filters.groups import Chunk, Packed, pack, start_rows, unpack_sums
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     COMPARED,
@@ -20,7 +22,6 @@ from sigmaswarm.filters.schedule import (
     require_accuracy,
     require_axes,
     require_odometer,
-    switches,
 )
 
 NO_SPEEDS = np.empty((0, 3))
@@ -95,6 +96,7 @@ class Replay:
     initial: InitialState
     targets: Targets
     _arrays: dict[Switches, "DriveArrays"] = field(default_factory=dict)  # pyright: ignore[reportUnknownVariableType]
+    readable: set[tuple[ModelName, bool, Switches]] = field(default_factory=set)  # pyright: ignore[reportUnknownVariableType]
 
     @cached_property
     def n_hidden(self) -> int:
@@ -153,21 +155,30 @@ class Sums:
     failed: NDArray[np.bool_]
 
 
-def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters] | Packed) -> Sums:
+def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
     """Run one filter per parameter set over each replay. Results do not depend on a set's place or company."""
-    packed = parameter_sets if isinstance(parameter_sets, Packed) else pack(parameter_sets)
-    columns = np.empty((N_SUMS, len(replays), packed.size))
-    failed = np.empty((len(replays), packed.size), dtype=np.bool_)
-    for places, chunk in packed.chunks:
-        rows = start_replays(replays, chunk)
-        for replay, lane_rows in zip(replays, rows, strict=True):
-            run_steps(replay, chunk, lane_rows, run.new_place(), len(replay.timeline.dt))
-        columns[:, :, places], failed[:, places] = unpack_sums(rows, chunk)
+    return run_packed(replays, pack(parameter_sets))
+
+
+def run_packed(replays: Sequence[Replay], packed: Packed) -> Sums:
+    """The same of packed sets."""
+    parts = joined([_run_chunk(replays, chunk) for _, chunk in packed], axis=1)
+    if len(packed) == 1:
+        return parts
+    order = np.argsort(np.concatenate([places for places, _ in packed]))
+    return Sums(**{name: column[:, order] for name, column in vars(parts).items()})
+
+
+def _run_chunk(replays: Sequence[Replay], chunk: Chunk) -> Sums:
+    rows = start_replays(replays, chunk)
+    for replay, block in zip(cycle(replays), rows, strict=False):
+        run_steps(replay, chunk, block, run.new_place(), len(replay.timeline.dt))
+    columns, failed = unpack_sums(rows, chunk)
     return Sums(*columns, failed=failed)
 
 
 def start_replays(replays: Sequence[Replay], chunk: Chunk) -> Array:
-    """All that a chunk's filters are at the start of each of m replays, shape (m, N_KEPT, lanes)."""
+    """All that a chunk's filters are at the start of each of m replays, as `start_rows`."""
     intervals = [replay.timeline.nominal_interval for replay in replays]
     return start_rows([replay.initial for replay in replays], intervals, chunk)
 
@@ -183,17 +194,21 @@ def run_steps(
 ) -> None:
     """Run a chunk's filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
     require_readable(replay, chunk)
-    arrays = replay.arrays(*switches(chunk.sets[0]))
+    arrays = replay.arrays(*chunk.group.reads[-1])
     run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
 
 
 def require_readable(replay: Replay, chunk: Chunk) -> None:
     """Raise `InputError` where a drive lacks what filters read of it."""
-    require_axes(replay.timeline.drive, chunk.model)
-    if chunk.takes_accuracy:
+    if chunk.group.reads in replay.readable:
+        return
+    model, accuracy, (*_, odometer) = chunk.group.reads
+    require_axes(replay.timeline.drive, model)
+    if accuracy:
         require_accuracy(replay.timeline)
-    if switches(chunk.sets[0])[-1]:
+    if odometer:
         require_odometer(replay.timeline.drive)
+    replay.readable.add(chunk.group.reads)
 
 
 def joined(parts: Sequence[Sums], axis: int) -> Sums:

@@ -1,6 +1,6 @@
 """Which measurement a filter absorbs at the end of which step, and where it starts: the same for every form of it."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.gyro_seen import GyroSeen, together
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, SENSORS, THETA, CarModel
@@ -167,29 +168,41 @@ def _every(line: Timeline, wanted: NDArray[np.bool_], interval: float) -> NDArra
 
 def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
     """Mean (n,) and covariance (n, n) at the start of a drive."""
-    return starts_of(initial, MODELS[p.model], np.array(p.bias_std))
+    mean, covariance = starts_of([initial], MODELS[p.model], np.array([p.bias_std]))
+    return mean[0, 0], covariance[0, 0]
 
 
-def starts_of(initial: InitialState, model: CarModel, bias_std: Array) -> tuple[Array, Array]:
-    """Means (..., n) and covariances (..., n, n) for bias_std of shape (..., 2).
+def starts_of(initial: Sequence[InitialState], model: CarModel, bias_std: Array) -> tuple[Array, Array]:
+    """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for bias_std of shape (r, 2).
 
     What a start does not say is 0: a bias, as unsure as ``bias_std`` says, or roll and pitch, as their states say. What
     it shows of the gyro's biases goes into them: see `GyroSeen.tell`.
     """
-    n, known = len(model.states), min(len(model.states), len(initial.mean))
-    mean, covariance = np.zeros((*bias_std.shape[:-1], n)), np.zeros((*bias_std.shape[:-1], n, n))
-    mean[..., :known] = initial.mean[:known]
-    covariance[..., :known, :known] = initial.covariance[:known, :known]
+    n, known = len(model.states), min(len(model.states), len(initial[0].mean))
+    shape = len(initial), len(bias_std), n
+    mean, covariance = np.zeros(shape), np.zeros((*shape, n))
+    for each_mean, each_covariance, start in zip(mean, covariance, initial, strict=True):
+        each_mean[..., :known] = start.mean[:known]
+        each_covariance[..., :known, :known] = start.covariance[:known, :known]
     sensors = [*SENSORS]
     for i, state in enumerate(model.states[known:], known):
         if state.bias_of is not None:
-            covariance[..., i, i] = bias_std[..., sensors.index(state.bias_of)] ** 2
+            covariance[..., i, i] = bias_std[:, sensors.index(state.bias_of)] ** 2
         else:
             covariance[..., i, i] = state.start_std**2
-    if initial.gyro is not None and model.gyro_places:
-        std = bias_std[..., sensors.index("gyro")]
-        initial.gyro.tell(mean, covariance, model.gyro_places, std)
+    if model.gyro_places:
+        std = bias_std[:, sensors.index("gyro")]
+        for some, seen in _seen(initial):
+            seen.tell(mean[some], covariance[some], model.gyro_places, std)
     return mean, covariance
+
+
+def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
+    """What starts show of the gyro, and which: all at once where all do, for each time that it is told takes 50 us."""
+    each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
+    if len(each) == len(initial):
+        return [(slice(None), together([seen for _, seen in each]))]
+    return [(slice(k, k + 1), seen) for k, seen in each]
 
 
 def converted(p: FilterParameters, nominal_interval: float) -> Array:

@@ -139,7 +139,7 @@ class _Forward(Recording):
         self._switches = switches(parameters)
         self._kernel: Any = taped_kernel(parameters.model)
         self._width = len(taped_rows(parameters.model)) + 1  # and whether it is sound
-        self._first, self._taped, self._again = 0, np.empty((0, self._width, 1)), False
+        self._first, self._taped = 0, np.empty((0, self._width, 1))
         self._anew: list[tuple[int, Array]] = []
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
@@ -153,7 +153,7 @@ class _Forward(Recording):
 
     def again(self, number: int, samples: int) -> _Tape:
         """A piece once more, its first ``samples``."""
-        mark, sampled, self._again = self.marks[number], self._replay.timeline.sampled, True
+        mark, sampled = self.marks[number], self._replay.timeline.sampled
         self._rows[0] = mark.rows[:, np.newaxis]  # all lanes are the same filter
         self._place[:] = mark.place
         self._recovery = deepcopy(mark.recovery)
@@ -174,8 +174,6 @@ class _Forward(Recording):
             *(steps, sample, driving, flags | IMU, *rest),
             *(self._rows[0], self._place, stop, taped, NO_INNOVATIONS),
         )
-        if self._again:  # nobody asks for what is known already
-            return
         at, n = np.flatnonzero(self._replay.timeline.sampled[first:stop]), len(self._state)
         record[:, :n], record[:, n] = taped[at, :n], taped[at, -1]
 

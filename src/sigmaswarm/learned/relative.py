@@ -17,9 +17,10 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
+from sigmaswarm.filters.groups import Chunk
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.packing import Chunk, definite, pack_states, unpack_states
+from sigmaswarm.filters.packing import definite, pack_states, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
 
@@ -58,7 +59,7 @@ class Displacements:
         self._replay = replay
         self._model: ModelName = parameters.model
         n = parameters.n_states
-        self._chunk = Chunk((parameters,) * (n + 1))
+        self._chunk = Chunk.of((parameters,) * (n + 1))
         tilts = MODELS[self._model].tilts
         self._plus = tilts.plus if tilts else np.add
         self._minus = tilts.minus if tilts else np.subtract

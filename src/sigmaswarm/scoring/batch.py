@@ -1,27 +1,32 @@
 """Scores of many parameter sets on many drives, from the compiled replays."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.packing import pack
+from sigmaswarm.filters.groups import Sets
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Sums, joined, run_replays
+from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.jobs import cores, jobs_for
+from sigmaswarm.scoring.jobs import Job, cores, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
+
+T = TypeVar("T")
+MANY_STARTS = 20_000
+"""More of them, 2 kB each, are found when it is their turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +104,10 @@ class Replays(Protocol):
         """What a function of a module takes of the scores, number by number, shape (n_sets, n_drives)."""
         ...
 
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function of a module says of each drive, which it shares with what is replayed."""
+        ...
+
 
 class Replayer:
     """Drives made ready once, to be replayed by any number of parameter sets.
@@ -131,6 +140,7 @@ class Replayer:
         outage_seed: int = 0,
     ) -> None:
         ready = [prepared(drive) for drive in drives]
+        self._ready = tuple(ready)
         self.drives = tuple(one.drive for one in ready)
         self.initial = tuple(one.initial for one in ready)
         self._passes = {"tracking": tuple(map(tracking_replay, ready))}
@@ -144,7 +154,8 @@ class Replayer:
     def together(cls, parts: Sequence["Replayer"]) -> "Replayer":
         """The drives of several, which have the same passes, without making anything ready again."""
         whole = copy(parts[0])
-        whole.__dict__.pop("_steps", None)
+        whole._forget()
+        whole._ready = tuple(one for part in parts for one in part._ready)
         whole.drives = tuple(drive for part in parts for drive in part.drives)
         whole.initial = tuple(initial for part in parts for initial in part.initial)
         names = parts[0]._passes
@@ -158,8 +169,11 @@ class Replayer:
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""
+        if list(drives) == list(range(len(self.drives))):
+            return self
         part = copy(self)
-        part.__dict__.pop("_steps", None)
+        part._forget()
+        part._ready = tuple(self._ready[i] for i in drives)
         part.drives = tuple(self.drives[i] for i in drives)
         part.initial = tuple(self.initial[i] for i in drives)
         part._passes = {name: tuple(replays[i] for i in drives) for name, replays in self._passes.items()}
@@ -178,19 +192,35 @@ class Replayer:
     @property
     def steps(self) -> NDArray[np.int64]:
         """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
-        return self._steps
+        return np.sum(np.array([*self._steps.values()], dtype=np.int64), axis=0)
 
     @cached_property
-    def _steps(self) -> NDArray[np.int64]:
-        each = [[len(replay.timeline.dt) for replay in replays] for replays in self._passes.values()]
-        return np.sum(np.array(each, dtype=np.int64), axis=0)
+    def _steps(self) -> dict[str, list[int]]:
+        """Of each replay."""
+        return {
+            name: [len(replay.timeline.dt) for replay in replays] for name, replays in self._passes.items()
+        }
+
+    @cached_property
+    def _counts(self) -> dict[str, "Counts"]:
+        return {name: Counts.of(replays) for name, replays in self._passes.items()}
+
+    @cached_property
+    def _jobs(self) -> dict[tuple[int, ModelName, int], list[Job]]:
+        """As `jobs_for` shared them out: generations are all alike."""
+        return {}
+
+    def _forget(self) -> None:
+        """Let go of what was found out about other drives."""
+        for found in ("_steps", "_counts", "_jobs"):
+            self.__dict__.pop(found, None)
 
     def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
         """Score the sets; the result has the same bits whatever the executor and its number of workers."""
         if not parameter_sets or not self.drives:
             empty = np.full((len(parameter_sets), len(self.drives)), np.nan)
             return Scores(*[empty] * len(_NUMBERS), failed=np.zeros(empty.shape, dtype=np.bool_))
-        return scores_of(self._passes, self._run(parameter_sets, executor))
+        return _scores_by(self._counts, self._run(parameter_sets, executor))
 
     def measured(
         self,
@@ -201,33 +231,74 @@ class Replayer:
         """What a function takes of the scores, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function says of each drive."""
+        return [function(one) for one in self._ready]
+
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
         workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
-        steps = {name: [len(r.timeline.dt) for r in replays] for name, replays in self._passes.items()}
-        jobs = jobs_for(steps, len(parameter_sets), parameter_sets[0].model, workers)
-        packs = {job.sets: pack(parameter_sets[job.sets.start : job.sets.stop]) for job in jobs}
+        sets = Sets(parameter_sets)
+        asked = len(parameter_sets), sets.groups[0][1].like.model, workers
+        if asked not in self._jobs:
+            self._jobs[asked] = jobs_for(self._steps, *asked)
+        jobs = self._jobs[asked]
+        packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
+        if len(parameter_sets) * len(self.initial) <= MANY_STARTS:
+            for _, group in sets.groups:
+                group.keep_starts(self.initial)
         # The longest first, so that no worker is left with one at the end.
         order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
         longest_first = [jobs[k] for k in order]
         replays = [self._passes[job.name][job.replays.start : job.replays.stop] for job in longest_first]
         packed = [packs[job.sets] for job in longest_first]
-        sums = dict(
-            zip(order, (executor.map if executor else map)(run_replays, replays, packed), strict=True)
-        )
+        sums = dict(zip(order, (executor.map if executor else map)(run_packed, replays, packed), strict=True))
         done = {name: list[Sums]() for name in self._passes}
         for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
             done[name].append(joined([sums[k] for k in part], axis=1))
         return {name: joined(each, axis=0) for name, each in done.items()}
 
 
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """By what the sums of each replay are divided, each of shape (n_drives, 1); NaN for 0: of nothing no mean is known.
+
+    Attributes
+    ----------
+    moments : how many positions are compared
+    positions, headings : what their errors count together
+    fixes, hidden : how many
+    """
+
+    moments: Array
+    positions: Array
+    headings: Array
+    fixes: Array
+    hidden: Array
+
+    @classmethod
+    def of(cls, replays: Sequence[Replay]) -> "Counts":
+        """Of the replays of a pass."""
+        each = [
+            (t.n_positions, t.position_weight, t.heading_weight, len(replay.timeline.fixes), replay.n_hidden)
+            for replay in replays
+            for t in (replay.targets,)
+        ]
+        counts = np.array(each, dtype=np.float64)
+        return cls(*np.where(counts > 0, counts, np.nan).T[..., np.newaxis])
+
+
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
     """Scores from what each pass (``tracking``, ``outages``, ``forecasts``) added up; NaN of a pass that is missing."""
+    return _scores_by({name: Counts.of(passes[name]) for name in sums}, sums)
+
+
+def _scores_by(counts: Mapping[str, Counts], sums: Mapping[str, Sums]) -> Scores:
     shape = next(iter(sums.values())).failed.T.shape
-    columns = {name: np.full(shape, np.nan) for name in _NUMBERS}
+    columns = dict.fromkeys(_NUMBERS, np.full(shape, np.nan))
     failed = np.zeros(shape, dtype=np.bool_)
     for name, added in sums.items():
-        for score, values in _SCORES[name](passes[name], added).items():
+        for score, values in _SCORES[name](counts[name], added).items():
             columns[score] = values.T
         failed |= added.failed.T
     return Scores(**columns, failed=failed)
@@ -236,41 +307,29 @@ def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) 
 _NUMBERS = tuple(field.name for field in fields(Scores) if field.name != "failed")
 
 
-def _tracking_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
-    n_positions = _counts(replay.targets.n_positions for replay in replays)
-    positions = _counts(replay.targets.position_weight for replay in replays)
-    headings = _counts(replay.targets.heading_weight for replay in replays)
-    n_fixes = _counts(len(replay.timeline.fixes) for replay in replays)
+def _tracking_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
     return {
-        "position_rmse": np.sqrt(sums.squared_position / positions),
-        "heading_rmse": np.sqrt(sums.squared_heading / headings),
-        "fix_rmse": np.sqrt(sums.squared_fix / n_fixes),
-        "innovation_nll": (sums.nis + sums.log_determinant) / n_fixes / 2 + math.log(2 * math.pi),
-        "innovation_t": (sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail) / n_fixes / 2
+        "position_rmse": np.sqrt(sums.squared_position / counts.positions),
+        "heading_rmse": np.sqrt(sums.squared_heading / counts.headings),
+        "fix_rmse": np.sqrt(sums.squared_fix / counts.fixes),
+        "innovation_nll": (sums.nis + sums.log_determinant) / counts.fixes / 2 + math.log(2 * math.pi),
+        "innovation_t": (sums.log_determinant + (INNOVATION_DOF + 2) * sums.log_tail) / counts.fixes / 2
         + math.log(2 * math.pi),
-        "mean_nis": sums.nis / n_fixes,
-        "mean_nees": sums.nees / n_positions,
+        "mean_nis": sums.nis / counts.fixes,
+        "mean_nees": sums.nees / counts.moments,
     }
 
 
-def _outage_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
-    ends = _counts(replay.targets.position_weight for replay in replays)
-    return {"outage_drift": np.sqrt(sums.squared_position / ends)}
+def _outage_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
+    return {"outage_drift": np.sqrt(sums.squared_position / counts.positions)}
 
 
-def _forecast_scores(replays: Sequence[Replay], sums: Sums) -> dict[str, Array]:
-    hidden = _counts(replay.n_hidden for replay in replays)
+def _forecast_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
     return {
-        "forecast_rmse": np.sqrt(sums.squared_forecast / hidden),
-        "forecast_t": sums.forecast_t / hidden + math.log(2 * math.pi),
+        "forecast_rmse": np.sqrt(sums.squared_forecast / counts.hidden),
+        "forecast_t": sums.forecast_t / counts.hidden + math.log(2 * math.pi),
     }
 
 
 _SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts": _forecast_scores}
 """What the sums of each pass say, each of shape (n_drives, n_sets)."""
-
-
-def _counts(each: Iterable[float]) -> Array:
-    """Of each replay, shape (m, 1); NaN for none, so that a mean over nothing is not known."""
-    counts = np.array(list(each), dtype=np.float64)[:, np.newaxis]
-    return np.where(counts > 0, counts, np.nan)

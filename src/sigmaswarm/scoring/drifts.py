@@ -64,9 +64,9 @@ class Outages:
         The methods that failed in one of them.
     """
 
-    def __init__(self, ready: PreparedDrive, *, length: float, seed: int) -> None:
+    def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
         self._ready, self._length = ready, length
-        placed = placements(ready.drive, ready.initial, length=length, seed=seed)
+        placed = placements(ready.drive, ready.initial, length=length, seed=seed)[:most]
         ends = [(each, self._windows(each)[:, 1]) for each in placed]
         self.seeds = [each for each, at in ends if len(at)]
         self._ends = [at for _, at in ends if len(at)]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,13 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.fleets.fleet import Fleet, told_of_each
 from sigmaswarm.fleets.held import Held, Kept
 from sigmaswarm.fleets.holder import Refused, tried
 from sigmaswarm.scoring.batch import Passes, Replayer, Replays, Scores
 
+T = TypeVar("T")
 Fits = Callable[[Replayer], None]
 """Raises an `InputError` where what was made ready does not serve; of a module, or a partial of such."""
 
@@ -91,9 +93,15 @@ class FleetReplays:
         """What a function of a module takes from the scores, shape (n_sets, n_drives)."""
         return self._joined(take, parameter_sets)
 
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """What a function of a module says of each drive."""
+        passes, _ = self._asked
+        return told_of_each(self.held.ask(of_each_prepared, function, passes.as_recorded))
+
     def _joined(self, take: Callable[[Scores], Array], parameter_sets: Sequence[FilterParameters]) -> Array:
         """Answers of shape (..., n_sets, n_drives), put in the order of the drives as one process has them."""
-        answers = self.held.ask(_taken, *self._asked, take, tuple(parameter_sets))
+        sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
+        answers = self.held.ask(_taken, *self._asked, take, sets)
         shape = answers[0][1].shape[:-1]
         whole = np.empty((len(self.held), *shape[::-1])).T  # as `Replayer`: sums over drives depend on it
         for places, part in answers:

@@ -6,10 +6,10 @@ Python's lock for a moment, in which no other job gets on. So few large jobs sui
 """
 
 import heapq
+import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import combinations_with_replacement, product
 from typing import NamedTuple
 
@@ -23,6 +23,8 @@ HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
 MANY = 16
 """Jobs of each worker: with more it does not matter how they are shared out."""
+TOGETHER = 64
+"""Parameter sets that one worker alone takes in a job: more would take more memory."""
 SHORT = 20_000
 """Steps: replays that are shorter may be run one after the other in one job."""
 
@@ -37,7 +39,7 @@ class Job:
     replays : range
         Of the pass.
     sets : range
-        Of the parameter sets; at most `most_lanes`.
+        Of the parameter sets; at most `most_lanes`, or of one worker TOGETHER.
     seconds : float
         What it takes, about.
     """
@@ -53,30 +55,23 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def jobs_for(
-    steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int
-) -> tuple[Job, ...]:
+def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
     """All replays by all sets, in the order of passes, replays and sets.
 
     ``steps`` : by each pass's name, how many each of its replays has
     """
-    return _jobs_for(tuple((name, tuple(of)) for name, of in steps.items()), n_sets, model, workers)
-
-
-@lru_cache(maxsize=64)  # one generation is like the next
-def _jobs_for(
-    steps: tuple[tuple[str, tuple[int, ...]], ...], n_sets: int, model: ModelName, workers: int
-) -> tuple[Job, ...]:
     most = most_lanes(model)
+    if workers == 1:  # nobody else waits: the fewest are the best
+        return list(_jobs(list(_parts(steps, math.inf)), n_sets, model, (TOGETHER, TOGETHER), wide=0))
     parts = list(_parts(steps, SHORT))
-    if workers == 1 or len(parts) >= MANY * workers:  # nobody waits, or not for long: the fewest are the best
-        return tuple(_jobs(parts, n_sets, model, (most, most), wide=0))
+    if len(parts) >= MANY * workers:
+        return list(_jobs(parts, n_sets, model, (most, most), wide=0))
     widths = range(most, 0, -WIDEST)
-    ways = list[tuple[Job, ...]]()
+    ways = list[list[Job]]()
     for short, (wide, narrow) in product((SHORT, 0), combinations_with_replacement(widths, 2)):
         parts = list(_parts(steps, short))
         rounds = len(parts) // workers * workers  # of what all workers have one each of
-        ways.append(tuple(_jobs(parts, n_sets, model, (wide, narrow), wide=rounds)))
+        ways.append(list(_jobs(parts, n_sets, model, (wide, narrow), wide=rounds)))
     return min(ways, key=lambda jobs: makespan(jobs, workers))
 
 
@@ -98,24 +93,24 @@ class _Part(NamedTuple):
 
 
 def _jobs(
-    parts: Iterable[_Part], n_sets: int, model: ModelName, lanes: tuple[int, int], *, wide: int
+    parts: Sequence[_Part], n_sets: int, model: ModelName, lanes: tuple[int, int], *, wide: int
 ) -> Iterator[Job]:
     """The parts by all sets: so many of the longest parts by the first number of lanes, the others by the second."""
-    parts = list(parts)
-    more = (len(MODELS[model].states) / 5) ** 1.5
+    more, most = (len(MODELS[model].states) / 5) ** 1.5, most_lanes(model)
     longest = sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide]
     for k, part in enumerate(parts):
         width = lanes[0] if k in longest else lanes[1]
         for first in range(0, n_sets, width):
             sets = range(first, min(first + width, n_sets))
-            step = (STEP + STEP_MORE * lanes_for(len(sets))) * more
+            blocks = -(-len(sets) // most)
+            step = (blocks * STEP + STEP_MORE * lanes_for(len(sets))) * more
             held = HELD + len(part.replays) * HELD_MORE
             yield Job(part.name, part.replays, sets, held + step * part.steps)
 
 
-def _parts(steps: Iterable[tuple[str, Sequence[int]]], short: int) -> Iterator[_Part]:
+def _parts(steps: Mapping[str, Sequence[int]], short: float) -> Iterator[_Part]:
     """Replays, in their order, in parts that are worth a job each."""
-    for name, of in steps:
+    for name, of in steps.items():
         first, so_far = 0, 0
         for last, more in enumerate(of):
             so_far += more

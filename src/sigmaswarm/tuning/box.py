@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -61,12 +62,12 @@ class Box:
     highest: Array
     logarithmic: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def low(self) -> Array:
         """Lower bounds in search coordinates, shape (d,)."""
         return self._encode(self.lowest)
 
-    @property
+    @cached_property
     def high(self) -> Array:
         """Upper bounds in search coordinates, shape (d,)."""
         return self._encode(self.highest)
@@ -91,7 +92,7 @@ class Box:
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
         # 10**-5.0 is a last bit away from 1e-5: clip, so that no point of the box lies outside it.
         inside = (points >= self.low) & (points <= self.high)
-        return np.where(inside, np.clip(values, self.lowest, self.highest), values)
+        return np.where(inside, np.minimum(np.maximum(values, self.lowest), self.highest), values)
 
     def touched(self, point: Array) -> list[TouchedBound]:
         """Parameters that lie on a bound of the box."""

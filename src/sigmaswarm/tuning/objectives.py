@@ -7,6 +7,7 @@ mean over its drives, or over the worst of them, and ``inf`` where the filter fa
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -76,8 +77,7 @@ class Objective:
 
 def mean_cost(each: Array, worst: float = 1.0) -> Array:
     """Cost of each set, shape (n,), of its costs on each drive, shape (n, m); ``inf`` if it failed on any."""
-    with np.errstate(invalid="ignore"):  # a failed set's
-        cost = worst_mean(each, worst)
+    cost = worst_mean(each, worst)
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
@@ -94,7 +94,8 @@ def worst_mean(costs: Array, share: float) -> Array:
     count = costs.shape[1]
     weight = np.clip(share * count - np.arange(count), 0.0, 1.0)
     used = weight > 0
-    return np.sort(costs, axis=1)[:, ::-1][:, used] @ weight[used] / weight.sum()
+    with np.errstate(invalid="ignore"):  # a failed set's
+        return np.sort(costs, axis=1)[:, ::-1][:, used] @ weight[used] / weight.sum()
 
 
 def _pose(scores: Scores) -> Array:
@@ -182,6 +183,7 @@ OBJECTIVES = {
 _TERM = re.compile(r"\s*(?:(?P<weight>[0-9.]+(?:e[+-]?[0-9]+)?)\s*\*?\s*)?(?P<name>[a-z][a-z-]*)\s*")
 
 
+@cache
 def objective_named(name: str) -> Objective:
     """Look an objective up, or a weighted sum of them, as ``truth-pose + 0.2 nees``.
 

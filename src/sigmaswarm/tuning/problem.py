@@ -22,7 +22,15 @@ from sigmaswarm.scoring.batch import Replays, Scores
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import NAMED, drifts_of, restarts_of, said_of_drifts, said_of_lost
+from sigmaswarm.tuning.lost import (
+    FEW,
+    NAMED,
+    drifts_of,
+    may_drift_far,
+    restarts_of,
+    said_of_drifts,
+    said_of_lost,
+)
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
 from sigmaswarm.tuning.receiver import (
@@ -175,12 +183,14 @@ class CarProblem:
 
     def _lost(self, parameters: FilterParameters) -> list[str]:
         """Where a filter loses its way, or else, where the objective hides no fixes, drifts further than it should."""
-        held, recorded = self.replays.held, self.config.as_recorded
-        said = said_of_lost(held.of_each(partial(restarts_of, parameters=parameters, as_recorded=recorded)))
+        replays = self.replays
+        said = said_of_lost(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
         if said or self.objective.needs_outages:
             return said
-        few = held.subset(range(min(len(held), NAMED)))
-        return said_of_drifts(few.of_each(partial(drifts_of, parameters=parameters, as_recorded=recorded)))
+        some = replays.subset(range(min(len(replays.held), NAMED)))
+        if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
+            return []
+        return said_of_drifts(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
 
     def _held(self, point: Array) -> list[str]:
         """Where the prior held R near what is known of a receiver."""

@@ -67,7 +67,8 @@ def sensitivities(
     ways = list(_ways(problem.space, point))
     shares = np.array([0.5**k for k in range(HALVINGS, -1, -1)])
     points = np.concatenate([point + shares[:, None] * step for way in ways for step in (way.down, way.up)])
-    rises = problem.rise(problem.costs(points, executor), cost).reshape(len(ways), 2, len(shares))
+    tried, of = np.unique(points, axis=0, return_inverse=True)  # no way leads from a bound
+    rises = problem.rise(problem.costs(tried, executor)[of], cost).reshape(len(ways), 2, len(shares))
     found = []
     for way, (falling, rising) in zip(ways, rises, strict=True):
         reached = (_crossing(shares, falling), way.down), (_crossing(shares, rising), way.up)

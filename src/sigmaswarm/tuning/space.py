@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from typing import Any, get_args
 
@@ -14,6 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, SENSORS, CarModel, State
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters, clash
+from sigmaswarm.filters.table import ParameterTable
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
@@ -123,18 +125,26 @@ class SearchSpace(Box):
         """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
-    def decode(self, points: Array) -> list[FilterParameters]:
+    def decode(self, points: Array) -> ParameterTable:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
-        return [FilterParameters(**self.fixed, **self._fields(row)) for row in self.values(points).tolist()]
+        values = self.values(points)
+        return ParameterTable(self._any, {name: values[:, places] for name, places in self._places.items()})
 
-    def _fields(self, values: list[float]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for dimension, value in zip(self.dimensions, values, strict=True):
-            if dimension.entries == 0:
-                found[dimension.field] = value
-            else:
-                found[dimension.field] = (*found.get(dimension.field, ()), *[value] * dimension.entries)
+    @cached_property
+    def _places(self) -> dict[str, int | list[int]]:
+        """The dimension that each field is, or those that its entries are."""
+        found: dict[str, int | list[int]] = {}
+        for i, dimension in enumerate(self.dimensions):
+            before = found.get(dimension.field, [])
+            assert isinstance(before, list)
+            found[dimension.field] = [*before, *[i] * dimension.entries] if dimension.entries else i
         return found
+
+    @cached_property
+    def _any(self) -> FilterParameters:
+        """A filter in the box."""
+        values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
+        return FilterParameters(**self.fixed, **values)
 
 
 def search_space(

@@ -12,9 +12,9 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.groups import Chunk
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.packing import Chunk
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Innovations, Piece, failure_at, joined
 from sigmaswarm.filters.replay import Replay, require_readable
@@ -105,7 +105,7 @@ class SwarmRun:
         recover: bool = False,
         as_recorded: bool = False,
     ) -> None:
-        require_readable(replay, Chunk((parameters,)))
+        require_readable(replay, Chunk.of((parameters,)))
         self._line, self.initial = replay.timeline, replay.initial
         self._model: ModelName = parameters.model
         self.swarm = LiveSwarm(

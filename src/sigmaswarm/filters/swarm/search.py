@@ -25,8 +25,8 @@ from sigmaswarm.filters.compiled.swarm import (
     T_TIME,
     T_WHEELS,
 )
+from sigmaswarm.filters.groups import pack_constants
 from sigmaswarm.filters.names import ModelName
-from sigmaswarm.filters.packing import pack_constants
 from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.filters.swarm.spread import Spread

@@ -1,0 +1,295 @@
+"""Parameter sets side by side in the lanes of the compiled kernel, what they start with, and what they add up.
+
+What is done once a drive and a chunk costs time beside a kernel that takes 0.2 ms, and it holds Python's lock while
+other threads wait: so it is done for all sets, and all drives, together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.compiled.layout import (
+    CONSTANT_ROWS,
+    CONSTANTS,
+    MEAN,
+    N_KEPT,
+    N_STATE,
+    Q0,
+    R,
+    lanes_for,
+    most_lanes,
+)
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, Switches, starts_of, switches
+from sigmaswarm.filters.student import OUTLIERS_SPAN
+from sigmaswarm.filters.table import ParameterTable, fields_of
+
+Starts = dict[InitialState, tuple[Array, Array]]
+"""The state rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad."""
+
+
+class Group:
+    """Any number of parameter sets of one model and with the same switches, which can run side by side.
+
+    Each has a lane, and the last one `most_lanes`, so that any chunk that begins at one of them is full.
+
+    Attributes
+    ----------
+    like : FilterParameters
+        One of them, or one with the same model and switches.
+    reads : tuple
+        What it needs of a drive: the axes of its model; whether fixes state their accuracy; what `Switches` say.
+    plausible : ndarray of bool, shape (lanes,)
+        With Q >= 0 and R > 0 nothing but rounding can make P indefinite; otherwise it may go unnoticed for long.
+    """
+
+    def __init__(self, sets: Sequence[FilterParameters]) -> None:
+        self.like = sets.like if isinstance(sets, ParameterTable) else sets[0]
+        kinds = MODELS[self.like.model].kinds
+        if self.like.kind not in kinds:
+            raise InputError(
+                f"{self.like.model} is not compiled as {self.like.kind}; take kind {' or '.join(kinds)}, "
+                "or run_textbook"
+            )
+        lanes = np.minimum(np.arange(len(sets) + most_lanes(self.like.model) - 1), len(sets) - 1)
+        of = fields_of(sets)
+        self._constants = _constants(of, len(sets))[:, lanes]
+        self._interval = _in_lanes(of["nominal_interval"], lanes)
+        self._bias_std = _in_lanes(of["bias_std"], lanes)
+        q, r = (_in_lanes(of[name], lanes) for name in ("process_noise", "measurement_noise"))
+        self.plausible = (q.min(axis=1) >= 0) & (r.min(axis=1) > 0)
+        accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
+        self.reads = self.like.model, accuracy, switches(self.like)
+        self._fresh: dict[float, Array] = {}
+        self._starts: Starts = {}
+
+    def fresh(self, nominal_interval: float) -> Array:
+        """All that its filters are beside their state before they begin, shape (N_KEPT, lanes).
+
+        ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
+        """
+        if nominal_interval not in self._fresh:
+            own = self._interval
+            rows = np.repeat(_FRESH, len(own), axis=1)
+            rows[CONSTANT_ROWS] = self._constants
+            rows[Q0 : Q0 + len(MEAN)] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
+            # less a bit, whatever rounding does to times since 1970
+            rows[R.PATIENCE] = (OUTLIERS_SPAN - 1e-6) / nominal_interval
+            self._fresh[nominal_interval] = rows
+        return self._fresh[nominal_interval]
+
+    def keep_starts(self, initial: Sequence[InitialState]) -> None:
+        """Find out where all of them begin, and keep it: it takes as long as for a few of them."""
+        self._starts |= self._starts_in(initial, slice(None))
+
+    def starts(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
+        """Where those in some lanes begin."""
+        if all(start in self._starts for start in initial):
+            known = ((start, *self._starts[start]) for start in initial)
+            return {start: (state[:, lanes], heading[lanes]) for start, state, heading in known}
+        return self._starts_in(initial, lanes)
+
+    def _starts_in(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
+        model, each = self.like.model, [*dict.fromkeys(initial)]
+        mean, covariance = starts_of(each, MODELS[model], self._bias_std[lanes])
+        found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
+        return dict(zip(each, found, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """Some sets of a group, to run side by side over any number of replays: up to `most_lanes` at a time, a block.
+
+    Attributes
+    ----------
+    group : Group
+    first, size : int
+        Its first set's place in the group, and how many it has.
+    """
+
+    group: Group
+    first: int
+    size: int
+
+    @classmethod
+    def of(cls, sets: Sequence[FilterParameters]) -> "Chunk":
+        """Of so many sets."""
+        return cls(Group(sets), 0, len(sets))
+
+    @property
+    def like(self) -> FilterParameters:
+        """One with the model and the switches of all its sets; of a single set, itself."""
+        return self.group.like
+
+    @property
+    def model(self) -> ModelName:
+        """Of all its sets."""
+        return self.group.like.model
+
+    @property
+    def width(self) -> int:
+        """Lanes of a block."""
+        return lanes_for(-(-self.size // self.blocks))
+
+    @property
+    def blocks(self) -> int:
+        """How many it takes."""
+        return -(-self.size // most_lanes(self.model))
+
+    @property
+    def lanes(self) -> slice:
+        """Of the group's: whole blocks. Those left have sets that do not belong to it."""
+        return slice(self.first, self.first + self.blocks * self.width)
+
+    @property
+    def plausible(self) -> NDArray[np.bool_]:
+        """See `Group`; shape (n_sets,)."""
+        return self.group.plausible[self.first : self.first + self.size]
+
+
+Packed = Sequence[tuple[NDArray[np.intp], Chunk]]
+"""Parameter sets in chunks for the kernel, and where each chunk's sets stand among them all."""
+
+
+class Sets:
+    """Parameter sets in groups, and where each group's sets stand among them all."""
+
+    def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
+        if isinstance(parameter_sets, ParameterTable):
+            self.groups = [(np.arange(len(parameter_sets)), Group(parameter_sets))]
+            return
+        alike: dict[tuple[str, Switches], list[int]] = {}
+        for i, p in enumerate(parameter_sets):
+            alike.setdefault((p.model, switches(p)), []).append(i)
+        each = alike.values()
+        self.groups = [(np.array(places), Group([parameter_sets[i] for i in places])) for places in each]
+
+    def packed(self, part: range) -> Packed:
+        """Some of them; where they stand is counted from the first of these."""
+        chunks: list[tuple[NDArray[np.intp], Chunk]] = []
+        for places, group in self.groups:
+            first, last = (int(places.searchsorted(end)) for end in (part.start, part.stop))
+            if first < last:
+                chunks.append((places[first:last] - part.start, Chunk(group, first, last - first)))
+        return chunks
+
+
+def pack(parameter_sets: Sequence[FilterParameters]) -> Packed:
+    """All of some sets."""
+    return Sets(parameter_sets).packed(range(len(parameter_sets)))
+
+
+def _in_lanes(field: Any, lanes: NDArray[np.intp]) -> Array:
+    """What each lane's set has of a field."""
+    if isinstance(field, np.ndarray):
+        return field[lanes]
+    return np.repeat(np.array(field, dtype=np.float64)[np.newaxis], len(lanes), axis=0)
+
+
+def _constants(of: dict[str, Any], n_sets: int) -> Array:
+    """The kernel's constants, (N_CONSTANTS, n_sets), with Q per nominal interval of its own, and without PATIENCE.
+
+    ``of``: as `fields_of` gives it
+    """
+    q, r = np.asarray(of["process_noise"]), np.asarray(of["measurement_noise"])
+    kind, forgetting = of["kind"], of["forgetting"]
+    n = q.shape[-1]
+    gamma2 = np.square(of["alpha"]) * (n + of["kappa"])
+    second = np.where(kind == "ekf", 0.0, 1.0)
+    constants = np.zeros((len(CONSTANTS), n_sets))
+    first = CONSTANT_ROWS.start
+    constants[Q0 - first : Q0 - first + n] = q.T
+    (ratio, trend), (gain_r, gain_q) = np.transpose(of["fuzzy_widths"]), np.transpose(of["fuzzy_gains"])
+    values = {
+        R.GAMMA: second * np.sqrt(gamma2),
+        R.SHORTENS: -second * 2 / gamma2,
+        R.SPREAD: np.square(of["alpha"]) * (n + of["kappa"] - 1) + of["beta"],
+        R.SECOND: second,
+        R.RX: r[..., 0],
+        R.RY: r[..., 1],
+        R.R_VELOCITY: of["velocity_noise"],
+        R.R_LATERAL: of["lateral_noise"],
+        R.R_STANDSTILL: of["standstill_noise"],
+        R.R_ODOMETER: of["odometer_noise"],
+        R.ODOMETER_SCALE: 1 / of["odometer_scale"],
+        R.ODOMETER_LATENCY: of["odometer_latency"],
+        R.R_RATE: STANDSTILL_RATE_NOISE,
+        R.REAR_AXLE: of["rear_axle"],
+        R.LATENCY: of["latency"],
+        R.GATE: of["gate"],
+        R.FORGETTING: np.where(kind == "adaptive-ukf", forgetting, 1.0),
+        R.FADING: np.where(kind == "strong-tracking-ukf", forgetting, -1.0),
+        R.FUZZY: np.where(kind == "fuzzy-ukf", forgetting, -1.0),
+        R.WIDTH_RATIO: ratio,
+        R.WIDTH_TREND: trend,
+        R.GAIN_R: gain_r,
+        R.GAIN_Q: gain_q,
+        R.ACCURACY: of["accuracy_scale"],
+        R.DOF: of["robust_dof"],
+    }
+    for row, value in values.items():
+        constants[row - first] = value
+    return constants
+
+
+def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
+    """The kernel's constants, shape (N_CONSTANTS, lanes), of some sets on a drive of that interval, s."""
+    chunk = Chunk.of(parameter_sets)
+    return chunk.group.fresh(nominal_interval)[CONSTANT_ROWS, chunk.lanes]
+
+
+def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[float], chunk: Chunk) -> Array:
+    """All that a chunk's filters are at m starts, shape (blocks * m, N_KEPT, width); intervals (s) are the drives'."""
+    group, lanes, blocks = chunk.group, chunk.lanes, chunk.blocks
+    starts = group.starts(initial, lanes)
+    rows = np.empty((blocks, len(initial), N_KEPT, chunk.width))
+    for k, (start, interval) in enumerate(zip(initial, nominal_intervals, strict=True)):
+        state, heading = starts[start]
+        rows[:, k] = _in_blocks(group.fresh(interval)[:, lanes], blocks)
+        rows[:, k, :N_STATE] = _in_blocks(state, blocks)
+        rows[:, k, R.HEADING] = heading.reshape(blocks, -1)
+    return rows.reshape(-1, N_KEPT, chunk.width)
+
+
+def _in_blocks(rows: Array, blocks: int) -> Array:
+    """Rows (r, lanes) as (blocks, r, width)."""
+    return rows.reshape(len(rows), blocks, -1).swapaxes(0, 1)
+
+
+_FRESH = np.zeros((N_KEPT, 1))
+"""What a filter remembers that has done nothing yet."""
+_FRESH[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
+_FRESH[R.RECENT] = -1.0
+
+
+def unpack_sums(rows: Array, chunk: Chunk) -> tuple[Array, NDArray[np.bool_]]:
+    """The columns of `Sums`, (9, m, n_sets), NaN where a set failed, and where one did.
+
+    ``rows``: the final ones of m replays, as `start_rows` has them
+    """
+    found, sums = sound_lanes(rows, chunk.model), rows[:, SHOWN].swapaxes(0, 1)
+    if chunk.blocks > 1:  # all of a replay's side by side
+        found, sums = _side_by_side(found, chunk.blocks), _side_by_side(sums, chunk.blocks)
+    sound = found[:, : chunk.size] & chunk.plausible
+    return np.where(sound, sums[..., : chunk.size], np.nan), ~sound
+
+
+def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
+    """What is said of each block, (..., blocks * m, width), as (..., m, lanes)."""
+    *more, rows, width = each.shape
+    apart = each.reshape(*more, blocks, rows // blocks, width)
+    return apart.swapaxes(-3, -2).reshape(*more, rows // blocks, blocks * width)
+
+
+def plausible(p: FilterParameters) -> bool:
+    """See `Group`."""
+    return bool(Group([p]).plausible[0])

@@ -1,0 +1,66 @@
+"""Many parameter sets as columns of numbers: to check and build an object for each would take as long as a drive."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.parameters import FilterParameters
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterTable(Sequence[FilterParameters]):
+    """Parameter sets that differ in some numbers only; a set itself is made where it is asked for.
+
+    Attributes
+    ----------
+    like : FilterParameters
+        All else of each of them. What it leaves out, as a gate, they all leave out.
+    columns : dict of str to ndarray, shapes (n,) or (n, k)
+        The fields in which they differ, each of n numbers, or of as many tuples of k.
+    """
+
+    like: FilterParameters
+    columns: dict[str, Array]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    @overload
+    def __getitem__(self, at: int) -> FilterParameters: ...
+    @overload
+    def __getitem__(self, at: slice) -> "ParameterTable": ...
+    def __getitem__(self, at: int | slice) -> "FilterParameters | ParameterTable":
+        part = {name: column[at] for name, column in self.columns.items()}
+        if isinstance(at, slice):
+            return ParameterTable(self.like, part)
+        return replace(self.like, **{name: value.tolist() for name, value in part.items()})
+
+
+MISSING: dict[str, float] = {
+    **dict.fromkeys(
+        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
+    ),
+    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof"), 0.0),
+}
+"""What stands for None in the fields that may be."""
+
+
+def fields_of(
+    parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Fields of n parameter sets, or all, by name: (n,) or (n, k); of a table whose sets all have the same, that."""
+    if isinstance(parameter_sets, ParameterTable):
+        of_all = vars(parameter_sets.like)
+        alike = {name: MISSING[name] if value is None else value for name, value in of_all.items()}
+        return alike | parameter_sets.columns
+    return {name: _stacked(parameter_sets, name) for name in names or vars(parameter_sets[0])}
+
+
+def _stacked(parameter_sets: Sequence[FilterParameters], name: str) -> NDArray[Any]:
+    each = [getattr(p, name) for p in parameter_sets]
+    return np.array([MISSING[name] if value is None else value for value in each])
