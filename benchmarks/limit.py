@@ -88,7 +88,8 @@ def count() -> None:
     )
     for row in (R.XX, R.YY, R.UU, R.VV, R.TT, R.FORGETTING):
         rows[row] = [Counting(1.0) for _ in range(layout.LANES)]
-    rows[R.FADING] = [Counting(-1.0) for _ in range(layout.LANES)]
+    rows[[R.FADING, R.FUZZY]] = Counting(-1.0)
+    rows[R.DOF] = Counting(0.0)
     for name, step in (
         ("predict", lambda: planar5.predict_planar5(rows, (0.01, 1.0, 0.0, 1.0, 0.1, 0.1))),
         ("fix", lambda: absorb(rows, (1.0, 2.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)),
