@@ -300,7 +300,9 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     library.write_drive(replace(drive, imu=at_rest_before(drive.imu, 8.0)), "stood")
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
-    assert f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 4 s" in said
+    assert (
+        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
+    )
     assert f"wrote the {len(pl.read_csv('f.csv'))} fixes before to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
 

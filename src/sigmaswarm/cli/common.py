@@ -206,6 +206,7 @@ def print_evaluation(
     from rich.table import Table
     from rich.text import Text
 
+    from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.scoring.drifts import OWN
     from sigmaswarm.scoring.evaluation import HOW_MANUAL, partly_scored, said_of_drives
 
@@ -241,10 +242,7 @@ def print_evaluation(
     late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
     if late:
         starts = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
-        console.print(
-            f"Filters start, and scores with them, {starts}: at the first fix with 4 s and 20 m of forward driving "
-            "behind it, which tell the heading."
-        )
+        console.print(f"Filters start, and scores with them, {starts}: at {START_RULE}.")
     for said in partly_scored(evaluation.asked.data):
         console.print(f"{said[0].upper()}{said[1:]}.")
     without_truth = [
