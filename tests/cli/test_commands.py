@@ -25,7 +25,7 @@ from support import make_drive
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ["tune", "evaluate", "report", "run", "split", "simulate", "plot", "demo"]
 QUICK = ["--particles", 4, "--generations", 2]
-METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
+METHODS = ["tuned", "untuned", "raw_gps", "imu_only"]
 
 
 def is_picture(path: Path) -> bool:
@@ -162,8 +162,8 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     for method in METHODS:
         value = said["mean"][method]["position_rmse_m"]
         assert (f"{value:.2f}" if value < 100 else f"{value:.0f}") in ended.out
-    improvement = said["improvement_percent"]["defaults"]["position_rmse_m"]
-    assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
+    improvement = said["improvement_percent"]["untuned"]["position_rmse_m"]
+    assert f"Position RMSE {improvement:.1f}% lower than data-sheet filter." in ended.out
     assert re.search(r" 4 s *\n", ended.out)  # head of the column of drifts
     assert " 30 s " not in ended.out  # there is no room for such an outage
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
@@ -325,9 +325,9 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         "model: tilted12 with lateral, standstill, robust: six IMU axes",
         "note: ",
         "tuned EKF, tilted12",
-        "manual: defaults",
+        "data-sheet filter",
         "raw GPS",
-        "lower than manual: defaults",
+        "lower than data-sheet filter",
         "pictures:",
         "next:         sigmaswarm report show/evaluation\n",
     ):
@@ -343,7 +343,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         assert all(tuned[column] < figure for column, figure in figures.items() if figure is not None), method
     for drive in said["drives"]:
         assert 1.6 < said["consistency"][drive]["mean_nis"] < 2.5
-    assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
+    assert said["improvement_percent"]["untuned"]["position_rmse_m"] > 10
     trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
     assert trained.isdisjoint(said["drives"])
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.report.draw.png import save
 from sigmaswarm.report.evaluation import comparison, errors, save_evaluation, tracks
@@ -79,7 +79,7 @@ def test_tracks_show_the_whole_and_a_close_up():
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("east, m", "north, m")
         assert ax.get_aspect() == 1.0
     assert whole.get_title(loc="left") == "monday"
-    expected = {"raw GPS", "truth", "tuned UKF", "manual: defaults", "manual: data sheet", "start"}
+    expected = {"raw GPS", "truth", "tuned UKF", "data-sheet filter", "start"}
     assert labels(figure) == expected
     drawn = lines(whole)
     np.testing.assert_array_equal(
@@ -88,7 +88,7 @@ def test_tracks_show_the_whole_and_a_close_up():
     np.testing.assert_array_equal(drawn["raw GPS"].get_xydata(), np.column_stack([DRIVE.gps.x, DRIVE.gps.y]))
     np.testing.assert_array_equal(drawn["tuned UKF"].get_xydata(), run_filter(DRIVE, GOOD).mean[:, :2])
     np.testing.assert_array_equal(
-        drawn["manual: defaults"].get_xydata(), run_filter(DRIVE, DEFAULTS).mean[:, :2]
+        drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, datasheet(DRIVE, like=GOOD)).mean[:, :2]
     )
     np.testing.assert_array_equal(drawn["start"].get_xydata(), [initial_state(DRIVE).mean[:2]])
     low, high = close.get_xlim()
@@ -110,8 +110,7 @@ def test_errors_show_position_and_heading_over_time():
     assert labels(figure) == {
         "3 sigma of the tuned UKF",
         "tuned UKF",
-        "manual: defaults",
-        "manual: data sheet",
+        "data-sheet filter",
     }
     estimate = run_filter(DRIVE, GOOD)
     at = np.searchsorted(DRIVE.truth.time, estimate.time)
@@ -145,7 +144,7 @@ def test_comparison_has_bars_for_every_method():
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
     said = evaluation.to_dict()["mean"]
-    names = ["tuned UKF", "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
+    names = ["tuned UKF", "data-sheet filter", "raw GPS", "IMU only"]
     shown = [m for m in MEASURES if m != "long_outage_drift_m"]  # the drive is too short for it
     for ax, measure in zip(figure.axes, shown, strict=True):
         values = [m[measure] for m in said.values()]

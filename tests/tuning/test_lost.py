@@ -52,7 +52,7 @@ def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     assert said_of_drifts([(29.0, 20.0)]) == said_of_drifts([]) == []
     whole = evaluate([DRIVE], bad)
     assert (tuned, other) == pytest.approx(
-        [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "datasheet")]
+        [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "untuned")]
     )
 
 

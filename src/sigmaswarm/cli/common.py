@@ -207,8 +207,8 @@ def print_evaluation(
     from rich.text import Text
 
     from sigmaswarm.drives.fingerprint import START_RULE
-    from sigmaswarm.scoring.drifts import OWN
-    from sigmaswarm.scoring.evaluation import HOW_MANUAL, partly_scored, said_of_drives
+    from sigmaswarm.scoring.drifts import OWN, UNTUNED
+    from sigmaswarm.scoring.evaluation import HOW_AGAINST, HOW_UNTUNED, partly_scored, said_of_drives
 
     console, record = stdout(), evaluation.record
     methods, known = record.told(evaluation.names, evaluation.measures)
@@ -260,7 +260,7 @@ def print_evaluation(
                 "though the car may have moved."
             )
     _print_consistency(evaluation, console)
-    for over in (OWN, "defaults", "datasheet", "raw_gps"):
+    for over in (OWN, UNTUNED, "raw_gps"):
         improvement = evaluation.improvement(over) if over in evaluation.names else None
         if improvement is not None:
             console.print(
@@ -271,8 +271,10 @@ def print_evaluation(
         drift = evaluation.mean("tuned", name)  # None, too, where the filter failed but in no outage
         if drift is not None and (spread := record.drift_said(name)):
             console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
-    console.print(f"{HOW_MANUAL}; name your own with --against.")
-    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_manual, *evaluation.restarted):
+    console.print(f"{HOW_UNTUNED}.")
+    if OWN not in evaluation.names:
+        console.print(f"{HOW_AGAINST}.")
+    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_untuned, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.scoring.consistency import Consistency, Summary
 
-SCORES_FILE, ASKED_FILE = "scores.json", "evaluation.json"
+SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
 """By measure; None where it can't be said."""

@@ -19,14 +19,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.filters.swarm.spread import START
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
-from sigmaswarm.scoring.drifts import Run
+from sigmaswarm.scoring.drifts import UNTUNED, Run
 from sigmaswarm.scoring.score import PieceErrors, Score
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
@@ -86,8 +86,8 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """The manual filters and the tuned one; the tuned one last, to be drawn on top."""
-    return {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": tuned}
+    """The same filter by data sheet, and the tuned one; the tuned one last, to be drawn on top."""
+    return {UNTUNED: datasheet(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
@@ -221,7 +221,7 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
 
 
 def pictured(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> Picture:
-    """What a printed picture shows of a drive by a tuned filter and the manual ones."""
+    """What a printed picture shows of a drive by a tuned filter, and by the same from data sheets."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     return picture_of(ready, compared(drive, parameters), drive.name)
 

@@ -18,7 +18,7 @@ from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.drifts import UNTUNED, Outages
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 
 NAMED = 3
@@ -52,15 +52,15 @@ def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
 
 
 def drifts_of(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> tuple[float, float]:
-    """What a filter and the data sheet's drift over the long outages, m; NaN where none fits."""
+    """What a filter and the same by data sheet drift over the long outages, m; NaN where none fits."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         ready = PreparedDrive(clip(drive, middle - LOOK / 2, middle + LOOK / 2), as_recorded=as_recorded)
     except InputError:  # the car stands there
         return np.nan, np.nan
     outages = Outages(ready, length=LONG_OUTAGE_LENGTH, seed=0)
-    outages.run({"tuned": parameters, "datasheet": datasheet(drive)}, watched=())
-    return outages.drift("tuned"), outages.drift("datasheet")
+    outages.run({"tuned": parameters, UNTUNED: datasheet(drive, like=parameters)}, watched=())
+    return outages.drift("tuned"), outages.drift(UNTUNED)
 
 
 def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
@@ -73,5 +73,5 @@ def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
         return []
     return [
         f"DON'T USE IT: over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was "
-        f"tuned, the data sheet's, which nobody tuned, {other:.3g} m; {REMEDY}"
+        f"tuned, the data-sheet filter, which nobody tuned, {other:.3g} m; {REMEDY}"
     ]

@@ -34,12 +34,12 @@ from sigmaswarm.report.views.charts import (
     short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import LEARNED
+from sigmaswarm.scoring.drifts import LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 
-DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
 
 
