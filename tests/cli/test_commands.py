@@ -225,7 +225,10 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert is_picture(Path("e/comparison.png"))
     alone = sigmaswarm("evaluate", tuned, "blind").out
     assert "drift" in alone
-    assert "RMSE" not in alone  # no columns of dashes
+    assert "position RMSE" not in alone.replace("\n", " ")  # no columns of dashes
+    (far,) = re.findall(r"How far off on urban-clear-03, without truth\? .*", alone)
+    scores = json.loads(Path("e/scores.json").read_text())["consistency"]["urban-clear-03"]
+    assert f"{scores['own_sigma_m']:.2g} m (RMS)" in far
     assert "raw GPS" not in alone
     shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00").out
     assert "RMSE" in shown
@@ -235,6 +238,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
         "and the consistency can be told"
     )
     assert f"\nurban-clear-03 has {reason}" in shown
+    assert shown.count("How far off on") == 1, "where there is truth, it tells"
     assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")
 
 
@@ -289,6 +293,37 @@ def at_rest_before(imu: Imu, seconds: float) -> Imu:
     columns = {name: v for name, v in vars(imu).items() if v is not None and name != "time"}
     rows = {name: np.append(np.full(len(time), 9.81 * (name == "az")), v) for name, v in columns.items()}
     return Imu(time=np.append(time, imu.time), **rows)
+
+
+def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm, drives: Path, here: Path):
+    quick = ("--particles", 4, "--generations", 2, "--trust-log")
+    first = sigmaswarm("tune", drives, "--out", "first", *quick, "--model", "planar5")
+    assert "compare:" not in first.out
+    sigmaswarm("evaluate", "first", drives, "--out", "an-evaluation")  # which holds a copy of first's
+    other = sigmaswarm("tune", drives / "urban-clear-00", "--out", "other", *quick)
+    assert "compare:" not in other.out, "it saw other drives"
+    (said,) = re.findall(
+        "compare: +sigmaswarm (.*)", sigmaswarm("tune", drives, "--out", "second", *quick).out
+    )
+    assert said == "evaluate second HELD_OUT_DRIVE... --against first"
+    words = said.replace("HELD_OUT_DRIVE...", str(drives / "urban-clear-00")).split()
+    table = sigmaswarm(*words).out
+    assert "other UKF" in table and "tuned EKF, tilted12" in table and "data-sheet filter" in table
+    assert "Another tuning, or a filter of your own" not in table
+    assert "Another tuning, or a filter of your own" in sigmaswarm("evaluate", "second", drives).out
+
+
+def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: Path, here: Path):
+    quick = ("--particles", 4, "--generations", 2, "--trust-log")
+    options = ("--model", "planar5", "--objective", "truth-rmse")
+    said = sigmaswarm("tune", drives, "--out", "t", *quick, *options).out.splitlines()
+    kinds = [line.split(":")[0] for line in said if line.startswith(("TO DO: ", "note: "))]
+    assert kinds == sorted(kinds) and {*kinds} == {"TO DO", "note"}
+    asked = [line for line in said if line.startswith("TO DO: ")]
+    assert any("tune with 'truth-rmse + 0.2 nees'" in line for line in asked)
+    result = tomllib.loads(Path("t/tuning.toml").read_text())["result"]
+    assert [r for r in result["remarks"] if r.startswith("TO DO")] == asked == result["remarks"][: len(asked)]
+    assert "TO DO: tune with" in sigmaswarm("evaluate", "t", drives).out
 
 
 def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):

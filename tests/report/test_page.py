@@ -135,7 +135,8 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     )  # evaluated without what the tuning saw: nothing is claimed
     assert f"{found.mean('tuned', 'position_rmse_m'):.3g} m (RMS)" in said
     assert (
-        f"data-sheet filter, which nobody tuned, has {found.mean('untuned', 'position_rmse_m'):.3g} m" in said
+        f"the data-sheet filter, which nobody tuned, has {found.mean('untuned', 'position_rmse_m'):.3g} m"
+        in said
     )
     better = found.improvement("raw_gps")
     assert f"{abs(better):.0f}% {'less' if better >= 0 else 'MORE'} than {METHODS['raw_gps']}" in said

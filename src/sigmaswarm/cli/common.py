@@ -10,6 +10,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.files import finite
+from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -198,6 +199,12 @@ def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Genera
             bar.stop()
 
 
+def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
+    """A tuning's, each in a line: those that ask for action begin with TO DO, the others are notes."""
+    for remark in remarks:
+        stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
+
+
 def print_evaluation(
     evaluation: "Evaluation",
 ) -> None:
@@ -208,7 +215,7 @@ def print_evaluation(
 
     from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.scoring.drifts import OWN, UNTUNED
-    from sigmaswarm.scoring.evaluation import HOW_AGAINST, HOW_UNTUNED, partly_scored, said_of_drives
+    from sigmaswarm.scoring.evaluation import HOW_AGAINST, HOW_UNTUNED, how_far, partly_scored, said_of_drives
 
     console, record = stdout(), evaluation.record
     methods, known = record.told(evaluation.names, evaluation.measures)
@@ -253,6 +260,8 @@ def print_evaluation(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
             "over outages, against hidden fixes whose own errors are in it, and the consistency can be told.",
         )
+    for said in how_far(record, evaluation.asked.data):
+        console.print(f"{said}.")
     for name, found in evaluation.drives.items():
         if found.frozen:
             console.print(

@@ -80,6 +80,7 @@ def evaluate(
         held_drives,
         print_evaluation,
         print_json,
+        print_remarks,
         stdout,
         tuned_as_recorded,
     )
@@ -127,8 +128,7 @@ def evaluate(
         return
     print_evaluation(result)
     if (tuned := load_record(TuningRecord, file).result) is not None:
-        for doubt in tuned.doubts:
-            stdout().print(f"Beware: {doubt}.")
+        print_remarks(tuned.doubts)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"

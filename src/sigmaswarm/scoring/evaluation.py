@@ -26,7 +26,7 @@ from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
-from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.consistency import CORRELATED, Consistency, consistency_of
 from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
@@ -44,7 +44,7 @@ from sigmaswarm.scoring.targets import (
     outage_windows,
     tracking_replay,
 )
-from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.tracks import TRACKS_FILE, FirstLook, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -194,6 +194,64 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
         if worse:
             said.append(f"on {drive} the tuned filter is WORSE than the raw fixes: {', '.join(worse)}")
     return tuple(said)
+
+
+FAR_BELOW = 1.0
+"""Mean NIS, half of what it should be, below which forecasts say nothing of the error."""
+MOST_TOLD = 3
+"""Drives of which it is said how far off the filter may be."""
+
+
+def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
+    """How many metres the tuned filter is off on each of the first drives without truth, as far as the log tells."""
+    blind = [one.name for one in data if one.has_truth is False]
+    told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma_m]
+    return tuple(_without_truth(name, c) for name, c in told[:MOST_TOLD])
+
+
+def said_of_first_look(look: FirstLook) -> str:
+    """How many metres the tuned filter is off on a drive that it was tuned on, in a sentence; empty if unknown."""
+    name, rmse = look.picture.whole.name, look.position_rmse
+    if np.isfinite(rmse["tuned"]):
+        others = ", ".join(
+            f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
+        )
+        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), where it was tuned: elsewhere it is rather more"
+    if look.consistency is None or not look.consistency.own_sigma:
+        return ""
+    return _without_truth(name, ConsistencyRecord.of(look.consistency))
+
+
+def _without_truth(drive: str, found: ConsistencyRecord) -> str:
+    said = said_of_position(found)
+    return f"How far off on {drive}, without truth? {said[0].upper()}{said[1:]}"
+
+
+def said_of_position(found: ConsistencyRecord) -> str:
+    """How many metres a filter is off on a drive without truth, as far as the log tells.
+
+    That is its own word (RMS of its sigmas), held against its forecasts of the fixes. Where it misses these by far less
+    than it expects, the receiver smooths its fixes, or their errors last: then it may be off by as much as they are.
+    """
+    own, missed, expected = found.own_sigma_m or 0.0, found.missed_m or 0.0, found.expected_m or 0.0
+    (low, high), nis = found.nis_band_95, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    alike = found.autocorrelation[0] > CORRELATED
+    if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
+        fixes = max(expected**2 - own**2, 0.0) ** 0.5
+        return (
+            f"this log can't tell: perhaps {fixes:.2g} m, by which the filter takes the fixes to be off. It says "
+            f"{own:.2g} m (RMS) of itself, but its forecasts miss the fixes by less than it expects ({nis}): the "
+            "receiver smooths its fixes, or their errors last"
+        )
+    said = f"{own:.2g} m (RMS), as the filter itself says"
+    included = f"its forecasts miss the fixes by {missed:.2g} m, their own errors included"
+    if found.mean_nis > high:
+        return f"more than {said}: {included}, which is more than it expects ({nis})"
+    if found.mean_nis < low:
+        return f"{said}, or somewhat less: {included}, which is less than it expects ({nis})"
+    if alike:
+        return f"{said}, or more: {included}, as it expects, but each fix in part like the one before"
+    return f"about {said}, and the log bears it out: {included}, as it expects. What all fixes share is not in it"
 
 
 NOTABLE = 0.9
@@ -563,8 +621,8 @@ def _evaluated(
     each = {
         method: replace(
             whole[i, 0],
-            position_median=tracker.quantiles[method][0],
-            position_95=tracker.quantiles[method][1],
+            position_median=tracker.scores[method].position_median,
+            position_95=tracker.scores[method].position_95,
             failed=whole[i, 0].failed or any(method in of.failed for of in outages.values()),
         )
         for i, method in enumerate(filters)
@@ -580,7 +638,7 @@ def _evaluated(
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
         scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
-        consistency=None if failed else consistency_of(innovations, nees),
+        consistency=None if failed else consistency_of(innovations, nees, tracker.own_sigma["tuned"]),
         innovations=innovations,
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),

@@ -20,6 +20,7 @@ from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import UNTUNED, Outages
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.wording import to_do
 
 NAMED = 3
 """Drives in one message, and that are looked at for their drifts."""
@@ -30,7 +31,8 @@ LOOK = 600.0
 FAR = 1.5
 """Times the drift of a filter that nobody tuned, to be told."""
 REMEDY = (
-    "leave --model and --use out, which then suit the logs, or tune with more --trials, or on more drives"
+    "DON'T USE IT; leave --model and --use out, which then suit the logs, or tune with more --trials, or on more "
+    "drives"
 )
 
 
@@ -46,9 +48,7 @@ def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     if not lost:
         return []
     more = f"; and on {len(lost) - NAMED} more drives" if len(lost) > NAMED else ""
-    return [
-        f"DON'T USE IT: the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there; {REMEDY}"
-    ]
+    return [to_do(REMEDY, f"the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there")]
 
 
 def drifts_of(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> tuple[float, float]:
@@ -71,7 +71,8 @@ def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
     tuned, other = np.sqrt(np.mean(known**2, axis=0))
     if tuned <= FAR * other:
         return []
-    return [
-        f"DON'T USE IT: over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was "
-        f"tuned, the data-sheet filter, which nobody tuned, {other:.3g} m; {REMEDY}"
-    ]
+    why = (
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
+        f"data-sheet filter, which nobody tuned, {other:.3g} m"
+    )
+    return [to_do(REMEDY, why)]

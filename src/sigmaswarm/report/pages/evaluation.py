@@ -26,6 +26,7 @@ from sigmaswarm.scoring.evaluation import (
     HOW_AGAINST,
     HOW_UNTUNED,
     Measure,
+    how_far,
     measures,
     method_names,
     partly_scored,
@@ -39,6 +40,7 @@ from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
+from sigmaswarm.wording import TO_DO
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
@@ -75,13 +77,14 @@ def evaluation_report(folder: Path) -> Report:
     without = (
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
     )
+    without += tuple(f"{said}." for said in how_far(scores, asked.data))
     shown = measures(asked.outage_length_s)
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, also=also)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, data, asked.outage_length_s, names), *without, what_was_tuned(file)),
         figures=_figures(scores, shown, names),
-        remarks=(
+        remarks=_in_order(
             *_remarks(scores, data, shown),
             *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
         ),
@@ -110,6 +113,11 @@ def _other(folder: Path) -> TuningRecord | None:
 
 def _kind_and_model(file: TuningRecord) -> tuple[str, str]:
     return str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
+
+
+def _in_order(*remarks: str) -> tuple[str, ...]:
+    """First what asks for action."""
+    return tuple(sorted(remarks, key=lambda remark: not remark.startswith(TO_DO)))
 
 
 def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
@@ -170,7 +178,7 @@ def _result(
 
 def _against(tuned: float, other: float, method: str, names: Mapping[str, str]) -> str:
     if method == UNTUNED:  # a share of what nobody tuned would flatter
-        return f"{names[method]}, which nobody tuned, has {other:.3g} m"
+        return f"the {names[method]}, which nobody tuned, has {other:.3g} m"
     change = 100 * (other - tuned) / other
     return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {names[method]} ({other:.3g} m)"
 
@@ -241,7 +249,8 @@ def _comparison(
     text = (
         f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse} IMU only "
         "takes no fix after the drive's start, so its drift is what has gathered since then.",
-        *([f"{HOW_UNTUNED}. {HOW_AGAINST}."] if UNTUNED in scores.mean else []),
+        *([f"{HOW_UNTUNED}."] if UNTUNED in scores.mean else []),
+        *([] if OWN in scores.mean else [f"{HOW_AGAINST}."]),
     )
     if scores.drifts:
         tables.append(_drifts(scores, names, shown))
