@@ -150,7 +150,7 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
     tuning = sigmaswarm.tune(drives[1:], objective="truth-pose", particles=8, generations=3)
     scores = sigmaswarm.evaluate(drives[:1], tuning.parameters)
     assert np.isfinite(tuning.cost)
-    improvement = scores.improvement(over="defaults")
+    improvement = scores.improvement()
     assert improvement is not None
     assert improvement > 0
 

@@ -19,7 +19,7 @@ class DriveError(InputError):
 
 
 class AlignmentError(DriveError):
-    """The drive never moves far enough for a filter to find its heading."""
+    """No filter can start on the drive: too slow, too few fixes, or fixes that go another way than the IMU felt."""
 
 
 class SigmaswarmWarning(UserWarning):

@@ -8,6 +8,15 @@ MOST_NAMES = 12
 """Of a list in a message."""
 
 
+TO_DO = "TO DO: "
+"""Begins what asks for action, so that it is told from what is good to know; such sentences are told first."""
+
+
+def to_do(remedy: str, why: str) -> str:
+    """What to do, and why, for people."""
+    return f"{TO_DO}{remedy}: {why}"
+
+
 def visible(text: str, kept: str = "\n\t") -> str:
     """The text with control characters but ``kept`` as escapes: a name may hold what moves a terminal's cursor."""
     if text.isprintable():

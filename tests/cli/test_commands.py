@@ -25,7 +25,7 @@ from support import make_drive
 PNG = b"\x89PNG\r\n\x1a\n"
 COMMANDS = ["tune", "evaluate", "report", "run", "split", "simulate", "plot", "demo"]
 QUICK = ["--particles", 4, "--generations", 2]
-METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
+METHODS = ["tuned", "untuned", "raw_gps", "imu_only"]
 
 
 def is_picture(path: Path) -> bool:
@@ -162,8 +162,8 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     for method in METHODS:
         value = said["mean"][method]["position_rmse_m"]
         assert (f"{value:.2f}" if value < 100 else f"{value:.0f}") in ended.out
-    improvement = said["improvement_percent"]["defaults"]["position_rmse_m"]
-    assert f"Position RMSE {improvement:.1f}% lower than manual: defaults." in ended.out
+    improvement = said["improvement_percent"]["untuned"]["position_rmse_m"]
+    assert f"Position RMSE {improvement:.1f}% lower than data-sheet filter." in ended.out
     assert re.search(r" 4 s *\n", ended.out)  # head of the column of drifts
     assert " 30 s " not in ended.out  # there is no room for such an outage
     consistent = json.loads(Path("e/scores.json").read_text())["consistency"]
@@ -225,7 +225,10 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     assert is_picture(Path("e/comparison.png"))
     alone = sigmaswarm("evaluate", tuned, "blind").out
     assert "drift" in alone
-    assert "RMSE" not in alone  # no columns of dashes
+    assert "position RMSE" not in alone.replace("\n", " ")  # no columns of dashes
+    (far,) = re.findall(r"How far off on urban-clear-03, without truth\? .*", alone)
+    scores = json.loads(Path("e/scores.json").read_text())["consistency"]["urban-clear-03"]
+    assert f"{scores['own_sigma_m']:.2g} m (RMS)" in far
     assert "raw GPS" not in alone
     shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00").out
     assert "RMSE" in shown
@@ -235,6 +238,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
         "and the consistency can be told"
     )
     assert f"\nurban-clear-03 has {reason}" in shown
+    assert shown.count("How far off on") == 1, "where there is truth, it tells"
     assert shown.endswith("next: the same with --out evaluation, for pictures and a page\n")
 
 
@@ -291,6 +295,37 @@ def at_rest_before(imu: Imu, seconds: float) -> Imu:
     return Imu(time=np.append(time, imu.time), **rows)
 
 
+def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm, drives: Path, here: Path):
+    quick = ("--particles", 4, "--generations", 2, "--trust-log")
+    first = sigmaswarm("tune", drives, "--out", "first", *quick, "--model", "planar5")
+    assert "compare:" not in first.out
+    sigmaswarm("evaluate", "first", drives, "--out", "an-evaluation")  # which holds a copy of first's
+    other = sigmaswarm("tune", drives / "urban-clear-00", "--out", "other", *quick)
+    assert "compare:" not in other.out, "it saw other drives"
+    (said,) = re.findall(
+        "compare: +sigmaswarm (.*)", sigmaswarm("tune", drives, "--out", "second", *quick).out
+    )
+    assert said == "evaluate second HELD_OUT_DRIVE... --against first"
+    words = said.replace("HELD_OUT_DRIVE...", str(drives / "urban-clear-00")).split()
+    table = sigmaswarm(*words).out
+    assert "other UKF" in table and "tuned EKF, tilted12" in table and "data-sheet filter" in table
+    assert "Another tuning, or a filter of your own" not in table
+    assert "Another tuning, or a filter of your own" in sigmaswarm("evaluate", "second", drives).out
+
+
+def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: Path, here: Path):
+    quick = ("--particles", 4, "--generations", 2, "--trust-log")
+    options = ("--model", "planar5", "--objective", "truth-rmse")
+    said = sigmaswarm("tune", drives, "--out", "t", *quick, *options).out.splitlines()
+    kinds = [line.split(":")[0] for line in said if line.startswith(("TO DO: ", "note: "))]
+    assert kinds == sorted(kinds) and {*kinds} == {"TO DO", "note"}
+    asked = [line for line in said if line.startswith("TO DO: ")]
+    assert any("tune with 'truth-rmse + 0.2 nees'" in line for line in asked)
+    result = tomllib.loads(Path("t/tuning.toml").read_text())["result"]
+    assert [r for r in result["remarks"] if r.startswith("TO DO")] == asked == result["remarks"][: len(asked)]
+    assert "TO DO: tune with" in sigmaswarm("evaluate", "t", drives).out
+
+
 def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):
     drive = make_drive(duration=60.0)
     library.write_drive(drive, "s")
@@ -300,7 +335,9 @@ def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, 
     library.write_drive(replace(drive, imu=at_rest_before(drive.imu, 8.0)), "stood")
     said = sigmaswarm("run", tuned, "stood", "--out", "e.csv", "--before", "f.csv").out
     earlier = pl.read_csv("e.csv")["t"][0] + 8.0
-    assert f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 4 s" in said
+    assert (
+        f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 20 m of" in said
+    )
     assert f"wrote the {len(pl.read_csv('f.csv'))} fixes before to f.csv" in said
     assert sigmaswarm("run", tuned, "s", "--out", "e.csv", "--before", "f.tum").code == 2
 
@@ -323,9 +360,9 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         "model: tilted12 with lateral, standstill, robust: six IMU axes",
         "note: ",
         "tuned EKF, tilted12",
-        "manual: defaults",
+        "data-sheet filter",
         "raw GPS",
-        "lower than manual: defaults",
+        "lower than data-sheet filter",
         "pictures:",
         "next:         sigmaswarm report show/evaluation\n",
     ):
@@ -341,7 +378,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         assert all(tuned[column] < figure for column, figure in figures.items() if figure is not None), method
     for drive in said["drives"]:
         assert 1.6 < said["consistency"][drive]["mean_nis"] < 2.5
-    assert said["improvement_percent"]["defaults"]["position_rmse_m"] > 10
+    assert said["improvement_percent"]["untuned"]["position_rmse_m"] > 10
     trained = {d["name"] for d in tomllib.loads(Path("show/tuning/tuning.toml").read_text())["data"]}
     assert trained.isdisjoint(said["drives"])
 

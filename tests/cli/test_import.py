@@ -272,3 +272,24 @@ def test_limits_are_options(sigmaswarm: Command, here: Path, option: str):
     if option != "--max-unpacked-mb":
         ended = sigmaswarm("import", "log.csv", "--out", "b", option, "5")
         assert ended.code == 2 and f"raise {option}" in ended.err
+
+
+def test_what_was_read_from_which_column_is_said_without_show(sigmaswarm: Command, here: Path):
+    drive = library.simulate("urban", run=3, duration=40.0, gps="white-1m")
+    log = Path("log")
+    log.mkdir()
+    imu = np.column_stack(
+        [1e3 * drive.imu.time, drive.imu.ax / 9.80665, drive.imu.ay / 9.80665, drive.imu.gz]
+    )
+    fixes = np.column_stack([1e3 * drive.gps.time, drive.gps.x, drive.gps.y])
+    np.savetxt(log / "inertial.csv", imu, "%.6f", ",", header="stamp_ms,acc_x_g,acc_y_g,gyro_z", comments="")
+    np.savetxt(log / "receiver.csv", fixes, "%.3f", ",", header="stamp_ms,east_m,north_m", comments="")
+    ended = sigmaswarm("import", "log", "--out", "drive", "--map", "gz=1.0*gyro_z")
+    assert ended.code == 0, ended.err
+    told = [line for line in ended.out.splitlines() if line.startswith("read: ")]
+    assert told == [
+        "read: imu of inertial.csv: t=stamp_ms*1e-3, ax=acc_x_g*9.80665, ay=acc_y_g*9.80665, gz=1.0*gyro_z",
+        "read: gps of receiver.csv: t=stamp_ms*1e-3, x=east_m, y=north_m",
+    ]
+    said = json.loads(sigmaswarm("import", "log", "--out", "d2", "--map", "gz=1.0*gyro_z", "--json").out)
+    assert tomllib.loads(said["recipe"])["imu"][0]["gz"] == "1.0*gyro_z"

@@ -396,6 +396,7 @@ def test_no_jump_is_made_up_wherever_the_gap_lies(jumped: bool, every: int):
     assert named >= 20
 
 
+@needs_shared
 def test_a_pause_in_a_real_log_is_no_jump():
     found = sigmaswarm.diagnose(recorded("kitti-09-30-0018")).codes
     assert "logger-pause" in found

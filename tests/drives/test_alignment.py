@@ -8,8 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from sigmaswarm.drives.alignment import MAX_HEADING_STD, Alignments, InitialState, initial_state
+from sigmaswarm.doctor.diagnose import diagnose
+from sigmaswarm.drives.alignment import (
+    MAX_DURATION,
+    MAX_HEADING_STD,
+    MIN_DURATION,
+    MIN_TRAVEL,
+    Alignments,
+    InitialState,
+    NoStart,
+    find_start,
+    initial_state,
+)
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.fingerprint import START_RULE
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.errors import AlignmentError
 from support import DRIVES, make_drive, needs_shared
@@ -211,6 +223,44 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
     ) as caught:
         initial_state(drive)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("drive", "missing"),
+    [
+        (
+            standing_then_going(2.0, duration=60.0, gps_rate=1 / 3),
+            r"its fixes come every 3 s.*log the receiver at 1 Hz",
+        ),
+        (
+            standing_then_going(1e9, duration=120.0, gps_std=15.0),
+            r"nowhere the way that the IMU felt.*doctor",
+        ),
+        (standing_then_going(1e9, duration=60.0), r"never travels 20 m within 6 s.*\(12 km/h for 6 s\)"),
+    ],
+    ids=["few fixes", "scattered", "standing"],
+)
+def test_what_is_missing_for_a_start_is_what_is_told(drive: Drive, missing: str):
+    with pytest.raises(AlignmentError, match=rf"^standing: .*{missing}") as caught:
+        initial_state(drive)
+    found = next(finding for finding in diagnose(drive).findings if finding.code == "no-start")
+    assert str(caught.value) == f"standing: {found.what}; {found.remedy}"
+
+
+@pytest.mark.parametrize(("speed", "starts"), [(3.0, False), (4.0, True)])
+def test_a_start_takes_20_m_within_6_s_however_long_the_car_drives(speed: float, starts: bool):
+    """Not 20 m of driving: at 3 m/s that takes 7 s, and no filter starts in a minute of it."""
+    time = np.arange(6001) / 100
+    x, flat = speed * time, np.zeros_like(time)
+    fixes = slice(1, None, 25)
+    drive = Drive(
+        "slow", Imu(time=time, ax=flat, ay=flat, gz=flat), Gps(time[fixes] + 0.001, x[fixes], flat[fixes])
+    )
+    assert isinstance(find_start(drive), InitialState if starts else NoStart)
+    assert (
+        f"{MIN_TRAVEL:g} m of forward driving in the {MIN_DURATION:g} to {MAX_DURATION:g} s before it"
+        in START_RULE
+    )
 
 
 @pytest.mark.parametrize("gps_rate", [1.0, 5.0, 10.0])

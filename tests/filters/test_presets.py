@@ -41,6 +41,29 @@ def test_datasheet_takes_what_the_drive_states():
     assert p.process_noise[4] == pytest.approx(0.001**2 * 0.01)
 
 
+def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
+    """What a tuning has to beat: nothing of it is tuned, and it uses what the tuned filter uses."""
+    plain, dt = datasheet(DRIVE), DRIVE.nominal_interval
+    assert datasheet(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)) == plain
+    q = [1e-3] * 12
+    tuned = FilterParameters(
+        1.0, 0.0, 0.0, q, [3.0] * 2, "tilted12", kind="ekf", lateral_noise=7.0, rear_axle=3.0, robust_dof=20.0
+    )
+    p = datasheet(DRIVE, like=tuned)
+    assert (p.model, p.kind, p.nominal_interval) == ("tilted12", "ekf", dt)
+    assert p.process_noise[:5] == plain.process_noise and p.measurement_noise == plain.measurement_noise
+    accel, gyro = 2 * 0.01**2 / 3600, 2 * np.radians(200 / 3600) ** 2 / 3600
+    white = np.radians(0.3) ** 2 / 3600
+    assert np.array(p.process_noise[5:]) / dt == pytest.approx(
+        [accel, accel, gyro, white, white, gyro, gyro], rel=1e-9
+    )
+    assert (p.lateral_noise, p.rear_axle, p.robust_dof) == (pytest.approx(0.04), 1.3, 4.0)
+    assert p.standstill_noise is p.odometer_noise is p.gate is p.accuracy_scale is None
+    stated = datasheet(DRIVE, like=replace(tuned, accuracy_scale=5.0, lateral_noise=None))
+    assert (stated.accuracy_scale, stated.rear_axle) == (1.0, 0.0)
+    assert stated.measurement_noise == pytest.approx((0.01, 0.01))
+
+
 def test_the_receiver_s_own_deviation_goes_before_the_file_s():
     n = len(DRIVE.gps)
     std = np.where(np.arange(n) < n // 2 - 1, 50.0, 1.5)  # the median forgives the start

@@ -12,12 +12,13 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.report.draw.png import save
+from sigmaswarm.report.draw.png import figure_of, save
 from sigmaswarm.report.evaluation import comparison, errors, save_evaluation, tracks
 from sigmaswarm.report.style import LABELS
 from sigmaswarm.report.tuning import convergence, save_tuning_figures
+from sigmaswarm.report.views.charts import Axis, Bars, Chart, Look
 from sigmaswarm.scoring.evaluation import MEASURES, evaluate, method_names
 from sigmaswarm.scoring.tracks import Picture, compared, picture_of
 from sigmaswarm.tuning.result import Tuning
@@ -79,7 +80,7 @@ def test_tracks_show_the_whole_and_a_close_up():
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("east, m", "north, m")
         assert ax.get_aspect() == 1.0
     assert whole.get_title(loc="left") == "monday"
-    expected = {"raw GPS", "truth", "tuned UKF", "manual: defaults", "manual: data sheet", "start"}
+    expected = {"raw GPS", "truth", "tuned UKF", "data-sheet filter", "start"}
     assert labels(figure) == expected
     drawn = lines(whole)
     np.testing.assert_array_equal(
@@ -88,7 +89,7 @@ def test_tracks_show_the_whole_and_a_close_up():
     np.testing.assert_array_equal(drawn["raw GPS"].get_xydata(), np.column_stack([DRIVE.gps.x, DRIVE.gps.y]))
     np.testing.assert_array_equal(drawn["tuned UKF"].get_xydata(), run_filter(DRIVE, GOOD).mean[:, :2])
     np.testing.assert_array_equal(
-        drawn["manual: defaults"].get_xydata(), run_filter(DRIVE, DEFAULTS).mean[:, :2]
+        drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, datasheet(DRIVE, like=GOOD)).mean[:, :2]
     )
     np.testing.assert_array_equal(drawn["start"].get_xydata(), [initial_state(DRIVE).mean[:2]])
     low, high = close.get_xlim()
@@ -110,8 +111,7 @@ def test_errors_show_position_and_heading_over_time():
     assert labels(figure) == {
         "3 sigma of the tuned UKF",
         "tuned UKF",
-        "manual: defaults",
-        "manual: data sheet",
+        "data-sheet filter",
     }
     estimate = run_filter(DRIVE, GOOD)
     at = np.searchsorted(DRIVE.truth.time, estimate.time)
@@ -121,6 +121,30 @@ def test_errors_show_position_and_heading_over_time():
     assert any(np.allclose(line.get_ydata(), turned, atol=1e-6) for line in heading.get_lines())
     radius = 3 * np.sqrt(estimate.covariance[:, 0, 0] + estimate.covariance[:, 1, 1])
     np.testing.assert_allclose(lines(position)["3 sigma of the tuned UKF"].get_ydata(), radius, rtol=1e-9)
+
+
+def test_the_axis_of_headings_follows_the_errors():
+    """A degree must not be a hair's breadth, nor a filter that is lost set the scale."""
+    _, heading = errors(picture(DRIVE), NAMES).axes
+    low, high = heading.get_ylim()
+    drawn = np.concatenate([np.abs(line.get_ydata()) for line in heading.get_lines()])
+    assert np.quantile(drawn, 0.95) < high == -low < 30.0
+    lost = replace(GOOD, process_noise=(*GOOD.process_noise[:4], 10.0))
+    assert errors(picture(DRIVE, lost), NAMES).axes[1].get_ylim() == (-30.0, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [((0.27, 0.33, 1.36), {"0.2", "0.5", "1", "2"}), ((0.5, 1.1, 820.0), {"0.1", "1", "10", "100", "1000"})],
+)
+def test_a_logarithmic_axis_has_few_plain_numbers(values: tuple[float, ...], expected: set[str]):
+    bars = Bars("x", range(3), values, Look("#000000", 0.0))
+    figure = figure_of(Chart("", (bars,), Axis("m", "log"), Axis(categories=("a", "b", "c"))), size=(4, 3))
+    figure.canvas.draw()
+    axis = figure.axes[0].xaxis
+    said = {label.get_text() for label in (*axis.get_ticklabels(), *axis.get_ticklabels(minor=True))}
+    assert expected <= said | {""} and all(float(number) > 0 for number in said - {""})
+    assert not any("e" in number and float(number) > 1e-3 for number in said)
 
 
 def test_errors_are_drawn_only_where_truth_is_known():
@@ -145,7 +169,7 @@ def test_comparison_has_bars_for_every_method():
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
     said = evaluation.to_dict()["mean"]
-    names = ["tuned UKF", "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
+    names = ["tuned UKF", "data-sheet filter", "raw GPS", "IMU only"]
     shown = [m for m in MEASURES if m != "long_outage_drift_m"]  # the drive is too short for it
     for ax, measure in zip(figure.axes, shown, strict=True):
         values = [m[measure] for m in said.values()]

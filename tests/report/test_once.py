@@ -70,5 +70,5 @@ def test_an_evaluation_with_pictures_computes_each_thing_once(
     )  # the outages' lines are made of the whole one
     k = len(whole.timeline().dt)
     assert len(lengths) > 8
-    # tuned filter, watched for being lost, and two manual ones: those share the lanes of one run over outages
-    assert steps == {k: 3 * k, **{n: 2 * n * count for n, count in Counter(lengths).items()}}
+    # the tuned filter and the data sheet's, each watched for being lost
+    assert steps == {k: 2 * k, **{n: 2 * n * count for n, count in Counter(lengths).items()}}

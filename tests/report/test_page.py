@@ -71,7 +71,7 @@ def test_tracks_hold_what_the_filters_said(tmp_path: Path, folders: tuple[Path, 
         save_tracks([tracks_of(MONDAY, compared(MONDAY, parameters), "m")], tmp_path / "tracks.npz")
     )
     assert read.name == "m"
-    assert set(read.series) == {"truth", *METHODS, "tuned.nis", "datasheet.nis", "defaults.nis"}
+    assert set(read.series) == {"truth", *METHODS, "tuned.nis", "untuned.nis"}
     estimate, tuned = run_filter(MONDAY, parameters), read.series["tuned"]
     at = np.searchsorted(estimate.time, tuned["time"])
     np.testing.assert_array_equal(estimate.time[at], tuned["time"])
@@ -110,7 +110,7 @@ def test_tracks_without_truth_and_of_a_failing_filter(tmp_path: Path):
     assert "position_error" not in tracks.series["tuned"]
     assert "position_3sigma" in tracks.series["tuned"]
     assert "tuned.nis" not in tracks.series
-    assert "defaults.nis" in tracks.series
+    assert "untuned.nis" in tracks.series
     save_tracks([tracks], tmp_path / "t.npz")
 
 
@@ -134,8 +134,10 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
         "On 2 drives the tuned filter"
     )  # evaluated without what the tuning saw: nothing is claimed
     assert f"{found.mean('tuned', 'position_rmse_m'):.3g} m (RMS)" in said
-    best = min(("defaults", "datasheet"), key=lambda m: found.mean(m, "position_rmse_m") or np.inf)
-    assert f"{METHODS[best]}, which nobody tuned, has {found.mean(best, 'position_rmse_m'):.3g} m" in said
+    assert (
+        f"the data-sheet filter, which nobody tuned, has {found.mean('untuned', 'position_rmse_m'):.3g} m"
+        in said
+    )
     better = found.improvement("raw_gps")
     assert f"{abs(better):.0f}% {'less' if better >= 0 else 'MORE'} than {METHODS['raw_gps']}" in said
     table = next(s for s in report.sections if s.title == "Comparison").tables[1]
@@ -267,8 +269,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     assert [c.title for c in scores.columns] == ["drive", "method", "5 s outage drift"]
     assert [row[1] for row in scores.rows] == [
         "tuned UKF",
-        "manual: defaults",
-        "manual: data sheet",
+        "data-sheet filter",
         "IMU only",
     ]
     assert "NEES" not in report.sections[2].text[0]
@@ -509,7 +510,7 @@ def test_tables_sort_by_number_and_back(opened):
     values = table.evaluate(column)
     known = [float(v) for v in values if v is not None]
     assert known == sorted(known)
-    assert len(known) == 8
+    assert len(known) == 6
     assert values[len(known) :] == [None, None]
     assert head.get_attribute("aria-sort") == "ascending"
     head.locator("button").click()

@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
@@ -23,7 +23,7 @@ from support import make_drive
 GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 PLANAR8 = replace(GOOD, model="planar8", process_noise=(*GOOD.process_noise, 1e-9, 1e-9, 1e-9))
 BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
-METHODS = ["tuned", "defaults", "datasheet", "raw_gps", "imu_only"]
+METHODS = ["tuned", "untuned", "raw_gps", "imu_only"]
 POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
 MEASURES = [*POSITIONS, "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m"]
 DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
@@ -64,7 +64,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
 def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
     names = evaluate(DRIVES[0], replace(GOOD, **change)).names
     assert list(names) == METHODS
-    assert list(names.values()) == [name, "manual: defaults", "manual: data sheet", "raw GPS", "IMU only"]
+    assert list(names.values()) == [name, "data-sheet filter", "raw GPS", "IMU only"]
 
 
 def all_ends(drive: Drive, start: InitialState, length: float, seed: int = 0) -> list[np.ndarray]:
@@ -92,7 +92,7 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     assert len({each.tobytes() for each in ends}) == 8
     told = evaluation.record.drifts[name]["outage_drift_m"]
     assert told.outages == sum(map(len, ends))
-    for method in ("tuned", "defaults", "datasheet", "imu_only"):
+    for method in ("tuned", "untuned", "imu_only"):
         assert len(told.each[method]) == 8
         low, high = told.spread(method) or (np.nan, np.nan)
         assert low < evaluation.value(name, method, "outage_drift_m") < high
@@ -124,7 +124,7 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
         evaluation, drives={**evaluation.drives, "drive-1": replace(good, scores=scores, drifts=drifts)}
     )
     assert bool(failed.record.drift_said("outage_drift_m")) is not in_an_outage
-    assert failed.record.drift_said("outage_drift_m", "defaults")
+    assert failed.record.drift_said("outage_drift_m", "untuned")
     print_evaluation(failed)
     said = capsys.readouterr().out
     assert "(failed)" in said
@@ -135,7 +135,7 @@ def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: E
     own = evaluate(DRIVES, GOOD, against=PLANAR8)
     said, sound = own.to_dict(), evaluation.to_dict()
     assert list(said["mean"]) == ["against", *METHODS]
-    assert own.names["against"] == "your own filter"
+    assert own.names["against"] == "other UKF, planar8"
     assert own.to_frame()["method"].to_list() == ["against", *METHODS] * 2
     alone = evaluate(DRIVES, PLANAR8).to_dict()
     for drive in said["drives"]:
@@ -143,17 +143,17 @@ def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: E
             alone["drives"][drive]["tuned"], nan_ok=True
         )
     assert said["drives"] == sound["drives"]
-    assert list(said["improvement_percent"]) == ["against", "defaults", "datasheet"]
+    assert list(said["improvement_percent"]) == ["against", "untuned"]
 
 
 def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for drive in DRIVES:
         start = initial_state(drive)
-        sets = [GOOD, DEFAULTS, datasheet(drive)]
+        sets = [GOOD, datasheet(drive, like=GOOD)]
         batch = Replayer([drive], outages=False).scores(sets)
         short, long = (drifts_of(drive, sets, length) for length in (5.0, 30.0))
-        for i, method in enumerate(METHODS[:3]):
+        for i, method in enumerate(METHODS[:2]):
             plain = score_estimate(drive, run_filter(drive, sets[i]))
             assert said[drive.name][method] == {
                 "position_rmse_m": batch.position_rmse[i, 0],
@@ -214,18 +214,17 @@ def test_where_the_filter_is_worse_than_the_raw_fixes_is_said_in_a_sentence(eval
 
 def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evaluation: Evaluation):
     (here,) = (
-        evaluation.worse_than_manual
+        evaluation.worse_than_untuned
     )  # `GOOD` is none that was tuned, and the data sheet's suits these drives
-    assert "the data sheet's filter, which nobody tuned: position RMSE 0.8" in here
+    assert "the data-sheet filter, which nobody tuned: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())
 
     def said(tuned: float, manual: float) -> tuple[str, ...]:
-        manuals = {"datasheet": Score(outage_drift=manual), "defaults": Score(outage_drift=400.0)}
-        drives = {"town": Evaluated(others | manuals | {"tuned": Score(outage_drift=tuned)})}
-        return Evaluation(drives).worse_than_manual
+        both = {"untuned": Score(outage_drift=manual), "tuned": Score(outage_drift=tuned)}
+        return Evaluation({"town": Evaluated(others | both)}).worse_than_untuned
 
     assert said(47.8, 18.5) == (
-        "the tuned filter is WORSE than the data sheet's filter, which nobody tuned: 5 s outage drift 47.8 m against "
+        "the tuned filter is WORSE than the data-sheet filter, which nobody tuned: 5 s outage drift 47.8 m against "
         "18.5 m",
     )
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
@@ -233,23 +232,21 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
 
 def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):
     said = evaluation.to_dict()
-    for method in METHODS[:3]:
+    for method in METHODS[:2]:
         for measure in MEASURES:
             each = [said["drives"][d.name][method][measure] for d in DRIVES]
             assert said["mean"][method][measure] == pytest.approx(sum(each) / 2, rel=1e-12)
-    manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("defaults", "tuned"))
+    manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("untuned", "tuned"))
     assert evaluation.improvement() == pytest.approx((manual - tuned) / manual * 100, rel=1e-12)
-    assert said["improvement_percent"]["defaults"]["position_rmse_m"] == evaluation.improvement()
-    sheet = said["mean"]["datasheet"]["heading_rmse_deg"]
+    assert said["improvement_percent"]["untuned"]["position_rmse_m"] == evaluation.improvement()
+    sheet = said["mean"]["untuned"]["heading_rmse_deg"]
     expected = (sheet - said["mean"]["tuned"]["heading_rmse_deg"]) / sheet * 100
-    assert evaluation.improvement("datasheet", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
+    assert evaluation.improvement("untuned", "heading_rmse_deg") == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert evaluation.restarted == ()
-    assert evaluation.to_dict()["restarts"] == {
-        d.name: {"tuned": [], "defaults": [], "datasheet": []} for d in DRIVES
-    }
+    assert evaluation.to_dict()["restarts"] == {d.name: {"tuned": [], "untuned": []} for d in DRIVES}
     drive = sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=120)
     off = (drive.gps.time > 40) & (drive.gps.time < 90)
     aside = replace(drive, gps=replace(drive.gps, x=drive.gps.x + 300.0 * off))
@@ -271,12 +268,11 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
 
 
 def test_equation_5_in_round_numbers():
-    scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 1.0, 3.0, 9.0], strict=True)}
+    scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 3.0, 9.0], strict=True)}
     evaluation = Evaluation({"d": Evaluated(scores)})
-    assert evaluation.improvement("defaults") == pytest.approx(25.0)
-    assert evaluation.improvement("datasheet") == pytest.approx(-50.0)
+    assert evaluation.improvement() == pytest.approx(25.0)
     assert evaluation.improvement("raw_gps") == pytest.approx(50.0)
-    assert evaluation.improvement("defaults", "heading_rmse_deg") is None
+    assert evaluation.improvement("untuned", "heading_rmse_deg") is None
 
 
 def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
@@ -298,8 +294,8 @@ def test_without_truth_only_the_drift_can_be_said():
         assert scores["heading_rmse_deg"] is None
         assert (scores["outage_drift_m"] is None) == (method == "raw_gps")
         assert said["mean"][method] == scores
-    assert said["improvement_percent"]["defaults"]["position_rmse_m"] is None
-    assert said["improvement_percent"]["defaults"]["outage_drift_m"] is not None
+    assert said["improvement_percent"]["untuned"]["position_rmse_m"] is None
+    assert said["improvement_percent"]["untuned"]["outage_drift_m"] is not None
 
 
 def test_two_drives_of_one_name_do_not_hide_each_other():
@@ -328,17 +324,19 @@ def test_a_failure_on_one_drive_leaves_no_mean_to_boast_of():
     failed = fine | {"tuned": Score(failed=True)}
     evaluation = Evaluation({"a": Evaluated(fine), "b": Evaluated(failed)})
     assert evaluation.mean("tuned", "position_rmse_m") is None
-    assert evaluation.mean("defaults", "position_rmse_m") == 1.0
+    assert evaluation.mean("untuned", "position_rmse_m") == 1.0
 
 
 def test_the_outages_options_reach_the_outages():
     one, other, longer = (
-        evaluate(DRIVES[:1], GOOD, **kw).to_dict()["mean"]["defaults"]
+        evaluate(DRIVES[:1], GOOD, **kw).to_dict()["mean"]["untuned"]
         for kw in ({}, {"outage_seed": 3}, {"outage_length": 8.0})
     )
     assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
     assert one["position_rmse_m"] == other["position_rmse_m"] == longer["position_rmse_m"]
-    assert other["outage_drift_m"] == pytest.approx(drifts_of(DRIVES[0], [DEFAULTS], 5.0, 3)[0], rel=1e-12)
+    assert other["outage_drift_m"] == pytest.approx(
+        drifts_of(DRIVES[0], [datasheet(DRIVES[0], like=GOOD)], 5.0, 3)[0], rel=1e-12
+    )
 
 
 def test_the_drives_order_and_company_change_no_bit(evaluation: Evaluation):

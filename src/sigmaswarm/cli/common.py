@@ -10,6 +10,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.files import finite
+from sigmaswarm.wording import TO_DO
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -198,6 +199,12 @@ def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Genera
             bar.stop()
 
 
+def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
+    """A tuning's, each in a line: those that ask for action begin with TO DO, the others are notes."""
+    for remark in remarks:
+        stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
+
+
 def print_evaluation(
     evaluation: "Evaluation",
 ) -> None:
@@ -206,8 +213,9 @@ def print_evaluation(
     from rich.table import Table
     from rich.text import Text
 
-    from sigmaswarm.scoring.drifts import OWN
-    from sigmaswarm.scoring.evaluation import HOW_MANUAL, partly_scored, said_of_drives
+    from sigmaswarm.drives.fingerprint import START_RULE
+    from sigmaswarm.scoring.drifts import OWN, UNTUNED
+    from sigmaswarm.scoring.evaluation import HOW_AGAINST, HOW_UNTUNED, how_far, partly_scored, said_of_drives
 
     console, record = stdout(), evaluation.record
     methods, known = record.told(evaluation.names, evaluation.measures)
@@ -241,10 +249,7 @@ def print_evaluation(
     late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
     if late:
         starts = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
-        console.print(
-            f"Filters start, and scores with them, {starts}: at the first fix with 4 s and 20 m of forward driving "
-            "behind it, which tell the heading."
-        )
+        console.print(f"Filters start, and scores with them, {starts}: at {START_RULE}.")
     for said in partly_scored(evaluation.asked.data):
         console.print(f"{said[0].upper()}{said[1:]}.")
     without_truth = [
@@ -255,6 +260,8 @@ def print_evaluation(
             f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
             "over outages, against hidden fixes whose own errors are in it, and the consistency can be told.",
         )
+    for said in how_far(record, evaluation.asked.data):
+        console.print(f"{said}.")
     for name, found in evaluation.drives.items():
         if found.frozen:
             console.print(
@@ -262,7 +269,7 @@ def print_evaluation(
                 "though the car may have moved."
             )
     _print_consistency(evaluation, console)
-    for over in (OWN, "defaults", "datasheet", "raw_gps"):
+    for over in (OWN, UNTUNED, "raw_gps"):
         improvement = evaluation.improvement(over) if over in evaluation.names else None
         if improvement is not None:
             console.print(
@@ -273,8 +280,10 @@ def print_evaluation(
         drift = evaluation.mean("tuned", name)  # None, too, where the filter failed but in no outage
         if drift is not None and (spread := record.drift_said(name)):
             console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
-    console.print(f"{HOW_MANUAL}; name your own with --against.")
-    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_manual, *evaluation.restarted):
+    console.print(f"{HOW_UNTUNED}.")
+    if OWN not in evaluation.names:
+        console.print(f"{HOW_AGAINST}.")
+    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_untuned, *evaluation.restarted):
         console.print(f"{said[0].upper()}{said[1:]}.")
 
 

@@ -30,7 +30,7 @@ def demo(
     import shutil
 
     import sigmaswarm
-    from sigmaswarm.cli.common import print_evaluation, print_json, stdout, tuning_progress
+    from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout, tuning_progress
     from sigmaswarm.errors import InputError
     from sigmaswarm.report.evaluation import save_evaluation
     from sigmaswarm.report.tuning import save_tuning_figures
@@ -59,8 +59,7 @@ def demo(
     with tuning_progress("   tuning") as progress:
         tuning = sigmaswarm.tune(training, seed=seed, out=out / "tuning", progress=progress)
     if not json:
-        for remark in tuning.remarks:
-            console.print(f"   note: {remark}")
+        print_remarks(tuning.remarks, indent="   ")
     filters = compared(training[0], tuning.parameters)
     save_tuning_figures(tuning, picture_of(training[0], filters, training[0].name), out / "tuning")
     evaluation = sigmaswarm.evaluate(held_out, tuning.parameters)

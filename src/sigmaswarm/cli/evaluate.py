@@ -26,7 +26,7 @@ def evaluate(
     cluster: str | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
-    """Compare a tuned filter with manual ones, raw GPS and IMU only.
+    """Compare a tuned filter with the same by data sheet, raw GPS, IMU only, and with another one.
 
     Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
     truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter's
@@ -36,6 +36,7 @@ def evaluate(
 
         sigmaswarm evaluate tuned drives/friday
         sigmaswarm evaluate tuned drives/friday --out evaluation
+        sigmaswarm evaluate tuned drives/friday --against tuned-planar8
         sigmaswarm evaluate tuned drives/friday --against mine.toml
         sigmaswarm evaluate tuned drives/friday --smooth --out evaluation
         sigmaswarm evaluate tuned drives/friday --swarm
@@ -48,8 +49,8 @@ def evaluate(
     drives
         Drive folders, or folders that hold drive folders; or URLs of such.
     against
-        A filter of your own to compare with, of any model: a file with its parameters in a table [filter], as in a
-        tuning.toml.
+        A second tuning to compare with, its folder or its tuning.toml; or a filter of your own, of any model: a file
+        with its parameters in a table [filter], as in a tuning.toml.
     out
         Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
     outage_length
@@ -79,6 +80,7 @@ def evaluate(
         held_drives,
         print_evaluation,
         print_json,
+        print_remarks,
         stdout,
         tuned_as_recorded,
     )
@@ -86,6 +88,7 @@ def evaluate(
     from sigmaswarm.learned.folder import load_learned, seen_in
     from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.scoring.records import AGAINST_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -116,8 +119,8 @@ def evaluate(
     if out:
         written = save_evaluation(result, out, tuning)
         if own is not None:
-            own.save(out / "against.toml")
-            written.append(out / "against.toml")
+            own.save(out / AGAINST_FILE)
+            written.append(out / AGAINST_FILE)
     if out and learned is not None:
         written += learned.save(out)
     if json:
@@ -125,8 +128,7 @@ def evaluate(
         return
     print_evaluation(result)
     if (tuned := load_record(TuningRecord, file).result) is not None:
-        for doubt in tuned.doubts:
-            stdout().print(f"Beware: {doubt}.")
+        print_remarks(tuned.doubts)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"

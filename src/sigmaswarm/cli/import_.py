@@ -241,6 +241,7 @@ def _summary(imported: "Imported", out: Path) -> dict[str, Any]:
         "fixes": len(drive.gps),
         "truth_samples": len(drive.truth) if drive.truth else 0,
         "odometer_samples": len(drive.odometer) if drive.odometer else 0,
+        "recipe": imported.recipe.to_toml(),
         "notes": list(imported.notes),
     }
 
@@ -251,6 +252,8 @@ def _tell(imported: "Imported", out: Path) -> None:
     drive, console = imported.drive, stdout()
     truth = f", {len(drive.truth)} rows of truth" if drive.truth else ", no truth"
     wheels = f", {len(drive.odometer)} of the odometer" if drive.odometer else ""
+    for read in imported.recipe.said():
+        console.print(f"read: {shown(read, 1000)}")
     for note in imported.notes:
         console.print(f"note: {shown(note, 1000)}")
     if not imported.recipe.mount:

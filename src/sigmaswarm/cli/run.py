@@ -77,6 +77,7 @@ def run(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
+    from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.errors import InputError
     from sigmaswarm.export.trajectory import (
         check_fixes_target,
@@ -146,8 +147,7 @@ def run(
         earlier = first - float(read.imu.time[0])
         if earlier > NOT_WORTH_TELLING:
             stdout().print(
-                f"the first {earlier:.1f} s have no estimate: a filter starts at the first fix with 4 s and 20 m of "
-                "forward driving behind it, which tell it the heading; "
+                f"the first {earlier:.1f} s have no estimate: a filter starts at {START_RULE}; "
                 + (
                     f"wrote the {fixes} fixes before to {before}"
                     if before

@@ -1,5 +1,6 @@
 """`sigmaswarm tune`."""
 
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from shlex import quote
@@ -12,6 +13,9 @@ from sigmaswarm.tuning.options import DEFAULTS, TuneOptions
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
+
+MOST_LOOKED_AT = 20
+"""Other tunings beside a new one, the newest first, to name one to compare with."""
 
 
 @takes(TuneOptions, DEFAULTS)
@@ -72,9 +76,17 @@ def tune(
     from functools import partial
 
     import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, held_drives, print_json, stdout, tuning_progress
+    from sigmaswarm.cli.common import (
+        cluster_at,
+        held_drives,
+        print_json,
+        print_remarks,
+        stdout,
+        tuning_progress,
+    )
     from sigmaswarm.doctor.suited import equipment
-    from sigmaswarm.scoring.tracks import pictured
+    from sigmaswarm.scoring.evaluation import said_of_first_look
+    from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
 
     with cluster_at(cluster) as client:
@@ -93,13 +105,13 @@ def tune(
                 **options,
             )
         shown = partial(
-            pictured, parameters=tuning.parameters, as_recorded=tuning.config.model_dump()["as_recorded"]
+            first_look, parameters=tuning.parameters, as_recorded=tuning.config.model_dump()["as_recorded"]
         )
-        (picture,) = read.subset([0]).of_each(shown)
+        (look,) = read.subset([0]).of_each(shown)
         (part,) = read.subset([0]).of_each(_is_part)
     from sigmaswarm.report.tuning import save_tuning_figures  # what draws takes memory beside a long drive
 
-    pictures = save_tuning_figures(tuning, picture, out)
+    pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())
         return
@@ -117,18 +129,40 @@ def tune(
         gap = tuning.validation.gap
         gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
         console.print(f"cost {tuning.validation.cost:.4f} on {len(held_back)} validation drive(s): {gap}")
-    for remark in tuning.remarks:
-        console.print(f"note: {remark}")
+    if position := said_of_first_look(look):
+        console.print(f"position: {position}")
+    print_remarks(tuning.remarks)
     console.print(f"filter:   {out / 'tuning.toml'}")
     console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
     alone = len(read) == 1 and not len(held_back)
-    for line in _next(out, drives[0], everywhere[0].name, part=part) if alone else [_usual_next(out)]:
+    lines = _next(out, drives[0], everywhere[0].name, part=part) if alone else [_usual_next(out)]
+    for line in [*lines, *_compare(lines[0], out, [one["sha256"] for one in tuning.data])]:
         console.print(line)
 
 
 def _is_part(drive: "Drive") -> bool:
     """Whether a drive was cut from another one."""
     return "cut_from" in drive.metadata
+
+
+def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
+    """How to see this tuning beside the newest other one of the same drives, where there is one in the folder above."""
+    from sigmaswarm.errors import InputError
+    from sigmaswarm.records import load_record
+    from sigmaswarm.scoring.records import SCORES_FILE
+    from sigmaswarm.tuning.record import FILE, TuningRecord
+
+    files = out.resolve().parent.glob(f"*/{FILE}")  # an evaluation holds a copy of its tuning's
+    others = [f for f in files if not f.parent.samefile(out) and not (f.parent / SCORES_FILE).exists()]
+    for file in sorted(others, key=lambda file: file.stat().st_mtime, reverse=True)[:MOST_LOOKED_AT]:
+        try:
+            data = load_record(TuningRecord, file).data
+        except InputError:
+            continue
+        if [one.sha256 for one in data] == [*tuned_on]:
+            other = out.parent / file.parent.name
+            return [f"compare:  {evaluate.removeprefix('next:     ')} --against {quote(str(other))}"]
+    return []
 
 
 def _usual_next(out: Path) -> str:

@@ -8,6 +8,7 @@ What the gyro's own bias would change is kept beside it: see `gyro_seen`. Only w
 without one is its bias taken off, and the fit done again.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,13 +21,13 @@ from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS
 from sigmaswarm.errors import AlignmentError
 
 MIN_DURATION = 4.0
-"""s of forward travel behind the first usable fix."""
+"""s between the first and the last of the fixes that an alignment looks at, at least."""
 MAX_DURATION = 6.0
-"""s: older fixes tell little about the heading now, since the gyro's bias adds up."""
+"""s, at most: older fixes tell little about the heading now, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
-"""m of forward travel behind the first usable fix."""
+"""m of forward travel in that time: less tells no heading. A slower car than 12 km/h never gets there."""
 FEWEST_FIXES = 4
-"""In that time."""
+"""In that time: a receiver that gives a fix every 3 s never gets there."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
 """m between the first and the last of them: a cheap look before the fit."""
 MAX_MISFIT = 0.3
@@ -37,11 +38,20 @@ REFITS = 3
 """Of a way that a biased gyro bent: by then the bias stays where it is."""
 
 
+@dataclass(frozen=True)
+class NoStart:
+    """Why no filter can start on a drive, and the remedy, as people read them."""
+
+    what: str
+    remedy: str
+
+
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     """The first moment at which the drive itself tells position, speed and heading.
 
-    The start is the first fix with at least 4 s and 20 m of forward travel behind it. It is found from
-    earlier samples only, so a filter on board could have started at the same moment with the same state.
+    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster), told by
+    four fixes or more. It is found from earlier samples only, so a filter on board could have started at the same
+    moment with the same state.
 
     Parameters
     ----------
@@ -53,18 +63,23 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Raises
     ------
     AlignmentError
-        If the car never travels 20 m within 6 s.
+        If there is none: the message says which of this is missing.
     """
+    found = find_start(drive, as_recorded=as_recorded)
+    if isinstance(found, NoStart):
+        raise AlignmentError(f"{drive.name}: {found.what}; {found.remedy}")
+    return found
+
+
+def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
+    """The same as `initial_state`, or what is missing."""
     # Later code may start a filter only where IMU samples follow.
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     alignments = Alignments(drive, usable if as_recorded else usable & ~frozen_fixes(drive.gps))
     for k in range(len(alignments.time)):
         if found := alignments.at(k):
             return found
-    raise AlignmentError(
-        f"{drive.name}: never travels {MIN_TRAVEL:g} m within {MAX_DURATION:g} s, so the heading can't be found; "
-        "use a longer drive, or one that gets up to speed"
-    )
+    return alignments.why_none()
 
 
 class Alignments:
@@ -92,9 +107,9 @@ class Alignments:
         # The fixes of the last seconds before each.
         self._first = np.searchsorted(self.time, self.time - MAX_DURATION, side="left")
         count = np.arange(len(fixes)) - self._first + 1
-        chord = np.abs(self._position - self._position[self._first])
-        self._worth = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= FEWEST_FIXES)
-        self._worth &= chord >= WORTH_TRAVEL
+        self._chord = np.abs(self._position - self._position[self._first])
+        self._many = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= FEWEST_FIXES)
+        self._worth = self._many & (self._chord >= WORTH_TRAVEL)
         self._found: dict[int, InitialState | None] = {}
 
     def at(self, k: int) -> InitialState | None:
@@ -106,6 +121,25 @@ class Alignments:
             with np.errstate(all="ignore"):  # what overflows is no alignment
                 self._found[k] = self._fitted(k) if self._worth[k] else None
         return self._found[k]
+
+    def why_none(self) -> NoStart:
+        """What is missing on a drive on which there is no alignment anywhere."""
+        time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
+        if len(self.time) > FEWEST_FIXES and not self._many.any():
+            every = f"its fixes come every {np.median(np.diff(self.time)):.3g} s"
+            told = f"the heading takes {FEWEST_FIXES} of them within {time}"
+            return NoStart(f"no filter can start: {every}, and {told}", "log the receiver at 1 Hz or faster")
+        if not np.any(self._chord[self._many] >= MIN_TRAVEL):
+            slowest = f"{3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for {time}"
+            return NoStart(
+                f"never travels {travel} within {time}, so the heading can't be found",
+                f"use a longer drive, or one that gets up to speed ({slowest})",
+            )
+        return NoStart(
+            f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading can't be "
+            "found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
+            "mend what `sigmaswarm doctor` finds",
+        )
 
     def _fitted(self, k: int) -> InitialState | None:
         window = slice(self._first[k], k + 1)

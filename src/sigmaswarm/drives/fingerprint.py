@@ -7,6 +7,12 @@ from pydantic import BaseModel, Field
 
 from sigmaswarm.drives.drive import Drive
 
+START_RULE = (
+    "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster), which tell the "
+    "heading"
+)
+"""What people are told of `DriveRecord.scored_from_s`, in all messages and pages: the rule of `alignment`."""
+
 
 class DriveRecord(BaseModel):
     """A drive that a result comes from, as its file names it."""

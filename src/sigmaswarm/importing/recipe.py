@@ -101,6 +101,14 @@ class Recipe:
             content[role] = [{"table": part.table, **part.columns} for part in parts]
         return tomli_w.dumps(content)
 
+    def said(self) -> Iterator[str]:
+        """Which column of the drive is made of what, a line for each table, in the words of ``--map``."""
+        for role, parts in self.roles.items():
+            for part in parts:
+                of = f" of {part.table}" if part.table else ""
+                columns = (f"{k}={v}" for k, v in part.columns.items())
+                yield f"{role}{of}: {', '.join(columns)}"
+
     def save(self, path: Path) -> None:
         """Write the recipe as a file."""
         make_folder(path.parent, "name another file")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.views.charts import Dash, Look
-from sigmaswarm.scoring.drifts import OWN
+from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import ALSO, METHODS, method_names
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
@@ -25,8 +25,7 @@ LOOKS: dict[str, Look] = {
     "outage-lstm": Look(SKY, 1.6, "dash"),
     "noise-gru": Look(PURPLE, 1.6, "dash"),
     "against": Look(SKY, 1.6),
-    "defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
-    "datasheet": Look(PURPLE, 1.2, "dashdot"),
+    UNTUNED: Look(PURPLE, 1.2, "dashdot"),
     "imu_only": Look(VERMILION, 1.2, "dot"),
     "raw_gps": Look(GREEN, 0.0, "none", "dot", 4.0, 0.7),
 }
@@ -36,8 +35,8 @@ STUDY_LOOKS: dict[str, Look] = {
     "paper-pso-ukf": Look(VERMILION, 1.4, "dashdot"),
     "honest-pso-ekf": Look(SKY, 1.4),
     "honest-pso-planar8": Look(INDIGO, 1.4, "dash"),
-    "ukf-datasheet": LOOKS["datasheet"],
-    "ukf-defaults": LOOKS["defaults"],
+    "ukf-datasheet": LOOKS[UNTUNED],
+    "ukf-defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
     "imu_only": Look("#51585F", 1.2, "dot"),
     "raw_gps": LOOKS["raw_gps"],
 }

@@ -55,6 +55,10 @@ class Consistency:
     mean_nees : float
         Of the position at moments of truth; 2 where the filter is consistent, NaN without truth. Its values hang
         together over time, so it has no band.
+    missed, expected : float
+        m, RMS: by how much forecasts miss the fixes, and by how much they should as the covariances say.
+    own_sigma : float
+        m, RMS over the drive: by how much the filter says that its position is off. NaN where that was not asked for.
     """
 
     n_fixes: int
@@ -64,6 +68,9 @@ class Consistency:
     autocorrelation: Array
     white_p: float
     mean_nees: float = float("nan")
+    missed: float = float("nan")
+    expected: float = float("nan")
+    own_sigma: float = float("nan")
 
     @property
     def white_band(self) -> float:
@@ -84,7 +91,9 @@ def consistency(
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
-def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) -> Consistency | None:
+def consistency_of(
+    innovations: Innovations, mean_nees: float = float("nan"), own_sigma: float = float("nan")
+) -> Consistency | None:
     """What innovations say; None where a covariance is none, or they are too few."""
     n = len(innovations.time)
     s = innovations.covariance
@@ -104,6 +113,9 @@ def consistency_of(innovations: Innovations, mean_nees: float = float("nan")) ->
         autocorrelation=each.mean(axis=0),
         white_p=float(chdtrc(2 * LAGS, ljung_box)),
         mean_nees=mean_nees,
+        missed=float(np.sqrt(np.mean(np.square(innovations.innovation).sum(axis=1)))),
+        expected=float(np.sqrt(np.mean(np.trace(s, axis1=1, axis2=2)))),
+        own_sigma=own_sigma,
     )
 
 

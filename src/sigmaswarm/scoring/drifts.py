@@ -32,8 +32,10 @@ SWARM = "swarm"
 LEARNED = ("outage-lstm", "noise-gru")
 """The methods that are the tuned filter with a network beside it, by the names of the networks: see `learned`."""
 OWN = "against"
-"""The method that is a filter of the user's own."""
-WATCHED = ("tuned", OWN)
+"""The method that is another tuning, or a filter of the user's own."""
+UNTUNED = "untuned"
+"""The method that is the tuned filter's model and parts by data sheet."""
+WATCHED = ("tuned", OWN, UNTUNED)
 """The methods that start anew where they lost their way."""
 
 

@@ -1,4 +1,4 @@
-"""What a tuning is worth: the same drives by the tuned filter, the manual ones, raw GPS and IMU only."""
+"""What a tuning is worth: the same drives by the tuned filter, the same by data sheet, raw GPS and IMU only."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,9 +26,9 @@ from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
-from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.consistency import CORRELATED, Consistency, consistency_of
 from sigmaswarm.scoring.doubt import share_known
-from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, WATCHED, Outages, Run, Runs, rms_drift
+from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
     ASKED_FILE,
     SCORES_FILE,
@@ -44,7 +44,7 @@ from sigmaswarm.scoring.targets import (
     outage_windows,
     tracking_replay,
 )
-from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.tracks import TRACKS_FILE, FirstLook, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -56,18 +56,18 @@ if TYPE_CHECKING:
 
 METHODS = {
     "tuned": "tuned filter",
-    "defaults": "manual: defaults",
-    "datasheet": "manual: data sheet",
+    UNTUNED: "data-sheet filter",
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
 """The rows of every comparison: what files and what people call them."""
-HOW_MANUAL = (
-    "Nobody tuned the manual filters: they are planar5 UKFs, one with Q = R = I, as people start, one by data sheet, "
-    "with R from the stated accuracy of the fixes (else 2.1 m) and Q from the IMU's noise density (else an "
-    "MPU-6050's), and know no biases"
+HOW_UNTUNED = (
+    "The data-sheet filter has the tuned one's model and parts, and noises that nobody tuned: R from the stated "
+    "accuracy of the fixes (else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual guesses of the rest"
 )
-"""In a sentence, for people must not take them for what a good engineer reaches in a week."""
+"""In a sentence, for people must not take it for what a good engineer reaches in a week."""
+HOW_AGAINST = "Another tuning, or a filter of your own, beside it: sigmaswarm evaluate --against TUNING"
+"""In a sentence, for who does not look for it."""
 
 KIND_NAMES = {
     "ukf": "UKF",
@@ -85,14 +85,25 @@ ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
 """The rows behind the tuned filter that are there if they are asked for."""
 
 
-def method_names(kind: str = "ukf", model: str = "planar5", *, also: Collection[str] = ()) -> dict[str, str]:
-    """`METHODS`, the tuned filter called after its kind, and after its model where that is not the paper's.
+def filter_called(kind: str, model: str) -> str:
+    """What people call a filter: its kind, and its model where that is not the paper's."""
+    return KIND_NAMES.get(kind, kind) + ("" if model == "planar5" else f", {model}")
 
-    ``also``: what there is beside them: `OWN`, the user's own filter, which comes first, and of `ALSO`.
+
+def method_names(
+    kind: str = "ukf",
+    model: str = "planar5",
+    *,
+    also: Collection[str] = (),
+    against: tuple[str, str] = ("ukf", "planar5"),
+) -> dict[str, str]:
+    """`METHODS`, the tuned filter called after its kind and model.
+
+    ``also``: what there is beside them: `OWN`, the filter to compare with, which comes first, and of `ALSO`.
+    ``against``: kind and model of `OWN`.
     """
-    suffix = "" if model == "planar5" else f", {model}"
-    first = {OWN: "your own filter"} if OWN in also else {}
-    first |= {"tuned": f"tuned {KIND_NAMES.get(kind, kind)}{suffix}"}
+    first = {OWN: f"other {filter_called(*against)}"} if OWN in also else {}
+    first |= {"tuned": f"tuned {filter_called(kind, model)}"}
     return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
 
 
@@ -185,26 +196,79 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
     return tuple(said)
 
 
-MANUAL = {"datasheet": "the data sheet's filter", "defaults": "the filter with everything left at one"}
-"""What a sentence calls the filters that nobody tuned."""
+FAR_BELOW = 1.0
+"""Mean NIS, half of what it should be, below which forecasts say nothing of the error."""
+MOST_TOLD = 3
+"""Drives of which it is said how far off the filter may be."""
+
+
+def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
+    """How many metres the tuned filter is off on each of the first drives without truth, as far as the log tells."""
+    blind = [one.name for one in data if one.has_truth is False]
+    told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma_m]
+    return tuple(_without_truth(name, c) for name, c in told[:MOST_TOLD])
+
+
+def said_of_first_look(look: FirstLook) -> str:
+    """How many metres the tuned filter is off on a drive that it was tuned on, in a sentence; empty if unknown."""
+    name, rmse = look.picture.whole.name, look.position_rmse
+    if np.isfinite(rmse["tuned"]):
+        others = ", ".join(
+            f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
+        )
+        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), where it was tuned: elsewhere it is rather more"
+    if look.consistency is None or not look.consistency.own_sigma:
+        return ""
+    return _without_truth(name, ConsistencyRecord.of(look.consistency))
+
+
+def _without_truth(drive: str, found: ConsistencyRecord) -> str:
+    said = said_of_position(found)
+    return f"How far off on {drive}, without truth? {said[0].upper()}{said[1:]}"
+
+
+def said_of_position(found: ConsistencyRecord) -> str:
+    """How many metres a filter is off on a drive without truth, as far as the log tells.
+
+    That is its own word (RMS of its sigmas), held against its forecasts of the fixes. Where it misses these by far less
+    than it expects, the receiver smooths its fixes, or their errors last: then it may be off by as much as they are.
+    """
+    own, missed, expected = found.own_sigma_m or 0.0, found.missed_m or 0.0, found.expected_m or 0.0
+    (low, high), nis = found.nis_band_95, f"mean NIS {found.mean_nis:.2g} where 2 is right"
+    alike = found.autocorrelation[0] > CORRELATED
+    if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
+        fixes = max(expected**2 - own**2, 0.0) ** 0.5
+        return (
+            f"this log can't tell: perhaps {fixes:.2g} m, by which the filter takes the fixes to be off. It says "
+            f"{own:.2g} m (RMS) of itself, but its forecasts miss the fixes by less than it expects ({nis}): the "
+            "receiver smooths its fixes, or their errors last"
+        )
+    said = f"{own:.2g} m (RMS), as the filter itself says"
+    included = f"its forecasts miss the fixes by {missed:.2g} m, their own errors included"
+    if found.mean_nis > high:
+        return f"more than {said}: {included}, which is more than it expects ({nis})"
+    if found.mean_nis < low:
+        return f"{said}, or somewhat less: {included}, which is less than it expects ({nis})"
+    if alike:
+        return f"{said}, or more: {included}, as it expects, but each fix in part like the one before"
+    return f"about {said}, and the log bears it out: {included}, as it expects. What all fixes share is not in it"
+
+
 NOTABLE = 0.9
 """Share of the tuned filter's error below which another's is said to be less."""
 
 
-def worse_than_manual(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """A sentence for each manual filter that is better than the tuned one on average over the drives, by what."""
+def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
+    """A sentence where the data-sheet filter is better on average over the drives, by what; else none."""
     compared = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
-    told: list[str] = []
-    for method, called in MANUAL.items():
-        worse: list[str] = []
-        for measure in compared:
-            tuned, other = scores.mean_of("tuned", measure), scores.mean_of(method, measure)
-            if tuned is not None and other is not None and other < NOTABLE * tuned:
-                unit = shown[measure].unit
-                worse.append(f"{shown[measure].title} {tuned:.3g} {unit} against {other:.3g} {unit}")
-        if worse:
-            told.append(f"the tuned filter is WORSE than {called}, which nobody tuned: {', '.join(worse)}")
-    return tuple(told)
+    worse: list[str] = []
+    for measure in compared:
+        tuned, other = scores.mean_of("tuned", measure), scores.mean_of(UNTUNED, measure)
+        if tuned is not None and other is not None and other < NOTABLE * tuned:
+            unit = shown[measure].unit
+            worse.append(f"{shown[measure].title} {tuned:.3g} {unit} against {other:.3g} {unit}")
+    said = f"the tuned filter is WORSE than the data-sheet filter, which nobody tuned: {', '.join(worse)}"
+    return (said,) if worse else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +365,7 @@ class Evaluation:
         value = MEASURES[measure].of(self.drives[drive].scores[method])
         return float(value) if np.isfinite(value) else None
 
-    def improvement(self, over: str = "defaults", measure: str = "position_rmse_m") -> float | None:
+    def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
         """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
         manual, tuned = self.mean(over, measure), self.mean("tuned", measure)
         return None if not manual or tuned is None else 100 * (manual - tuned) / manual
@@ -322,9 +386,9 @@ class Evaluation:
         return worse_than_raw(self.record)
 
     @property
-    def worse_than_manual(self) -> tuple[str, ...]:
+    def worse_than_untuned(self) -> tuple[str, ...]:
         """See the function of that name."""
-        return worse_than_manual(self.record, self.measures)
+        return worse_than_untuned(self.record, self.measures)
 
     @property
     def record(self) -> ScoresRecord:
@@ -343,7 +407,7 @@ class Evaluation:
             },
             improvement_percent={
                 over: {k: self.improvement(over, k) for k in MEASURES}
-                for over in (OWN, "defaults", "datasheet")
+                for over in (OWN, UNTUNED)
                 if over in self.names
             },
             drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
@@ -428,7 +492,7 @@ def evaluate(
     more: Runs = MappingProxyType({}),
     cluster: "Client | None" = None,
 ) -> Evaluation:
-    """Compare tuned parameters with the manual ones, raw GPS and IMU only.
+    """Compare tuned parameters with the same filter by data sheet, raw GPS and IMU only.
 
     Parameters
     ----------
@@ -438,7 +502,7 @@ def evaluate(
     parameters : FilterParameters
         The tuned ones.
     against : FilterParameters, optional
-        A filter of your own, of any model: the first row of every table then.
+        Another tuning, or a filter of your own, of any model: the first row of every table then.
     outage_length : float
         s without fixes; outages of 30 s are tried beside those.
     outage_seed : int
@@ -494,7 +558,10 @@ def evaluate(
         name = _unique(drive, found)
         known = None if seen is None or marks is None else known_overlap(marks, seen)
         found[name] = replace(each if name == drive else each.called(name), seen=known)
-    names = method_names(parameters.kind, parameters.model, also=(*own, *also))
+    other = against or parameters
+    names = method_names(
+        parameters.kind, parameters.model, also=(*own, *also), against=(other.kind, other.model)
+    )
     return Evaluation(found, names, outage_length, outage_seed)
 
 
@@ -538,8 +605,7 @@ def _evaluated(
     dead_reckoning = replace(score_estimate(drive, imu_only), failed=False)
     del imu_only
     tracking = tracking_replay(ready)
-    # Manual filters go on as they are: what is wrong by hundreds of metres for hours would be set right at each sample.
-    recorded = [tracker.record(m, tracking, p, recover=m in WATCHED) for m, p in filters.items()]
+    recorded = [tracker.record(m, tracking, p, recover=True) for m, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
     sums = joined([recording.sums for recording in recorded], axis=1)
@@ -555,8 +621,8 @@ def _evaluated(
     each = {
         method: replace(
             whole[i, 0],
-            position_median=tracker.quantiles[method][0],
-            position_95=tracker.quantiles[method][1],
+            position_median=tracker.scores[method].position_median,
+            position_95=tracker.scores[method].position_95,
             failed=whole[i, 0].failed or any(method in of.failed for of in outages.values()),
         )
         for i, method in enumerate(filters)
@@ -572,7 +638,7 @@ def _evaluated(
     failed, nees = each["tuned"].failed, each["tuned"].mean_nees
     return Evaluated(
         scores={method: scores[method] for method in (OWN, "tuned", *ALSO, *METHODS) if method in scores},
-        consistency=None if failed else consistency_of(innovations, nees),
+        consistency=None if failed else consistency_of(innovations, nees, tracker.own_sigma["tuned"]),
         innovations=innovations,
         tracks=tracker.tracks(name),
         picture=tracker.picture(name),

@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.scoring.consistency import Consistency, Summary
 
-SCORES_FILE, ASKED_FILE = "scores.json", "evaluation.json"
+SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
 """By measure; None where it can't be said."""
@@ -25,6 +25,9 @@ class ConsistencyRecord(BaseModel):
     autocorrelation_band_95: float = math.nan
     white_p: float
     mean_nees: float | None = None
+    missed_m: float | None = None
+    expected_m: float | None = None
+    own_sigma_m: float | None = None
 
     @classmethod
     def of(cls, found: Consistency) -> "ConsistencyRecord":
@@ -38,6 +41,9 @@ class ConsistencyRecord(BaseModel):
             autocorrelation_band_95=found.white_band,
             white_p=found.white_p,
             mean_nees=None if math.isnan(found.mean_nees) else found.mean_nees,
+            missed_m=found.missed,
+            expected_m=found.expected,
+            own_sigma_m=None if math.isnan(found.own_sigma) else found.own_sigma,
         )
 
     @property

@@ -19,15 +19,16 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, datasheet
+from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
 from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.filters.swarm.spread import START
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
-from sigmaswarm.scoring.drifts import Run
-from sigmaswarm.scoring.score import PieceErrors, Score
+from sigmaswarm.scoring.consistency import Consistency, consistency_of
+from sigmaswarm.scoring.drifts import UNTUNED, Run
+from sigmaswarm.scoring.score import PieceErrors, Score, score_raw_gps
 from sigmaswarm.scoring.thinning import CloseUp, Thinned
 
 Columns = Mapping[str, NDArray[np.floating[Any]]]
@@ -86,8 +87,8 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """The manual filters and the tuned one; the tuned one last, to be drawn on top."""
-    return {"datasheet": datasheet(drive), "defaults": DEFAULTS, "tuned": tuned}
+    """The same filter by data sheet, and the tuned one; the tuned one last, to be drawn on top."""
+    return {UNTUNED: datasheet(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
@@ -103,8 +104,10 @@ class Tracker:
 
     Attributes
     ----------
-    quantiles : dict of str to (float, float)
-        m, the 50% and 95% quantiles of the position error of each filter that was recorded; NaN without truth.
+    scores : dict of str to Score
+        Of position and heading, of each filter that was recorded; NaN without truth.
+    own_sigma : dict of str to float
+        m, RMS: by how much each says that its position is off.
     """
 
     def __init__(
@@ -115,7 +118,8 @@ class Tracker:
         self._thin: dict[str, Columns] = {}
         self._fine: dict[str, Columns] = {}
         self._close: dict[str, Columns] = {}
-        self.quantiles: dict[str, tuple[float, float]] = {}
+        self.scores: dict[str, Score] = {}
+        self.own_sigma: dict[str, float] = {}
         truth = ready.drive.truth
         self._truth = None if truth is None else TrueMotion(truth)
         if truth is not None:
@@ -127,7 +131,7 @@ class Tracker:
         """Run a filter over all fixes of the drive, and keep its track under the name of a series."""
         recording = Recording(replay, parameters, recover=recover)
         errors = self._follow(series, recording, replay.initial, len(replay.timeline.imu_time))
-        self.quantiles[series] = errors.quantiles if errors else (np.nan, np.nan)
+        self.scores[series] = errors.score if errors else Score()
         if recording.failure is None:
             found = recording.innovations
             self._keep(series + NIS, [{"time": found.time, "nis": found.nis}], len(found.time))
@@ -148,14 +152,20 @@ class Tracker:
         """Keep the track of n samples that comes piece by piece; its errors, where there is truth."""
         truth = self._ready.drive.truth
         errors = None if truth is None else PieceErrors(truth, initial)
+        variance, count = 0.0, 0
 
         def pieces() -> Iterator[Columns]:
+            nonlocal variance, count
             for piece in run:
                 if errors:
                     errors.add(piece.time, piece.mean)
+                if len(piece.covariance):
+                    variance += float(piece.covariance[:, [0, 1], [0, 1]].sum())
+                    count += len(piece.time)
                 yield columns_of(piece.time, piece.mean, piece.covariance, self._truth)
 
         self._keep(series, pieces(), n)
+        self.own_sigma[series] = float(np.sqrt(variance / count)) if count else np.nan
         return errors
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
@@ -220,10 +230,39 @@ def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParamet
     return _tracked(ready, filters, Tracker(ready, picture=True)).picture(name)
 
 
-def pictured(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> Picture:
-    """What a printed picture shows of a drive by a tuned filter and the manual ones."""
+@dataclass(frozen=True, eq=False)
+class FirstLook:
+    """What a tuned filter does on a drive that it was tuned on.
+
+    Attributes
+    ----------
+    picture : Picture
+    position_rmse : mapping of method to float
+        m, of the tuned filter, the data sheet's and the raw fixes; NaN without truth.
+    consistency : Consistency or None
+        Of the tuned filter; None where it failed or saw too few fixes.
+    """
+
+    picture: Picture
+    position_rmse: Mapping[str, float]
+    consistency: Consistency | None
+
+
+def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
+    """Run a tuned filter, and the same from data sheets, over a drive."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
-    return picture_of(ready, compared(drive, parameters), drive.name)
+    tracker, recorded = Tracker(ready, picture=True), dict[str, Recording]()
+    for series, each in compared(drive, parameters).items():
+        recorded[series] = tracker.record(series, replay_of(ready), each)
+    failed = recorded["tuned"].failure is not None
+    rmse = {series: score.position_rmse for series, score in tracker.scores.items()}
+    return FirstLook(
+        tracker.picture(drive.name),
+        rmse | {"raw_gps": score_raw_gps(drive, ready.initial).position_rmse},
+        None
+        if failed
+        else consistency_of(recorded["tuned"].innovations, own_sigma=tracker.own_sigma["tuned"]),
+    )
 
 
 def _tracked(ready: PreparedDrive, filters: Mapping[str, FilterParameters], tracker: Tracker) -> Tracker:

@@ -17,8 +17,9 @@ from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.drifts import UNTUNED, Outages
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.wording import to_do
 
 NAMED = 3
 """Drives in one message, and that are looked at for their drifts."""
@@ -34,7 +35,8 @@ filters on simulated drives 71 drift `FAR`, and none of these less than this ove
 LOOK = 600.0
 """s of a drive that are looked at for its drift, its middle."""
 REMEDY = (
-    "leave --model and --use out, which then suit the logs, or tune with more --trials, or on more drives"
+    "DON'T USE IT; leave --model and --use out, which then suit the logs, or tune with more --trials, or on more "
+    "drives"
 )
 
 
@@ -59,15 +61,13 @@ def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
     if not lost:
         return []
     more = f"; and on {len(lost) - NAMED} more drives" if len(lost) > NAMED else ""
-    return [
-        f"DON'T USE IT: the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there; {REMEDY}"
-    ]
+    return [to_do(REMEDY, f"the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there")]
 
 
 def drifts_of(
     ready: PreparedDrive, parameters: FilterParameters, most: int | None = None
 ) -> tuple[float, float]:
-    """What a filter and the data sheet's drift over the long outages, m; NaN where none fits.
+    """What a filter and the same by data sheet drift over the long outages, m; NaN where none fits.
 
     ``most``: placements of them that are looked at; by default all.
     """
@@ -78,8 +78,8 @@ def drifts_of(
         )
     except InputError:  # the car stands there
         return np.nan, np.nan
-    outages.run({"tuned": parameters, "datasheet": datasheet(ready.drive)}, watched=())
-    return outages.drift("tuned"), outages.drift("datasheet")
+    outages.run({"tuned": parameters, UNTUNED: datasheet(ready.drive, like=parameters)}, watched=())
+    return outages.drift("tuned"), outages.drift(UNTUNED)
 
 
 def _together(found: Iterable[tuple[float, float]]) -> tuple[float, float]:
@@ -102,7 +102,8 @@ def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
     tuned, other = _together(found)
     if tuned <= FAR * other:
         return []
-    return [
-        f"DON'T USE IT: over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was "
-        f"tuned, the data sheet's, which nobody tuned, {other:.3g} m; {REMEDY}"
-    ]
+    why = (
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
+        f"data-sheet filter, which nobody tuned, {other:.3g} m"
+    )
+    return [to_do(REMEDY, why)]

@@ -12,6 +12,7 @@ from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.wording import to_do
 
 FAR_BELOW = 3.0
 """Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
@@ -21,9 +22,9 @@ LOOK = 600.0
 """s of a drive that are looked at for its fixes' scatter: minutes tell it, and hours take seconds."""
 SMOOTH = 0.5
 """m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
+UNKNOWN = "no log without truth can tell how far off they are together"
 REMEDY = (
-    "no log without truth can tell how far off they are together: tune with --use accuracy where the receiver states "
-    "its deviation, or score against a reference receiver"
+    "tune with --use accuracy where the receiver states its deviation, or score against a reference receiver"
 )
 
 
@@ -70,19 +71,15 @@ def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> l
     elif r * FAR_BELOW < scatter:
         why = f"they scatter by {scatter:.2g} m about a path that the IMU can follow"
     elif lasting:
-        return [
-            f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m: their errors last, "
-            f"and {REMEDY}"
-        ]
+        why = f"the receiver states {stated:.2g} m per axis and its fixes scatter by {scatter:.2g} m"
+        return [to_do(REMEDY, f"{why}: their errors last, and {UNKNOWN}")]
     elif np.isnan(stated) and scatter < SMOOTH:
-        return [
-            f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation: errors that last "
-            f"scatter as little, and {REMEDY}"
-        ]
+        why = f"the fixes scatter by {scatter:.2g} m per axis and their receiver states no deviation"
+        return [to_do(REMEDY, f"{why}; errors that last scatter as little, and {UNKNOWN}")]
     else:
         return []
     said = f"the filter copies the fixes: its R takes them for right to {r:.2g} m per axis, and {why}"
-    return [f"{said}; errors that last look like none in forecasts, and {REMEDY}"]
+    return [to_do(REMEDY, f"{said}; errors that last look like none in forecasts, and {UNKNOWN}")]
 
 
 def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list[str]:
@@ -98,11 +95,11 @@ def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list
         more = f"{lasting}are together" if std > LASTS * noise.scatter else ""
         return [f"{name}: R was held near the {std:.2g} m per axis that the receiver states{more}"]
     if std == UNSTATED_GPS_STD:
-        return [
-            f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, "
-            f"{std:.2g} m per axis, and NIS will be low where its fixes are smoothed; where yours is another, write "
-            "gps_std_m into drive.toml"
-        ]
+        why = (
+            f"{name} states no accuracy of its fixes, so R was held near that of a usual receiver, {std:.2g} m per "
+            "axis, and NIS will be low where its fixes are smoothed"
+        )
+        return [to_do("write gps_std_m into drive.toml if yours is another receiver", why)]
     return [f"{name}: R was held near the {std:.2g} m per axis of white noise that the fixes show"]
 
 
@@ -115,10 +112,11 @@ def said_of_accuracy(parameters: FilterParameters, each: Sequence[float]) -> lis
     share /= share + float(np.mean(parameters.measurement_noise))
     if share > NO_PART:
         return []
-    return [
+    why = (
         f"what the receiver states of its fixes is {share:.0%} of R, so `accuracy` plays no part: it hardly changes "
-        "from fix to fix, or tells nothing of their errors; leave it out"
-    ]
+        "from fix to fix, or tells nothing of their errors"
+    )
+    return [to_do("leave accuracy out of --use", why)]
 
 
 def _median(values: Sequence[float]) -> float:

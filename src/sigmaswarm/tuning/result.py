@@ -22,6 +22,7 @@ from sigmaswarm.tuning.scale import SCALE_FREE
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
+from sigmaswarm.wording import TO_DO, to_do
 
 P = TypeVar("P", default=FilterParameters)
 NOT_VALIDATED = (
@@ -37,6 +38,7 @@ OF_THESE_SENSORS = (
     "tuned with truth it belongs to the receiver and the IMU of these drives: on others it may be far worse than their "
     "fixes. For those tune without truth (--objective innovation-t)"
 )
+MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
 LARGE_GAP = 0.2
 """Share by which a validation cost may be worse before a user is told."""
 
@@ -129,7 +131,7 @@ class Tuning(Generic[P]):
 
     @property
     def remarks(self) -> list[str]:
-        """What a user should know before trusting the result, in sentences."""
+        """What a user should know before trusting the result, in sentences; first what asks for action (`TO_DO`)."""
         remarks = [
             *self.doubts,
             *([MARGIN_TAKEN.format(self._raised)] if self.raised_by != 1.0 else []),
@@ -144,33 +146,30 @@ class Tuning(Generic[P]):
                 f"the objective can't tell: {names}; each alone may have any value in the box within 1% of the cost"
             )
         if NOISE_SCALE in self.unidentified and self.config.objective not in SCALE_FREE:
-            remarks.append(
-                "the objective can't tell how large all noises are together, so don't trust the covariances; "
-                "add innovation-nll or nis to it"
-            )
+            why = "it can't tell how large all noises are together, so don't trust the covariances"
+            remarks.append(to_do("add innovation-nll or nis to the objective", why))
         if self._heading_is_loose():
-            remarks.append(
-                "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine; "
+            remedy = (
                 "for a car leave --model and --use out, which then suit the logs, or tune with truth-pose"
             )
+            why = (
+                "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine"
+            )
+            remarks.append(to_do(remedy, why))
         better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
         if better is not None and better.lowest_rise < -RISE and self.raised_by == 1.0:
-            remarks.append(
-                f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better: "
-                "search longer, with more trials, or polish"
-            )
+            why = f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better"
+            remarks.append(to_do("search longer, with more trials, or polish", why))
         if isinstance(self.parameters, FilterParameters) and "truth" in self.config.objective:
             remarks.append(OF_THESE_SENSORS)
         if self.validation is None:
             remarks.append(NOT_VALIDATED)
         elif not np.isfinite(self.validation.cost):
-            remarks.append("the tuned filter failed on at least one validation drive")
+            remarks.append(to_do(MORE_DRIVES, "the tuned filter failed on at least one validation drive"))
         elif self.validation.gap > LARGE_GAP:
-            remarks.append(
-                f"errors on the validation drives are {self.validation.gap:.0%} larger than on the training drives: "
-                "tune on more drives, or on drives that are more like those"
-            )
-        return remarks
+            gap = f"{self.validation.gap:.0%} larger than on the training drives"
+            remarks.append(to_do(MORE_DRIVES, f"errors on the validation drives are {gap}"))
+        return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
 
     def _heading_is_loose(self) -> bool:
         p = self.parameters

@@ -9,6 +9,7 @@ points' spread, and with it the mean, follows the scale. What the factor does to
 
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Replays
+from sigmaswarm.wording import to_do
 
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not look at a covariance."""
@@ -29,14 +30,12 @@ def said_of_scale(objective: str, parameters: FilterParameters, replays: Replays
         return []
     before = replays.scores([parameters])
     nis = float(before.mean_nis.mean())
-    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is right; "
+    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is right"
     remedy = REMEDY.format(objective=objective)
     if parameters.model != "planar5" and nis > 0:
         after = replays.scores([parameters.scaled(nis / 2)])
         moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
         if abs(moved) <= MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= NEAR:
-            return [
-                f"{said}all noises times {nis / 2:.3g} make it right and move the position RMSE by {moved:+.1%} "
-                f"(FilterParameters.scaled); or {remedy}"
-            ]
-    return [said + remedy]
+            right = f"all noises times {nis / 2:.3g} make it right and move the position RMSE by {moved:+.1%}"
+            return [to_do(f"{remedy}, or take FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
+    return [to_do(remedy, said)]

@@ -7,6 +7,7 @@ import numpy as np
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
 from sigmaswarm.doctor.yaw_fit import LATENESS
+from sigmaswarm.drives.alignment import NoStart, find_start
 
 MORE = "use a drive with turns, starts and stops to check it"
 ABOVE_NOISE = 3.0
@@ -18,6 +19,9 @@ LEAST_TURN = np.radians(5.0)
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about what can't be found. They say what the fixes show, not what the car did."""
     span = evidence.span
+    start = find_start(evidence.drive)
+    if isinstance(start, NoStart):
+        yield Finding("no-start", "warning", start.what, "gps.csv", span, 0.99, start.remedy)
     if not evidence.drives:
         yield Finding(
             "unseen-motion", "warning",

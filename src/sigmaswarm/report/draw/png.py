@@ -14,6 +14,7 @@ from matplotlib.axis import Axis as MatplotlibAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import Formatter
 
 from sigmaswarm.files import whole_file
 from sigmaswarm.report.views.charts import (
@@ -155,10 +156,23 @@ def _axis(ax: Axes, axis: Axis, direction: Direction, *, widen: bool) -> None:
         numbers = ax.xaxis if direction == "x" else ax.yaxis
         numbers.set_major_formatter("{x:g}")
         numbers.set_minor_formatter("{x:g}")
+    elif axis.scale == "log" and not axis.ticks:  # powers of ten overlap where bars differ by less than that
+        numbers = ax.xaxis if direction == "x" else ax.yaxis
+        numbers.set_major_formatter("{x:g}")
+        numbers.set_minor_formatter(_Between())
     elif axis.ticks:
         getattr(ax, f"set_{direction}ticks")(axis.ticks, [f"{tick:g}" for tick in axis.ticks], minor=False)
     if low is not None or high is not None:
         getattr(ax, f"set_{direction}lim")(low, high, **({"auto": True} if widen else {}))
+
+
+class _Between(Formatter):
+    """Numbers between powers of ten, 2 and 5 times one, where an axis has no more than about one power to show."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        low, high = sorted(self.axis.get_view_interval())  # pyright: ignore
+        digit = f"{x:e}"[0] if 0 < high < 15 * low else ""
+        return f"{x:g}" if digit in ("2", "5") else ""
 
 
 @singledispatch

@@ -1,4 +1,4 @@
-"""The page of an evaluation: what the tuning is worth on drives, against manual filters, raw GPS and IMU only."""
+"""The page of an evaluation: what the tuning is worth on drives, against others, raw GPS and IMU only."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,34 +20,36 @@ from sigmaswarm.report.style import LABELS, LOOKS
 from sigmaswarm.report.views.evaluation import method_bars, swarm_charts
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
-from sigmaswarm.scoring.drifts import OWN
+from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import (
     ALSO,
-    HOW_MANUAL,
-    MANUAL,
+    HOW_AGAINST,
+    HOW_UNTUNED,
     Measure,
+    how_far,
     measures,
     method_names,
     partly_scored,
     restarted,
     said_of_drives,
-    worse_than_manual,
     worse_than_raw,
+    worse_than_untuned,
 )
-from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.records import AGAINST_FILE, ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
+from sigmaswarm.wording import TO_DO
 
-LINES = ("truth", *ALSO, "tuned", OWN, "datasheet", "defaults", "imu_only", "raw_gps")
+LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 NO_TRUTH = (
     "{} has no truth, so no errors of position and heading can be told. What can: how far each filter drifts while "
     "fixes are hidden from it, measured against those fixes (whose own errors are in these figures, too), and whether "
     "its forecasts miss the fixes by as much as it says (NIS)."
 )
-SHOWN = ("truth", "tuned", *ALSO, OWN, "datasheet", "raw_gps")
+SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
 """Those that are shown from the start."""
 
 
@@ -57,11 +59,7 @@ def evaluation_report(folder: Path) -> Report:
     asked = load_record(EvaluationRecord, folder / ASKED_FILE)
     file = load_record(TuningRecord, folder / FILE)
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
-    names = method_names(
-        str(file.filter.get("kind", "ukf")),
-        str(file.filter.get("model", "planar5")),
-        also=also,
-    )
+    names = method_names(*_kind_and_model(file), also=also, against=_kind_and_model(_other(folder) or file))
     left_out = {OWN, *ALSO} - {*also}
     lines = tuple(
         Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if m not in left_out
@@ -79,13 +77,14 @@ def evaluation_report(folder: Path) -> Report:
     without = (
         (NO_TRUTH.format("None of the drives" if len(asked.data) > 1 else "The drive"),) if blind else ()
     )
+    without += tuple(f"{said}." for said in how_far(scores, asked.data))
     shown = measures(asked.outage_length_s)
     command, note = evaluate_command(list(scores.drives), asked.outage_length_s, asked.outage_seed, also=also)
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(_result(scores, data, asked.outage_length_s), *without, what_was_tuned(file)),
-        figures=_figures(scores, shown),
-        remarks=(
+        lead=(_result(scores, data, asked.outage_length_s, names), *without, what_was_tuned(file)),
+        figures=_figures(scores, shown, names),
+        remarks=_in_order(
             *_remarks(scores, data, shown),
             *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
         ),
@@ -105,6 +104,20 @@ def evaluation_report(folder: Path) -> Report:
         command=command,
         command_note=note,
     )
+
+
+def _other(folder: Path) -> TuningRecord | None:
+    """The filter that was compared with, where there was one."""
+    return load_record(TuningRecord, folder / AGAINST_FILE) if (folder / AGAINST_FILE).exists() else None
+
+
+def _kind_and_model(file: TuningRecord) -> tuple[str, str]:
+    return str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
+
+
+def _in_order(*remarks: str) -> tuple[str, ...]:
+    """First what asks for action."""
+    return tuple(sorted(remarks, key=lambda remark: not remark.startswith(TO_DO)))
 
 
 def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
@@ -131,7 +144,7 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord], shown: Mapping[s
     told = verdicts([c and c.summary for c in scores.consistency.values()])
     said += [
         *worse_than_raw(scores),
-        *worse_than_manual(scores, shown),
+        *worse_than_untuned(scores, shown),
         *restarted(scores),
         *partly_scored(data),
     ]
@@ -142,7 +155,9 @@ def _remarks(scores: ScoresRecord, data: Sequence[DriveRecord], shown: Mapping[s
     ]
 
 
-def _result(scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: float) -> str:
+def _result(
+    scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: float, names: Mapping[str, str]
+) -> str:
     """The result in a sentence: position where truth is known, else the drift over outages."""
     drives = said_of_drives(data)
     for measure, what in (
@@ -152,36 +167,39 @@ def _result(scores: ScoresRecord, data: Sequence[DriveRecord], outage_length: fl
         tuned = scores.mean_of("tuned", measure)
         if tuned is not None:
             rivals = [m for m in (_rival(scores, measure), "raw_gps") if m]
-            against = [_against(tuned, other, m) for m in rivals if (other := scores.mean_of(m, measure))]
+            against = [
+                _against(tuned, other, m, names) for m in rivals if (other := scores.mean_of(m, measure))
+            ]
             spread = scores.drift_said(measure)
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
             return f"{said}: {', and '.join(against)}." if against else f"{said}."
     return f"On {drives} nothing can be said of the tuned filter: it failed, or there is no truth."
 
 
-def _against(tuned: float, other: float, method: str) -> str:
-    if method in MANUAL:  # a share of what nobody tuned would flatter
-        return f"{LABELS[method]}, which nobody tuned, has {other:.3g} m"
+def _against(tuned: float, other: float, method: str, names: Mapping[str, str]) -> str:
+    if method == UNTUNED:  # a share of what nobody tuned would flatter
+        return f"the {names[method]}, which nobody tuned, has {other:.3g} m"
     change = 100 * (other - tuned) / other
-    return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {LABELS[method]} ({other:.3g} m)"
+    return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {names[method]} ({other:.3g} m)"
 
 
 def _rival(scores: ScoresRecord, measure: str) -> str | None:
-    """What a tuning has to beat: the user's own filter, else the best manual one; None where none can be scored."""
+    """What a tuning has to beat: the user's own filter, else the same by data sheet; None where it can't be scored."""
     if OWN in scores.mean:
         return OWN
-    values = {m: v for m in MANUAL if (v := scores.mean_of(m, measure)) is not None}
-    return min(values, key=values.__getitem__) if values else None
+    return None if scores.mean_of(UNTUNED, measure) is None else UNTUNED
 
 
-def _figures(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[Figure, ...]:
+def _figures(
+    scores: ScoresRecord, shown: Mapping[str, Measure], names: Mapping[str, str]
+) -> tuple[Figure, ...]:
     figures: list[Figure] = []
     for name, measure in shown.items():
         tuned, rival = scores.mean_of("tuned", name), _rival(scores, name)
         if tuned is None:
             continue
         other = scores.mean_of(rival, name) if rival else None
-        note = f"{LABELS[rival]}: {other:.3g} {measure.unit}" if rival and other is not None else ""
+        note = f"{names[rival]}: {other:.3g} {measure.unit}" if rival and other is not None else ""
         if spread := scores.drift_said(name):
             note = f"{spread}; {note}" if note else spread
         figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
@@ -231,7 +249,8 @@ def _comparison(
     text = (
         f"Lower is better. Outages last {outage_length:g} s, and {LONG_OUTAGE_LENGTH:g} s.{outages}{rmse} IMU only "
         "takes no fix after the drive's start, so its drift is what has gathered since then.",
-        f"{HOW_MANUAL}. To compare with a filter of yours: sigmaswarm evaluate --against mine.toml.",
+        *([f"{HOW_UNTUNED}."] if UNTUNED in scores.mean else []),
+        *([] if OWN in scores.mean else [f"{HOW_AGAINST}."]),
     )
     if scores.drifts:
         tables.append(_drifts(scores, names, shown))

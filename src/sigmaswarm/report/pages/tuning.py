@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.records import load_record
@@ -212,10 +212,7 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
         row = (*row, d.scored_from_s) if started else row
         held_out = f"no: tuned on {d.seen_s:.0f} s of it" if d.seen_s else None if d.seen_s is None else "yes"
         rows.append((*row, held_out) if known else row)
-    text = (
-        "Filters start, and scores with them, at the first fix with 4 s and 20 m of forward driving behind it, which "
-        "tell the heading."
-    )
+    text = f"Filters start, and scores with them, at {START_RULE}."
     return Section(title, (text,) if started else (), (Table("", tuple(columns), tuple(rows)),))
 
 

@@ -34,13 +34,17 @@ from sigmaswarm.report.views.charts import (
     short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import LEARNED
+from sigmaswarm.scoring.drifts import LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated, Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 
-DRAWN = ("raw_gps", "datasheet", "defaults", "against", "tuned", *LEARNED, "swarm", "smoothed", "truth")
+DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth")
 """The series of a track, the last one on top: the tuned filter's line is wider than the truth's."""
+
+
+HEADING_SHOWN = (1.0, 30.0)
+"""deg: least and greatest half of the axis of heading errors; more is a filter that is lost."""
 
 
 def method_bars(
@@ -168,12 +172,18 @@ def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ..
         radii.append(Curve(time, smoothed["position_3sigma"], look, f"3 sigma of the {labels['smoothed']}"))
     position = [Curve(series[m]["time"], series[m]["position_error"], LOOKS[m], labels[m]) for m in methods]
     heading = [Curve(series[m]["time"], series[m]["heading_error"], LOOKS[m]) for m in methods]
+    shown = np.concatenate([np.abs(mark.y) for mark in heading] + [tuned["heading_3sigma"]])
+    most = (
+        float(np.clip(1.2 * np.nanquantile(shown, 0.98), *HEADING_SHOWN))
+        if np.isfinite(shown).any()
+        else 30.0
+    )
     # From centimetres to hundreds of metres: only a logarithmic scale shows all methods.
     scale = Axis("position error, m", "log", (0.03, None))
     title = f"{picture.whole.name}: error against truth"
     return (
         Chart(title, (*radii, *position), Axis(), scale),
-        Chart("", (*bounds, *heading), Axis("time, s"), Axis("heading error, deg", range=(-30.0, 30.0))),
+        Chart("", (*bounds, *heading), Axis("time, s"), Axis("heading error, deg", range=(-most, most))),
     )
 
 

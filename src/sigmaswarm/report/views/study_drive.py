@@ -3,13 +3,13 @@
 import numpy as np
 
 from sigmaswarm.experiments.study.config import MAIN
-from sigmaswarm.report.style import CHARCOAL, LOOKS, MIST, STUDY_LOOKS
+from sigmaswarm.report.style import CHARCOAL, LOOKS, MIST, ORANGE, STUDY_LOOKS
 from sigmaswarm.report.views.charts import Axis, Band, Chart, Curve, Look, Points, Rule, Values
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.tracks import CLOSE_UP, NIS, Picture
 
 DRAWN: dict[str, tuple[str, Look]] = {
-    "ukf-defaults": ("UKF, manual: defaults", Look(LOOKS["defaults"].color, 1.0, "dash")),
+    "ukf-defaults": ("UKF, manual: defaults", Look(ORANGE, 1.0, "dash")),
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
     f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
 }

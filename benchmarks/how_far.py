@@ -1,0 +1,53 @@
+"""What a filter says of its own position error, where no truth tells it, against the truth.
+
+    python benchmarks/how_far.py ../shared/drives --seeds 3
+
+Tuned without truth by default, tested on what the tuning never saw, as in `defaults.py`. Prints Markdown: the least and
+the greatest over seeds and test drives, and in how many of them `evaluate` says that the log can't tell.
+"""
+
+import argparse
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+from defaults import cases
+from sigmaswarm import SigmaswarmWarning, evaluate, tune
+from sigmaswarm.scoring.evaluation import said_of_position
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--seeds", type=int, default=3)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    print("| tested on | its own word, m | true RMSE, m | word over truth | can't tell |")
+    print("|---" * 5 + "|")
+    for name, parts in cases(options.drives).items():
+        if ">" in name or "outliers" in name:
+            continue
+        training, test = parts()
+        blind = [replace(drive, truth=None) for drive in training]
+        rows = [row for seed in range(options.seeds) for row in words(blind, test, seed)]
+        own, true, ratio = (
+            [f"{f(column):.2g}" for f in (min, max)] for column in list(zip(*rows, strict=True))[:3]
+        )
+        told = " | ".join(" to ".join(dict.fromkeys(ends)) for ends in (own, true, ratio))
+        print(f"| {name} | {told} | {sum(row[3] for row in rows)} of {len(rows)} |", flush=True)
+
+
+def words(training, test, seed: int):
+    """Of each test drive: what the filter says, what is true, their ratio, and whether the log can't tell."""
+    found = evaluate(test, tune(training, seed=seed).parameters)
+    for name, consistency in found.record.consistency.items():
+        true = found.value(name, "tuned", "position_rmse_m")
+        assert consistency and consistency.own_sigma_m and true
+        unknown = said_of_position(consistency).startswith("this log can't tell")
+        yield consistency.own_sigma_m, true, consistency.own_sigma_m / true, unknown
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""How many metres a filter is off where no truth tells it: its own word, held against its forecasts of the fixes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.scoring.evaluation import evaluate, how_far, said_of_first_look, said_of_position
+from sigmaswarm.scoring.records import ConsistencyRecord
+from sigmaswarm.scoring.tracks import first_look
+from sigmaswarm.tuning.tune import tune
+
+
+def recorded(nis: float, next_one: float) -> ConsistencyRecord:
+    """Of a filter that says 0.5 m of itself, and expects to miss the fixes by 1.5 m, on 500 fixes."""
+    return ConsistencyRecord(
+        n_fixes=500,
+        mean_nis=nis,
+        nis_band_95=(1.83, 2.18),
+        share_inside_95_gate=0.95,
+        autocorrelation=[next_one],
+        white_p=0.5,
+        missed_m=1.5 * (nis / 2) ** 0.5,
+        expected_m=1.5,
+        own_sigma_m=0.5,
+    )
+
+
+@pytest.mark.parametrize(
+    ("nis", "next_one", "said"),
+    [
+        (2.0, 0.0, "about 0.5 m (RMS), as the filter itself says, and the log bears it out: its"),
+        (2.0, 0.4, "0.5 m (RMS), as the filter itself says, or more: "),
+        (3.0, 0.0, "more than 0.5 m (RMS), as the filter itself says: its forecasts miss the fixes by 1.8 m"),
+        (1.7, 0.0, "0.5 m (RMS), as the filter itself says, or somewhat less: "),
+        (1.7, 0.4, "this log can't tell: perhaps 1.4 m"),
+        (0.2, 0.0, "this log can't tell: perhaps 1.4 m"),
+    ],
+)  # fmt: skip
+def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
+    nis: float, next_one: float, said: str
+):
+    assert said_of_position(recorded(nis, next_one)).startswith(said)
+
+
+def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_out():
+    """Fixes with white errors and a filter that is right: the word is within a third of the truth."""
+    drives = [sigmaswarm.simulate("urban", run=run, gps="white-1m", duration=90) for run in range(3)]
+    tuning = tune([replace(d, truth=None) for d in drives[:2]], particles=20, generations=15, seed=2)
+    off = evaluate(drives[2], tuning.parameters).value(drives[2].name, "tuned", "position_rmse_m")
+    blind = evaluate(replace(drives[2], truth=None), tuning.parameters)
+    own = blind.record.consistency[drives[2].name].own_sigma_m
+    estimate = run_filter(drives[2], tuning.parameters)
+    assert own == pytest.approx(
+        np.sqrt(np.mean(estimate.covariance[:, [0, 1], [0, 1]].sum(axis=1))), rel=1e-9
+    )
+    assert own == pytest.approx(off, rel=0.34)
+    (said,) = how_far(blind.record, blind.asked.data)
+    assert f"{own:.2g} m (RMS)" in said
+    look = first_look(drives[2], tuning.parameters, as_recorded=False)
+    assert said_of_first_look(look).startswith(f"{off:.2g} m RMSE on {drives[2].name} (data-sheet filter ")
