@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
-from sigmaswarm.doctor.windows import regress, windows_of
+from sigmaswarm.doctor.windows import moving_mean, regress, windows_of
 
 
 def problem(rng: np.random.Generator, windows: int = 6, count: int = 20):
@@ -59,3 +60,10 @@ def test_windows_overlap_by_half_and_hold_no_gap(gap: float):
     assert rows.shape[1] == 20
     assert np.all(np.ptp(time[rows], axis=1) < 13)
     assert len(rows) == (9 if gap == 0 else 8)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 500])
+@pytest.mark.parametrize("count", [1, 2, 5, 50])
+def test_the_moving_mean_is_scipys(n: int, count: int):
+    rows = np.random.default_rng(n).normal(size=(3, n))
+    assert moving_mean(rows, count).tobytes() == uniform_filter1d(rows, count, axis=1).tobytes()

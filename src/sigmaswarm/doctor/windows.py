@@ -102,3 +102,14 @@ def _covariance(a: Array, left: Array, own: int) -> Array:
     sandwich = inverse @ (pull.T @ pull) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(white), 1e-300), 1.0))
     return 2 * white * np.outer(ratio, ratio)
+
+
+def moving_mean(rows: Array, count: int) -> Array:
+    """The mean of so many samples around each, of rows (r, n), mirrored at their ends.
+
+    It is `scipy.ndimage.uniform_filter1d`, which takes longer to import than all of a doctor's look.
+    """
+    left = count // 2
+    padded = np.pad(rows, ((0, 0), (left, count - left - 1)), mode="symmetric")
+    first = np.cumsum(padded[:, :count], axis=1)[:, -1:]
+    return np.cumsum(np.hstack([first, padded[:, count:] - padded[:, :-count]]), axis=1) / count

@@ -4,12 +4,12 @@ Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Trac
 section 5.4.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc, gammaincinv  # scipy.stats, which has chi-square, takes 0.4 s to import
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -19,10 +19,12 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 
 def _chi2_below(share: float | list[float], degrees: int) -> Array:
     """Below what a share of a chi-square of so many degrees of freedom lies."""
+    from scipy.special import gammaincinv  # 0.1 s to import; scipy.stats, which has chi-square, 0.4 s
+
     return np.asarray(2 * gammaincinv(degrees / 2, share), np.float64)
 
 
-GATE_95 = float(_chi2_below(0.95, 2))
+GATE_95 = -2 * math.log(0.05)
 """NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
 FAR_NEES = 4.0
 """Mean NEES from which on errors are plainly too large: by a factor of 1.4, as it has no band."""
@@ -101,6 +103,8 @@ def consistency_of(
         np.isfinite(s).all() and np.all(s[:, 0, 0] > 0) and np.all(np.linalg.det(s) > 0)
     ):
         return None
+    from scipy.special import chdtrc
+
     nis = innovations.nis
     band = _chi2_below([0.025, 0.975], 2 * n) / n
     each = np.stack([_autocorrelation(column) for column in innovations.normalized.T])

@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from sigmaswarm.doctor.confidence import confidence_by_margin, confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair, finding_of
 from sigmaswarm.doctor.verdicts import Mount
+from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import smoothed
 from sigmaswarm.drives.checks import GRAVITY, gravity_on, gravity_up
 from sigmaswarm.drives.drive import Array
@@ -185,7 +185,7 @@ def _size(evidence: Evidence) -> Iterator[Finding]:
     assert imu.az is not None
     unit = mount.unit if mount else 1.0
     count = max(round(0.5 / float(np.median(np.diff(imu.time)))), 1)
-    force = unit * uniform_filter1d(np.array([imu.ax, imu.ay, imu.az]), count, axis=1)
+    force = unit * moving_mean(np.array([imu.ax, imu.ay, imu.az]), count)
     size = float(np.median(np.linalg.norm(force, axis=0)))
     off = size - GRAVITY
     if abs(off) < SIZE[0]:

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import integral
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Array
@@ -105,9 +105,9 @@ def _follow(time: Array, force: Array, rates: Array) -> tuple[_Follows | None, _
     """What the direction's sideways (roll) and forward (pitch) changes follow; None where that is not clear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
-    mean = uniform_filter1d(force, count, axis=1)
+    mean = moving_mean(force, count)
     direction = mean / np.maximum(np.linalg.norm(mean, axis=0), 0.1 * GRAVITY)
-    turned = uniform_filter1d(np.array([integral(time, rate) for rate in rates]), count, axis=1)
+    turned = moving_mean(np.array([integral(time, rate) for rate in rates]), count)
     first = np.arange(0, len(time) - lag, max(lag // 2, 1))
     first = first[time[first + lag] - time[first] < 2 * LAG]  # over a gap the rates are not known
     if len(first) < 20:
