@@ -43,7 +43,7 @@ def demo(
         raise InputError(f"{out}: is not empty, and no earlier demo made it; choose another --out")
     shutil.rmtree(out, ignore_errors=True)
     console = stdout()
-    # A car's IMU, shaken, and fixes whose noise a filter can average: as far as manual filters go, a real car.
+    # A car's IMU, shaken, and fixes whose noise a filter can average.
     drives = list(
         sigmaswarm.simulate_many(
             ("urban",), ("clear",), 8, seed=seed, duration=90.0, gps="white-1m", vibration=1.0
