@@ -19,7 +19,7 @@ from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.rows import new_blocks
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
@@ -271,7 +271,7 @@ def _machine_code(sources, *, steps_to):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        w = new_rows(rows.shape[1])
+        w = new_blocks(rows.shape[1])
         _load(w, rows)
         steps_to(
             w,
