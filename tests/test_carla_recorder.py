@@ -150,9 +150,9 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
     tuning = sigmaswarm.tune(drives[1:], objective="truth-pose", particles=8, generations=3)
     scores = sigmaswarm.evaluate(drives[:1], tuning.parameters)
     assert np.isfinite(tuning.cost)
-    improvement = scores.improvement()
-    assert improvement is not None
-    assert improvement > 0
+    (on_unseen,) = scores.drives.values()
+    # A few seconds of braking teach little, but more than the IMU alone knows.
+    assert on_unseen.scores["tuned"].position_rmse < 0.5 * on_unseen.scores["imu_only"].position_rmse
 
 
 def test_without_noise_the_sensors_are_the_simulators(tmp_path: Path):

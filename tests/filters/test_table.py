@@ -8,7 +8,7 @@ import pytest
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters.groups import Chunk, Group, Sets, start_rows
+from sigmaswarm.filters.groups import KEPT_INTERVALS, Chunk, Group, Sets, start_rows
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import run_replays
@@ -44,6 +44,26 @@ def test_a_table_packs_as_its_sets_do(model: ModelName, kind: FilterKind, use: S
     alone = np.concatenate([start_rows([start], [0.01], Chunk.of([p]))[0, :, :1] for p in table], axis=1)
     side_by_side = np.concatenate(list(ours[::2]), axis=1)  # of each block the first start
     assert side_by_side[:, :n].tobytes() == alone.tobytes()
+
+
+def test_what_sets_of_a_table_share_need_no_column():
+    # as many sets as states, where a vector in place of a column would fit by chance
+    p = FilterParameters(0.5, 2.0, 0.0, (1e-4, 2e-4, 3e-4, 4e-4, 5e-4), (1.0, 2.0))
+    table, start = (
+        ParameterTable(p, {"latency": np.linspace(0.0, 0.1, 5)}),
+        initial_state(make_drive(duration=12)),
+    )
+    ours, theirs = (start_rows([start], [0.01], Chunk.of(sets)) for sets in (table, list(table)))
+    assert ours.tobytes() == theirs.tobytes()
+
+
+def test_a_group_keeps_rows_of_few_intervals():
+    table, start = table_of("planar5", "ukf", (), 3), initial_state(make_drive(duration=12))
+    chunk, intervals = Chunk.of(table), np.linspace(0.01, 0.02, KEPT_INTERVALS + 8).tolist()
+    together = start_rows([start] * len(intervals), intervals, chunk)
+    for rows, interval in zip(together, intervals, strict=True):
+        assert rows.tobytes() == start_rows([start], [interval], Chunk.of(table))[0].tobytes()
+    assert len(chunk.group._fresh) == KEPT_INTERVALS  # pyright: ignore[reportPrivateUsage]
 
 
 def test_known_starts_are_those_that_are_found():

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled import lanes
-from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
-from sigmaswarm.filters.compiled.rows import new_rows
+from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS, WIDEST
+from sigmaswarm.filters.compiled.rows import new_blocks
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -48,14 +48,14 @@ def _everything(w, shift, *, n, halved):
 
 
 def _run(rows, shift, *, kernel, n_lanes):
-    w = new_rows(n_lanes)
+    w = new_blocks(n_lanes)
     for r in range(12):
         for lane in range(n_lanes):
-            w[r, lane] = rows[r, lane]
+            w[lane // LANES * N_ROWS + r, lane % LANES] = rows[r, lane]
     kernel(w, shift)
     for r in range(12):
         for lane in range(n_lanes):
-            rows[r, lane] = w[r, lane]
+            rows[r, lane] = w[lane // LANES * N_ROWS + r, lane % LANES]
 
 
 KNOWN = {"n": 2, "halved": unrolled(_halved, row=6)}
@@ -80,6 +80,10 @@ def test_a_loop_over_lanes_is_what_python_makes_of_it(seed):
     np.testing.assert_allclose(many, straight[:12], rtol=1e-14, atol=1e-14)
     compiled_for(WIDEST)(few, 0.5)
     assert many[:10, :WIDEST].tobytes() == few[:10, :WIDEST].tobytes(), "a lane's bits depend on the others"
+    for n_lanes in (LANES + WIDEST, BLOCKS * LANES):
+        most = np.hstack([rows, rows[:, ::-1]])[:, :n_lanes].copy()
+        compiled_for(n_lanes)(most, 0.5)
+        assert most[:10].tobytes() == np.hstack([many, many[:, ::-1]])[:10, :n_lanes].tobytes()
 
 
 def _with_a_branch(w, shift):

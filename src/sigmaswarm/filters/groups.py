@@ -36,6 +36,9 @@ from sigmaswarm.filters.table import ParameterTable, fields_of
 Starts = dict[InitialState, tuple[Array, Array]]
 """The state rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad."""
 
+KEPT_INTERVALS = 64
+"""So many of the drives' intervals a group keeps rows for: each log has one of its own, and a fleet has thousands."""
+
 
 class Group:
     """Any number of parameter sets of one model and with the same switches, which can run side by side.
@@ -77,15 +80,17 @@ class Group:
 
         ``nominal_interval`` (s) is the drive's: Q is converted where a set refers to another one.
         """
-        if nominal_interval not in self._fresh:
+        rows = self._fresh.get(nominal_interval)
+        if rows is None:
             own = self._interval
             rows = np.repeat(_FRESH, len(own), axis=1)
             rows[CONSTANT_ROWS] = self._constants
             rows[Q0 : Q0 + len(MEAN)] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
             # less a bit, whatever rounding does to times since 1970
             rows[R.PATIENCE] = (OUTLIERS_SPAN - 1e-6) / nominal_interval
-            self._fresh[nominal_interval] = rows
-        return self._fresh[nominal_interval]
+            if len(self._fresh) < KEPT_INTERVALS:
+                self._fresh[nominal_interval] = rows
+        return rows
 
     def keep_starts(self, initial: Sequence[InitialState]) -> None:
         """Find out where all of them begin, and keep it: it takes as long as for a few of them."""
@@ -207,7 +212,7 @@ def _constants(of: dict[str, Any], n_sets: int) -> Array:
     second = np.where(kind == "ekf", 0.0, 1.0)
     constants = np.zeros((len(CONSTANTS), n_sets))
     first = CONSTANT_ROWS.start
-    constants[Q0 - first : Q0 - first + n] = q.T
+    constants[Q0 - first : Q0 - first + n] = np.broadcast_to(q, (n_sets, n)).T
     (ratio, trend), (gain_r, gain_q) = np.transpose(of["fuzzy_widths"]), np.transpose(of["fuzzy_gains"])
     values = {
         R.GAMMA: second * np.sqrt(gamma2),

@@ -240,9 +240,9 @@ class Replayer:
         workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
         sets = Sets(parameter_sets)
         asked = len(parameter_sets), sets.groups[0][1].like.model, workers
-        if asked not in self._jobs:
-            self._jobs[asked] = jobs_for(self._steps, *asked)
-        jobs = self._jobs[asked]
+        jobs = self._jobs.get(asked)
+        if jobs is None:
+            jobs = self._jobs[asked] = jobs_for(self._steps, *asked)
         packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
         if len(parameter_sets) * len(self.initial) <= MANY_STARTS:
             for _, group in sets.groups:

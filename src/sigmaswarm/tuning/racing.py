@@ -7,8 +7,8 @@ instances is the idea of M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrap
 metaheuristics, GECCO 2002): their F-race drops a candidate by a test, here a fixed share goes, so that the steps are
 known beforehand.
 
-Where drives are many (`MANY`), halving alone saves little: filters run sixteen or eight side by side, and whoever is
-left takes as long as eight on all drives. There a batch also races against the best so far, whose cost on each drive is
+Where drives are many (`MANY`), halving alone saves little: filters run side by side, and whoever is left takes as
+long as eight on all drives. There a batch also races against the best so far, whose cost on each drive is
 known. It begins with a twelfth of the drives, and of the better half only those go on that are better than the best
 on the same drives by more than a standard error of the mean difference; if there are none, that was all. What the best
 costs on these drives and on all tells how hard they are, so that a dropped candidate's cost is stated for all drives

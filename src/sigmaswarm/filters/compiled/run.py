@@ -359,8 +359,8 @@ def run_lanes(
     rows : (N_KEPT, a multiple of WIDEST), changed: state, constants and sums of each lane, and what it remembers
     place : (5,), changed: see NEXT_STEP ... NEXT_SPEED
     stop : the step before which to stop; at k, sums are complete
-    record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes at
-        each IMU sample of these steps; r = 0: none
+    record : (r, s + 1, m), written from its start: the model's s `state_rows` and the OK flag of the first m lanes, up
+        to LANES, at each IMU sample of these steps; r = 0: none
     innovations : (f, 5), written: nu (m) and S (m2; xx, xy, yy) of the first lane at each fix of these steps, before it
         is absorbed; of no rows: none
     """
