@@ -3,10 +3,12 @@
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
@@ -101,6 +103,126 @@ def test_a_killed_process_is_told_of():
 
     with pytest.raises(SigmaswarmError, match="was killed, perhaps for want of memory; go on with --resume"):
         in_forks(run)
+
+
+def test_whoever_takes_a_killed_process_is_told_of_it():
+    def run(task: int, tell: Tell) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    with forked(run, 1) as asked:
+        for task in range(3):
+            with pytest.raises(SigmaswarmError, match="was killed"):
+                asked(task, print)
+
+
+@pytest.mark.parametrize("kind", [ConnectionResetError, EOFError])
+def test_an_error_of_who_is_told_is_no_killed_process(kind: type[Exception]):
+    def lose(rounds: int) -> None:
+        raise kind("of the progress bar")
+
+    with forked(lambda task, tell: tell(1), 1) as asked, pytest.raises(kind, match="of the progress bar"):
+        asked(0, lose)
+
+
+class TwoPartError(Exception):
+    """Is pickled, but not unpickled: that would take two arguments."""
+
+    def __init__(self, what: str, where: str) -> None:
+        super().__init__(f"{what} in {where}")
+
+
+def test_an_error_that_can_t_travel_is_told_of():
+    class LocalError(Exception):
+        pass
+
+    def stumble(task: int, tell: Tell) -> int:
+        if task == 0:
+            raise LocalError("here")
+        if task == 1:
+            raise TwoPartError("a hole", "the road")
+        return task
+
+    with forked(stumble, 1) as asked:
+        for task, message in enumerate(["LocalError: here", "TwoPartError: a hole in the road"]):
+            with pytest.raises(RuntimeError) as stumbled:
+                asked(task, print)
+            assert str(stumbled.value) == message
+            assert "in stumble" in stumbled.value.__notes__[0]
+        assert asked(2, print) == 2
+
+
+def test_a_result_that_can_t_travel_is_told_of():
+    class Half:
+        def __reduce__(self) -> tuple[type, tuple[str]]:
+            return int, ("no number",)
+
+    def run(task: int, tell: Tell) -> object:
+        return Half() if task else threading.Lock()
+
+    with forked(run, 1) as asked:
+        with pytest.raises(TypeError, match="cannot pickle"):
+            asked(0, print)
+        with pytest.raises(ValueError, match="no number"):
+            asked(1, print)
+
+
+def test_a_line_is_closed_once_where_two_hang_up(monkeypatch: pytest.MonkeyPatch):
+    close = Connection._close  # pyright: ignore
+    leaving = threading.Event()
+
+    def close_slowly(line: Connection) -> None:
+        lines.append(line)
+        leaving.set()
+        if line is lines[0]:
+            time.sleep(0.2)  # for the other to come
+        close(line)
+
+    def run(task: int, tell: Tell) -> int:
+        tell(os.getpid())
+        return os.getpid()
+
+    def stumble(process: int) -> None:
+        raise InputError("told enough")
+
+    lines: list[Connection] = []
+    processes: list[int] = []
+    with ThreadPoolExecutor(1) as pool:
+        listeners: list[Future[int]] = []
+        with pytest.raises(KeyboardInterrupt), forked(run, 2) as asked:
+            processes.extend((asked(0, print), asked(1, print)))
+            monkeypatch.setattr(Connection, "_close", close_slowly)
+            listeners.append(pool.submit(asked, 2, stumble))
+            assert leaving.wait(10.0)
+            raise KeyboardInterrupt
+        with pytest.raises(InputError, match="told enough"):
+            listeners[0].result()
+    assert len(set(processes)) == 2
+    for process in processes:
+        with pytest.raises(ProcessLookupError):
+            os.kill(process, 0)
+
+
+def test_one_that_can_t_be_ended_keeps_no_other(monkeypatch: pytest.MonkeyPatch):
+    kill = os.kill
+    spared: list[int] = []
+    processes: set[int] = set()
+
+    def run(task: int, tell: Tell) -> int:
+        return os.getpid()
+
+    def spare_one(process: int, number: int) -> None:
+        if not spared:
+            spared.append(process)
+            raise PermissionError("not this one")
+        kill(process, number)
+
+    with pytest.raises(PermissionError), forked(run, 2) as asked:
+        processes.update((asked(0, print), asked(1, print)))
+        monkeypatch.setattr(os, "kill", spare_one)
+    (other,) = processes - {*spared}
+    with pytest.raises(ProcessLookupError):
+        kill(other, 0)
+    os.waitpid(spared[0], 0)  # it has seen that nobody is left to ask
 
 
 def test_where_nothing_can_be_forked_it_is_done_here(monkeypatch: pytest.MonkeyPatch):

@@ -10,12 +10,14 @@ Whoever hands out tasks stays a thread of the parent, one a fork, which listens:
 import ctypes
 import gc
 import os
+import pickle
 import signal
 import sys
+import threading
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Hashable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.connection import Connection, Pipe
 from queue import SimpleQueue
 from typing import Any, Generic, NoReturn, TypeVar
@@ -37,14 +39,12 @@ def forked(run: Callable[[T, Tell], R], size: int) -> Generator[Callable[[T, Tel
     of macOS can't use its frameworks, Windows has none, and memory may not suffice.
     """
     crew: list[_Fork[T, R]] = []
-    try:
+    with ExitStack() as ends:  # each, whatever becomes of the others
         with suppress(OSError):
             for _ in range(size if sys.platform == "linux" else 0):
                 crew.append(_Fork(run, crew))
+                ends.callback(crew[-1].end)
         yield _handed_to(crew) if crew else run
-    finally:
-        for fork in crew:
-            fork.end()
 
 
 def _handed_to(crew: "Sequence[_Fork[T, R]]") -> Callable[[T, Tell], R]:
@@ -57,7 +57,7 @@ def _handed_to(crew: "Sequence[_Fork[T, R]]") -> Callable[[T, Tell], R]:
         try:
             return fork.ask(task, tell)
         finally:
-            idle.put(fork)
+            idle.put(fork)  # a dead one too: whoever takes it is told so, and nobody waits for ever
 
     return ask
 
@@ -68,9 +68,9 @@ class _Fork(Generic[T, R]):
     def __init__(self, run: Callable[[T, Tell], R], others: "Sequence[_Fork[T, R]]") -> None:
         parent = os.getpid()
         self._line, theirs = Pipe()
-        with (
-            warnings.catch_warnings()
-        ):  # of other threads, which it has not: those here hold nothing that it needs
+        self._hanging_up = threading.Lock()
+        # of other threads, which it has not: those here hold nothing that it needs
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self._pid = os.fork()
         if self._pid == 0:
@@ -91,26 +91,43 @@ class _Fork(Generic[T, R]):
 
     def _answer(self, task: T, tell: Tell) -> tuple[str, Any]:
         try:
-            self._line.send(task)
+            with _telling_of_a_death():
+                self._line.send(task)
             while True:
-                word, said = self._line.recv()
+                with _telling_of_a_death():
+                    word, said = self._line.recv()
                 if word != "told":
                     return word, said
                 tell(said)
-        except BaseException as error:
-            self._line.close()  # where it is in the midst of a task, it ends when it tells
-            if isinstance(error, EOFError | ConnectionError):
-                raise SigmaswarmError(
-                    "a process of this experiment was killed, perhaps for want of memory; go on with --resume"
-                ) from None
+        except BaseException:
+            self._hang_up()  # where it is in the midst of a task, it ends when it tells
             raise
 
     def end(self) -> None:
         """End it at once: files are written whole or not at all."""
-        self._line.close()
-        with suppress(ProcessLookupError, ChildProcessError):  # somebody else waits for all children, too
-            os.kill(self._pid, signal.SIGKILL)
-            os.waitpid(self._pid, 0)
+        try:
+            with suppress(ProcessLookupError, ChildProcessError):  # somebody else waits for all children, too
+                os.kill(self._pid, signal.SIGKILL)
+                os.waitpid(self._pid, 0)
+        finally:
+            self._hang_up()
+
+    def _hang_up(self) -> None:
+        # a thread that listens may do so while another ends it: two would close it twice
+        with self._hanging_up:
+            self._line.close()
+
+
+@contextmanager
+def _telling_of_a_death() -> Generator[None]:
+    """Around what is said and heard on a line, nothing else: a caller's own errors may be of the same types."""
+    try:
+        yield
+    # OSError itself: closed after an earlier task, or cut in the midst of a message
+    except (EOFError, OSError):
+        raise SigmaswarmError(
+            "a process of this experiment was killed, perhaps for want of memory; go on with --resume"
+        ) from None
 
 
 def _serve(run: Callable[[T, Tell], Any], line: Connection, parent: int) -> NoReturn:
@@ -129,9 +146,26 @@ def _serve(run: Callable[[T, Tell], Any], line: Connection, parent: int) -> NoRe
     while True:
         task = line.recv()
         try:
-            answer = "done", run(task, tell)
+            answer = _packed("done", run(task, tell))
         except BaseException as error:
-            if not isinstance(error, SigmaswarmError):
-                error.add_note(f"in a process of this experiment:\n{traceback.format_exc()}")
-            answer = "failed", error
-        line.send(answer)
+            answer = _packed_error(error)
+        line.send_bytes(answer)
+
+
+def _packed(word: str, said: object) -> bytes:
+    """As `Connection.recv` takes it; raises here, not in the parent, what it would raise there."""
+    packed = pickle.dumps((word, said))
+    pickle.loads(packed)
+    return packed
+
+
+def _packed_error(error: BaseException) -> bytes:
+    note = f"in a process of this experiment:\n{''.join(traceback.format_exception(error))}"
+    if not isinstance(error, SigmaswarmError):
+        error.add_note(note)
+    try:
+        return _packed("failed", error)
+    except Exception:  # not all errors can travel: what it says can
+        stand_in = RuntimeError(f"{type(error).__name__}: {error}")
+        stand_in.add_note(note)
+        return _packed("failed", stand_in)

@@ -176,9 +176,8 @@ def run_study(
         if config.rivals:  # bo silences it, but a compiler in another thread may undo that
             stack.enter_context(warnings.catch_warnings())
             warnings.filterwarnings("ignore", "The optimal value found for dimension")
-        crew = (
-            workers or cores()
-        )  # Python's own number of threads is larger, and they would wait for each other
+        # Python's own number of threads is larger, and they would wait for each other
+        crew = workers or cores()
         pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
         design = make_design(config, pool, cluster)
         elsewhere = designs_elsewhere(design, pool)
