@@ -313,6 +313,22 @@ def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm,
     assert "Another tuning, or a filter of your own" in sigmaswarm("evaluate", "second", drives).out
 
 
+def test_the_tuning_to_compare_with_is_found_from_where_one_stands(
+    sigmaswarm, drives: Path, here: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Also if OUT is the folder that one stands in, or a link to a folder elsewhere."""
+    quick = ("--particles", 4, "--generations", 2, "--trust-log", "--model", "planar5")
+    assert sigmaswarm("tune", drives, "--out", "first", *quick).code == 0
+    for folder in ("second", "deep"):
+        (here / folder).mkdir()
+    monkeypatch.chdir(here / "second")
+    assert "--against ../first\n" in sigmaswarm("tune", drives, "--out", ".", *quick).out
+    monkeypatch.chdir(here)
+    (here / "third").mkdir()
+    (here / "deep" / "link").symlink_to(here / "third")
+    assert "--against second\n" in sigmaswarm("tune", drives, "--out", "deep/link", *quick).out
+
+
 def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: Path, here: Path):
     quick = ("--particles", 4, "--generations", 2, "--trust-log")
     options = ("--model", "planar5", "--objective", "truth-rmse")

@@ -10,6 +10,7 @@ from scipy import stats
 
 from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.drives.alignment import (
+    FEWEST_FIXES,
     MAX_DURATION,
     MAX_HEADING_STD,
     MIN_DURATION,
@@ -237,14 +238,26 @@ def test_a_car_that_never_moves_can_not_be_aligned(gps_std: float):
             r"nowhere the way that the IMU felt.*doctor",
         ),
         (standing_then_going(1e9, duration=60.0), r"never travels 20 m within 6 s.*\(12 km/h for 6 s\)"),
+        (
+            standing_then_going(0.0, duration=3.9),
+            r"only 20 of 20 fixes can be used, 3.8 s .*4 within 6 s, 4 s or more .*use a longer drive",
+        ),
     ],
-    ids=["few fixes", "scattered", "standing"],
+    ids=["few fixes", "scattered", "standing", "short"],
 )
 def test_what_is_missing_for_a_start_is_what_is_told(drive: Drive, missing: str):
     with pytest.raises(AlignmentError, match=rf"^standing: .*{missing}") as caught:
         initial_state(drive)
     found = next(finding for finding in diagnose(drive).findings if finding.code == "no-start")
     assert str(caught.value) == f"standing: {found.what}; {found.remedy}"
+
+
+def test_of_four_fixes_far_apart_their_rate_is_told():
+    """The car travels 20 m between any two of them."""
+    drive = standing_then_going(2.0, duration=31.0, gps_rate=0.1)
+    assert len(drive.gps.time) == FEWEST_FIXES
+    with pytest.raises(AlignmentError, match=r"its fixes come every 10 s, .*log the receiver at 1 Hz"):
+        initial_state(drive)
 
 
 @pytest.mark.parametrize(("speed", "starts"), [(3.0, False), (4.0, True)])

@@ -10,6 +10,7 @@ from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm import read_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.recipe import Recipe
+from sigmaswarm.importing.source import Choice
 from support import DRIVES, needs_shared
 
 DRIVE = a_drive()
@@ -324,6 +325,22 @@ def test_time_is_of_the_sources_tables(tmp_path: Path):
         tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=[*maps, f"imu.t={time}"], time="stamp"
     ).drive
     assert_close(mapped.imu, DRIVE.imu, "time", 1e-6)
+
+
+def test_a_map_without_a_table_is_told_which_table_has_its_columns(tmp_path: Path):
+    imu, gps = DRIVE.imu, DRIVE.gps
+    pl.DataFrame({"t": imu.time, "ax": imu.ax, "ay": imu.ay, "odd": imu.gz}).write_csv(
+        tmp_path / "my imu.csv"
+    )
+    pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(tmp_path / "gps.csv")
+    with pytest.raises(
+        InputError, match=r"gps.csv, my imu.csv was chosen for gz; add --imu-topic 'my imu.csv',"
+    ):
+        imported(tmp_path, maps=["gz=odd"])
+    got = imported(tmp_path, maps=["gz=odd"], choice=Choice({"imu": "my imu.csv"})).drive
+    assert_close(got.imu, imu, "time ax ay gz")
+    with pytest.raises(InputError, match=r"was chosen for gz; add --imu-topic TABLE,"):
+        imported(tmp_path, maps=["gz=none"])
 
 
 @needs_shared

@@ -1,10 +1,12 @@
 """The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
 
+import json
 import re
 import shlex
 import shutil
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +126,25 @@ def test_same_bytes_twice(tmp_path: Path, folders: tuple[Path, Path, Evaluation]
 
 
 # ---- what the page says ----
+
+
+def test_the_other_filter_is_called_by_its_own_name(
+    tmp_path: Path, folders: tuple[Path, Path, Evaluation], copy: Path
+):
+    """Also of folders that Python wrote, of older ones, and where another evaluation left its against.toml."""
+    mine = FilterParameters.load(folders[0])
+    found, out = evaluate(TUESDAY, mine, against=replace(mine, kind="ekf")), tmp_path / "e"
+    save(found, folders[0], out)
+    assert FilterParameters.load(out / "against.toml") == replace(mine, kind="ekf")
+    assert "other EKF" in html_page(read_report(out))
+    mine.save(out / "against.toml")
+    assert "other EKF" in html_page(read_report(out))
+    asked = json.loads((out / "evaluation.json").read_text())
+    del asked["against"]
+    (out / "evaluation.json").write_text(json.dumps(asked))
+    page = html_page(read_report(out))
+    assert "other filter" in page and "other EKF" not in page and "other UKF" not in page
+    assert "other filter" not in html_page(read_report(copy)), "there is none"
 
 
 def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[Path, Path, Evaluation]):

@@ -88,7 +88,6 @@ def evaluate(
     from sigmaswarm.learned.folder import load_learned, seen_in
     from sigmaswarm.records import load_record
     from sigmaswarm.report.evaluation import save_evaluation
-    from sigmaswarm.scoring.records import AGAINST_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -118,9 +117,6 @@ def evaluate(
     written: list[Path] = []
     if out:
         written = save_evaluation(result, out, tuning)
-        if own is not None:
-            own.save(out / AGAINST_FILE)
-            written.append(out / AGAINST_FILE)
     if out and learned is not None:
         written += learned.save(out)
     if json:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import isfinite
+from os.path import relpath
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Unpack
@@ -160,7 +161,9 @@ def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
         except InputError:
             continue
         if [one.sha256 for one in data] == [*tuned_on]:
-            other = out.parent / file.parent.name
+            beside = out.parent / file.parent.name  # as the user writes it, unless OUT is "." or a link
+            there = beside.exists() and beside.samefile(file.parent)
+            other = beside if there else relpath(file.parent)
             return [f"compare:  {evaluate.removeprefix('next:     ')} --against {quote(str(other))}"]
     return []
 

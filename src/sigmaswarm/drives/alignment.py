@@ -125,10 +125,8 @@ class Alignments:
     def why_none(self) -> NoStart:
         """What is missing on a drive on which there is no alignment anywhere."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
-        if len(self.time) > FEWEST_FIXES and not self._many.any():
-            every = f"its fixes come every {np.median(np.diff(self.time)):.3g} s"
-            told = f"the heading takes {FEWEST_FIXES} of them within {time}"
-            return NoStart(f"no filter can start: {every}, and {told}", "log the receiver at 1 Hz or faster")
+        if not self._many.any():
+            return self._too_few()
         if not np.any(self._chord[self._many] >= MIN_TRAVEL):
             slowest = f"{3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for {time}"
             return NoStart(
@@ -139,6 +137,23 @@ class Alignments:
             f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading can't be "
             "found: they scatter or jump, or an axis, a unit or the clock of the IMU is wrong",
             "mend what `sigmaswarm doctor` finds",
+        )
+
+    def _too_few(self) -> NoStart:
+        """What is missing where no fix has enough others in the seconds before it."""
+        time, every = (
+            f"{MAX_DURATION:g} s",
+            float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0,
+        )
+        if every > MAX_DURATION / (FEWEST_FIXES - 1):
+            told = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
+            return NoStart(f"no filter can start: {told}", "log the receiver at 1 Hz or faster")
+        span = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+        usable = f"{len(self.time)} of {len(self._drive.gps.time)} fixes can be used, {span:.3g} s"
+        told = f"the heading takes {FEWEST_FIXES} within {time}, {MIN_DURATION:g} s or more"
+        return NoStart(
+            f"no filter can start: only {usable} from first to last, and {told} from first to last",
+            "use a longer drive, whose fixes come at 1 Hz or faster, without gaps, and don't repeat each other",
         )
 
     def _fitted(self, k: int) -> InitialState | None:

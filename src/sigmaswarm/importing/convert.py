@@ -1,16 +1,18 @@
 """The whole way: open a log, guess or take a recipe, gather, assemble, write."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import require_name
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble
+from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
 from sigmaswarm.importing.guess import SAMPLE, time_of, wrong_unit
@@ -185,7 +187,7 @@ def _gather_all(
         for role in ROLES:
             if home_of(role, request) == path:
                 for part in recipe.roles.get(role, ()):
-                    mine.append((role, _with_time(with_only_table(part, source), source, role)))
+                    mine.append((role, _with_time(with_only_table(part, source, role), source, role)))
         for role, part in mine:
             check_part(part, source, role)
         share = _share(progress, before / total, size[path] / total)
@@ -197,17 +199,29 @@ def _gather_all(
     return gathered
 
 
-def with_only_table(part: Part, source: Source) -> Part:
+def with_only_table(part: Part, source: Source, role: Role) -> Part:
     """A part that names no table takes the only one; and so does one that names a file, of another day's log."""
     only = next(iter(source.tables.values())) if len(source.tables) == 1 else None
     if part.table in source.tables or (part.table and (only is None or only.kind != FILES)):
         return part
     if only is None:
+        fitting = [name for name, table in source.tables.items() if _holds(table.columns, part)]
+        chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
         raise InputError(
-            f"{source.path}: holds {len(source.tables)} tables, and none was chosen for {', '.join(part.columns)}; "
-            "write a recipe with table = ..., or choose with --imu-topic and the like"
+            f"{source.path}: none of its tables {names_shown(source.tables)} was chosen for {', '.join(part.columns)}; "
+            f"add --{role}-topic {chosen}, or write a recipe with table = ..."
         )
     return replace(part, table=next(iter(source.tables)))
+
+
+def _holds(columns: Collection[str], part: Part) -> bool:
+    """Whether a table has all columns that a part's expressions name."""
+    try:
+        for text in part.columns.values():
+            compile_expression(text, columns)
+    except InputError:
+        return False
+    return True
 
 
 def _with_time(part: Part, source: Source, role: Role) -> Part:

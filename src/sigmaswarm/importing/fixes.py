@@ -80,7 +80,7 @@ def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.boo
                 f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive of it with "
                 "sigmaswarm import and name that"
             )
-        parts = [with_only_table(part, source) for part in parts]
+        parts = [with_only_table(part, source, "gps") for part in parts]
         for part in parts:
             check_part(part, source, "gps")
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []

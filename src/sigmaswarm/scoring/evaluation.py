@@ -30,8 +30,10 @@ from sigmaswarm.scoring.consistency import CORRELATED, Consistency, consistency_
 from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.records import (
+    AGAINST_FILE,
     ASKED_FILE,
     SCORES_FILE,
+    AgainstRecord,
     ConsistencyRecord,
     DriftRecord,
     EvaluationRecord,
@@ -95,14 +97,14 @@ def method_names(
     model: str = "planar5",
     *,
     also: Collection[str] = (),
-    against: tuple[str, str] = ("ukf", "planar5"),
+    against: tuple[str, str] | None = None,
 ) -> dict[str, str]:
     """`METHODS`, the tuned filter called after its kind and model.
 
     ``also``: what there is beside them: `OWN`, the filter to compare with, which comes first, and of `ALSO`.
-    ``against``: kind and model of `OWN`.
+    ``against``: kind and model of `OWN`, where they are known.
     """
-    first = {OWN: f"other {filter_called(*against)}"} if OWN in also else {}
+    first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
     return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
 
@@ -336,12 +338,15 @@ class Evaluation:
         What people call the methods.
     outage_length, outage_seed : float, int
         s without fixes, beside windows of 30 s, and what placed the outages.
+    against : FilterParameters or None
+        The other filter that was compared with.
     """
 
     drives: Mapping[str, Evaluated]
     names: Mapping[str, str] = field(default_factory=method_names)
     outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
+    against: FilterParameters | None = None
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
@@ -459,22 +464,27 @@ class Evaluation:
         )
 
     def save(self, folder: Path) -> list[Path]:
-        """Write scores.json, scores.csv, evaluation.json and tracks.npz; their paths."""
+        """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; their paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
         write_whole(paths[1], self.to_frame().write_csv())
         write_json(paths[2], self.asked.model_dump())
         save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
+        if self.against is not None:
+            paths.append(folder / AGAINST_FILE)
+            self.against.save(paths[-1])
         return paths
 
     @property
     def asked(self) -> EvaluationRecord:
         """As evaluation.json holds it."""
+        other = self.against
         return EvaluationRecord(
             outage_length_s=self.outage_length,
             outage_seed=self.outage_seed,
             versions=versions(),
             data=[found.record.model_copy(update={"name": name}) for name, found in self.drives.items()],
+            against=None if other is None else AgainstRecord(kind=other.kind, model=other.model),
         )
 
 
@@ -558,11 +568,9 @@ def evaluate(
         name = _unique(drive, found)
         known = None if seen is None or marks is None else known_overlap(marks, seen)
         found[name] = replace(each if name == drive else each.called(name), seen=known)
-    other = against or parameters
-    names = method_names(
-        parameters.kind, parameters.model, also=(*own, *also), against=(other.kind, other.model)
-    )
-    return Evaluation(found, names, outage_length, outage_seed)
+    other = None if against is None else (against.kind, against.model)
+    names = method_names(parameters.kind, parameters.model, also=(*own, *also), against=other)
+    return Evaluation(found, names, outage_length, outage_seed, against)
 
 
 def _one(

@@ -116,10 +116,21 @@ class ScoresRecord(BaseModel):
         ], known
 
 
+class AgainstRecord(BaseModel):
+    """What names a filter that was compared with."""
+
+    kind: str
+    model: str
+
+
 class EvaluationRecord(BaseModel):
-    """evaluation.json: what was asked, of which drives."""
+    """evaluation.json: what was asked, of which drives.
+
+    ``against``: the other filter, where there was one; its parameters are in against.toml.
+    """
 
     outage_length_s: float
     outage_seed: int
     versions: dict[str, str]
     data: list[DriveRecord]
+    against: AgainstRecord | None = None

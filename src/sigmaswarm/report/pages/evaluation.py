@@ -35,7 +35,7 @@ from sigmaswarm.scoring.evaluation import (
     worse_than_raw,
     worse_than_untuned,
 )
-from sigmaswarm.scoring.records import AGAINST_FILE, ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
@@ -59,7 +59,8 @@ def evaluation_report(folder: Path) -> Report:
     asked = load_record(EvaluationRecord, folder / ASKED_FILE)
     file = load_record(TuningRecord, folder / FILE)
     also = [method for method in (OWN, *ALSO) if method in scores.mean]
-    names = method_names(*_kind_and_model(file), also=also, against=_kind_and_model(_other(folder) or file))
+    other = asked.against and (asked.against.kind, asked.against.model)
+    names = method_names(*_kind_and_model(file), also=also, against=other)
     left_out = {OWN, *ALSO} - {*also}
     lines = tuple(
         Line(m, (LABELS | names)[m], LOOKS[m], shown=m in SHOWN) for m in LINES if m not in left_out
@@ -104,11 +105,6 @@ def evaluation_report(folder: Path) -> Report:
         command=command,
         command_note=note,
     )
-
-
-def _other(folder: Path) -> TuningRecord | None:
-    """The filter that was compared with, where there was one."""
-    return load_record(TuningRecord, folder / AGAINST_FILE) if (folder / AGAINST_FILE).exists() else None
 
 
 def _kind_and_model(file: TuningRecord) -> tuple[str, str]:
