@@ -124,11 +124,19 @@ def test_an_error_of_who_is_told_is_no_killed_process(kind: type[Exception]):
         asked(0, lose)
 
 
-class TwoPartError(Exception):
-    """Is pickled, but not unpickled: that would take two arguments."""
+class Half:
+    """Is pickled, but not unpickled."""
 
-    def __init__(self, what: str, where: str) -> None:
-        super().__init__(f"{what} in {where}")
+    def __reduce__(self) -> tuple[type, tuple[str]]:
+        return int, ("no number",)
+
+
+class HalfError(Exception):
+    """Likewise, whatever else in this process has taught pickle of errors."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.half = Half()
 
 
 def test_an_error_that_can_t_travel_is_told_of():
@@ -139,11 +147,11 @@ def test_an_error_that_can_t_travel_is_told_of():
         if task == 0:
             raise LocalError("here")
         if task == 1:
-            raise TwoPartError("a hole", "the road")
+            raise HalfError("a hole in the road")
         return task
 
     with forked(stumble, 1) as asked:
-        for task, message in enumerate(["LocalError: here", "TwoPartError: a hole in the road"]):
+        for task, message in enumerate(["LocalError: here", "HalfError: a hole in the road"]):
             with pytest.raises(RuntimeError) as stumbled:
                 asked(task, print)
             assert str(stumbled.value) == message
@@ -152,10 +160,6 @@ def test_an_error_that_can_t_travel_is_told_of():
 
 
 def test_a_result_that_can_t_travel_is_told_of():
-    class Half:
-        def __reduce__(self) -> tuple[type, tuple[str]]:
-            return int, ("no number",)
-
     def run(task: int, tell: Tell) -> object:
         return Half() if task else threading.Lock()
 
