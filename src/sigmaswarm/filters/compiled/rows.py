@@ -9,7 +9,7 @@ cache lines: the whole run then takes a seventh longer, or not, as chance has it
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils, config
+from numba.core import config
 from numba.extending import intrinsic
 
 from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS
@@ -24,7 +24,8 @@ def _on_the_stack(blocks):
     def call(typing_context, lanes):
         def generate(context, builder, signature, arguments):
             size = ir.IntType(64)
-            data = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), blocks * N_ROWS * LANES))
+            with builder.goto_entry_block():  # by hand: Numba's own would fill it with zeros at each call
+                data = builder.alloca(ir.ArrayType(ir.DoubleType(), blocks * N_ROWS * LANES))
             data.align = CACHE_LINE
             array = context.make_array(kind)(context, builder)
             context.populate_array(
@@ -54,5 +55,5 @@ Lanes are LANES or WIDEST; always LANES where nothing is compiled.
 
 new_blocks = _in_python if config.DISABLE_JIT else _on_the_stack(BLOCKS)
 """The same of up to BLOCKS times LANES: it is said to have as many columns, but lane LANES + k of row r is the k-th of
-row N_ROWS + r. A live filter's step does without: it would take half as long again for so much of the stack.
+row N_ROWS + r.
 """
