@@ -17,6 +17,11 @@ def to_do(remedy: str, why: str) -> str:
     return f"{TO_DO}{remedy}: {why}"
 
 
+def in_order(remarks: Iterable[str]) -> list[str]:
+    """First what asks for action."""
+    return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
+
+
 def visible(text: str, kept: str = "\n\t") -> str:
     """The text with control characters but ``kept`` as escapes: a name may hold what moves a terminal's cursor."""
     if text.isprintable():

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from sigmaswarm.filters.compiled import lanes
 from sigmaswarm.filters.compiled.layout import BLOCKS, LANES, N_ROWS, WIDEST
-from sigmaswarm.filters.compiled.rows import new_blocks
+from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
 
 compiled = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -48,7 +48,7 @@ def _everything(w, shift, *, n, halved):
 
 
 def _run(rows, shift, *, kernel, n_lanes):
-    w = new_blocks(n_lanes)
+    w = new_rows(n_lanes)
     for r in range(12):
         for lane in range(n_lanes):
             w[lane // LANES * N_ROWS + r, lane % LANES] = rows[r, lane]

@@ -141,10 +141,8 @@ class Alignments:
 
     def _too_few(self) -> NoStart:
         """What is missing where no fix has enough others in the seconds before it."""
-        time, every = (
-            f"{MAX_DURATION:g} s",
-            float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0,
-        )
+        time = f"{MAX_DURATION:g} s"
+        every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
             told = f"its fixes come every {every:.3g} s, and the heading takes {FEWEST_FIXES} of them within {time}"
             return NoStart(f"no filter can start: {told}", "log the receiver at 1 Hz or faster")

@@ -124,9 +124,8 @@ class Recording:
         if self._looks is not None:
             line = replay.timeline
             moments = line.fix_time[self._looks.fix]
-            self._ends = (
-                np.searchsorted(line.alignments.time, moments, side="right") - 1
-            )  # of their alignments
+            # of their alignments
+            self._ends = np.searchsorted(line.alignments.time, moments, side="right") - 1
         self._recovery = Recovery()
         self.restarts = self._recovery.restarts
         self._parts = self._run()

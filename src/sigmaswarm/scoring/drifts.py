@@ -1,6 +1,6 @@
 """What methods drift while fixes are hidden: outages placed again and again, for one placement is a draw of chance."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Protocol
 
@@ -35,8 +35,6 @@ OWN = "against"
 """The method that is another tuning, or a filter of the user's own."""
 UNTUNED = "untuned"
 """The method that is the tuned filter's model and parts by data sheet."""
-WATCHED = ("tuned", OWN, UNTUNED)
-"""The methods that start anew where they lost their way."""
 
 
 class Run(Protocol):
@@ -87,33 +85,34 @@ class Outages:
         filters: Mapping[str, FilterParameters],
         also: Runs = MappingProxyType({}),
         *,
-        watched: Collection[str] = WATCHED,
+        watched: bool = True,
     ) -> None:
         """Run filters with the fixes hidden, and what else there is. No steps are kept.
 
-        Those of ``watched`` start anew where they lost their way; the others share the lanes of one run.
+        Where they are ``watched`` they start anew where they lost their way; else they share the lanes of one run.
         """
-        alone = {m: p for m, p in filters.items() if m in watched}
-        together = {m: p for m, p in filters.items() if m not in watched}
         for seed in self.seeds:
             self._ready.forget()
-            self._run_placed(seed, alone, together, also)
+            self._run_placed(seed, filters, also, watched=watched)
         self._ready.forget()
 
     def _run_placed(
         self,
         seed: Seed,
-        alone: Mapping[str, FilterParameters],
-        together: Mapping[str, FilterParameters],
+        filters: Mapping[str, FilterParameters],
         also: Runs,
+        *,
+        watched: bool,
     ) -> None:
         """One placement; a function of its own, so that its steps are gone before the next one's are made."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
-        sums = [Recording(outages, p, recover=True).finished().sums for p in alone.values()]
-        if together:
-            sums.append(run_replays([outages], [*together.values()]))
-        scores = scores_of({"outages": [outages]}, {"outages": joined(sums, axis=1)})
-        for i, method in enumerate([*alone, *together]):
+        if watched:
+            each = [Recording(outages, p, recover=True).finished().sums for p in filters.values()]
+            sums = joined(each, axis=1)
+        else:
+            sums = run_replays([outages], [*filters.values()])
+        scores = scores_of({"outages": [outages]}, {"outages": sums})
+        for i, method in enumerate(filters):
             self._each.setdefault(method, []).append(scores[i, 0].outage_drift)
             if scores[i, 0].failed:
                 self.failed.add(method)

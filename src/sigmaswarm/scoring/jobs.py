@@ -97,7 +97,7 @@ def _jobs(
 ) -> Iterator[Job]:
     """The parts by all sets: so many of the longest parts by the first number of lanes, the others by the second."""
     more, most = (len(MODELS[model].states) / 5) ** 1.5, most_lanes(model)
-    longest = sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide]
+    longest = set(sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide])
     for k, part in enumerate(parts):
         width = lanes[0] if k in longest else lanes[1]
         for first in range(0, n_sets, width):

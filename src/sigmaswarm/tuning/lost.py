@@ -78,7 +78,7 @@ def drifts_of(
         )
     except InputError:  # the car stands there
         return np.nan, np.nan
-    outages.run({"tuned": parameters, UNTUNED: datasheet(ready.drive, like=parameters)}, watched=())
+    outages.run({"tuned": parameters, UNTUNED: datasheet(ready.drive, like=parameters)}, watched=False)
     return outages.drift("tuned"), outages.drift(UNTUNED)
 
 

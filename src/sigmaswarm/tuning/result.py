@@ -22,7 +22,7 @@ from sigmaswarm.tuning.scale import SCALE_FREE
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
-from sigmaswarm.wording import TO_DO, to_do
+from sigmaswarm.wording import in_order, to_do
 
 P = TypeVar("P", default=FilterParameters)
 NOT_VALIDATED = (
@@ -169,7 +169,7 @@ class Tuning(Generic[P]):
         elif self.validation.gap > LARGE_GAP:
             gap = f"{self.validation.gap:.0%} larger than on the training drives"
             remarks.append(to_do(MORE_DRIVES, f"errors on the validation drives are {gap}"))
-        return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
+        return in_order(remarks)
 
     def _heading_is_loose(self) -> bool:
         p = self.parameters

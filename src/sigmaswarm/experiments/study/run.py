@@ -184,7 +184,7 @@ def run_study(
         spaces, lessons = _spaces(design), trainings(design)
         tell = _telling(design, sum(map(epochs_of, lessons)), progress)
         alone = executor is not None or cluster is not None or config.rivals  # JAX bears no fork
-        trials = _tune_all(design, spaces, folder, pool, tell, forks=0 if alone else crew)
+        trials = _tune_all(design, spaces, folder, pool, tell, forks=0 if alone or crew == 1 else crew)
         watch.lap("tuning")
         boxes = {task: spaces[task.protocol, task.method] for task in trials}
         points = {task: boxes[task].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
@@ -311,11 +311,11 @@ def _tune_all(
         return _effort(configs[variant], needs[variant])
 
     tasks, rounds = list(design.tasks), design.config.generations
-    if forks > 1:
+    if forks:
         for variant, config in configs.items():  # compiled and loaded here, once for all
             problem = CarProblem(config, spaces[variant], [], replays[needs[variant]])
             problem.each(problem.space.low[np.newaxis], [0], None)
-    with forked(one, forks if forks > 1 else 0) as run:
+    with forked(one, forks) as run:
         return run_grid(tasks, run, pool, rounds=rounds, effort=effort, progress=told)
 
 

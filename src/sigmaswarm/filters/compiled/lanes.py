@@ -47,8 +47,6 @@ def _series(z):
 
 FAR = (math.pi / 4) ** 2
 """Of a squared angle: up to there `sinc_cos` holds."""
-
-
 TINY = 1e-100
 """Added to what may be 0 and is divided by; too small to change anything else."""
 
@@ -60,20 +58,20 @@ def sinc_cos(z):
 
 
 def _near(x, n):
-    """x less n right angles, between -pi/4 and pi/4, and its sine and cosine, without branches or calls.
+    """Sine and cosine of x less n right angles, which is between -pi/4 and pi/4, without branches or calls.
 
     Cody-Waite reduction. Error about 3e-16 for |x| below 1e5.
     """
     r = ((x - n * 1.5707963267341256) - n * 6.077100506303966e-11) - n * 2.0222662487959506e-21
     z = r * r
     s, cos = _series(z)
-    return r, r + r * z * s, cos
+    return r + r * z * s, cos
 
 
 def sincos(x):
     """Sine and cosine."""
     n = np.floor(x * (2 / math.pi) + 0.5)
-    _, sin, cos = _near(x, n)
+    sin, cos = _near(x, n)
     quadrant = n - 4.0 * np.floor(n * 0.25)
     odd = (quadrant == 1.0) | (quadrant == 3.0)
     s = cos if odd else sin
@@ -86,10 +84,16 @@ def sincos(x):
 def sine_and_half(d):
     """sin d and sin^2(d/2), from a quarter of the angle, less whole turns: no quadrant is left to ask for."""
     n = np.floor(d * (0.5 / math.pi) + 0.5)
-    _, sin, cos = _near(0.25 * d, n)
-    double = sin * cos
-    sin_h = 2.0 * double
+    sin, cos = _near(0.25 * d, n)
+    sin_h = 2.0 * (sin * cos)
     return 2.0 * sin_h * (1.0 - 2.0 * sin * sin), sin_h * sin_h
+
+
+def spread_of(gamma, variance):
+    """d = gamma sigma of an angle's variance, k = sin d / d and sin^2(d/2): what its sigma points do, see `planar5`."""
+    d = gamma * math.sqrt(variance) + TINY
+    sin_d, sin2_h = sine_and_half(d)
+    return d, sin_d / d, sin2_h
 
 
 def angle_of(y, x):

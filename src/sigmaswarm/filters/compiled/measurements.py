@@ -15,7 +15,7 @@ import math
 
 from sigmaswarm.drives.odometer import AGE, MORE, SPEED
 from sigmaswarm.drives.timeline import AX, FIX_U, FIX_V, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GX, GY, GZ
-from sigmaswarm.filters.compiled.lanes import TINY, kernel, sincos, sine_and_half
+from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import C1, C2, LANES, Q0, R, at
 from sigmaswarm.filters.compiled.tilted12 import (
     fold,
@@ -152,9 +152,7 @@ def _turn_lever(w, lever_x, lever_y):
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + TINY
-        sin_d, sin2_h = sine_and_half(d)
-        k = sin_d / d
+        _, k, sin2_h = spread_of(w[R.GAMMA, l], w[R.TT, l])
         w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * sin2_h
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
@@ -390,9 +388,8 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             arm = w[R.ODOMETER_LATENCY, l] + age
         tt = w[R.TT, l]
         s, c = sincos(w[R.T, l])
-        d = gamma * math.sqrt(tt) + TINY
-        sin_d, sin2_h = sine_and_half(d)
-        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
+        d, k, sin2_h = spread_of(gamma, tt)
+        e = w[R.SHORTENS, l] * sin2_h
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
         t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]

@@ -22,10 +22,8 @@ for anew where something else has turned it, a fix or a start: row FACED is 0 th
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-import math
-
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import FAR, TINY, kernel, sinc_cos, sincos, sine_and_half
+from sigmaswarm.filters.compiled.lanes import FAR, kernel, sinc_cos, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import LANES, R
 
 
@@ -50,9 +48,8 @@ def _turn(w, ax, ay, turn, faced):
         w[R.FACED, l] = faced
         w[R.T, l] += turn
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        d = w[R.GAMMA, l] * math.sqrt(w[R.TT, l]) + TINY
-        sin_d, sin2_h = sine_and_half(d)
-        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
+        _, k, sin2_h = spread_of(w[R.GAMMA, l], w[R.TT, l])
+        e = w[R.SHORTENS, l] * sin2_h
         w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
         w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
 

@@ -16,10 +16,8 @@ The second-order terms off (gamma = SECOND = 0): mu = 0, m = 0, k = cos d = 1; t
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 
-import math
-
 from sigmaswarm.drives.timeline import AX, AY, DT, GZ, Q_SCALE
-from sigmaswarm.filters.compiled.lanes import TINY, kernel, sincos, sine_and_half
+from sigmaswarm.filters.compiled.lanes import kernel, sincos, spread_of
 from sigmaswarm.filters.compiled.layout import LANES, R
 
 
@@ -32,9 +30,8 @@ def _turn(w, dt, ax, ay):
         fx, fy = ax - w[R.A, l], ay - w[R.B, l]
         a, b = c * fx - s * fy, s * fx + c * fy
         second, gamma, tt = w[R.SECOND, l], w[R.GAMMA, l], w[R.TT, l]
-        d = gamma * math.sqrt(tt) + TINY
-        sin_d, sin2_h = sine_and_half(d)
-        e, k = w[R.SHORTENS, l] * sin2_h, sin_d / d
+        d, k, sin2_h = spread_of(gamma, tt)
+        e = w[R.SHORTENS, l] * sin2_h
         m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
         te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
         mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te

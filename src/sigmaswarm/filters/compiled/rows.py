@@ -18,42 +18,36 @@ CACHE_LINE = 64
 """Bytes; also the width of the widest vectors."""
 
 
-def _on_the_stack(blocks):
+@intrinsic
+def _on_the_stack(typing_context, lanes):
     kind = types.Array(types.float64, 2, "A")
 
-    def call(typing_context, lanes):
-        def generate(context, builder, signature, arguments):
-            size = ir.IntType(64)
-            with builder.goto_entry_block():  # by hand: Numba's own would fill it with zeros at each call
-                data = builder.alloca(ir.ArrayType(ir.DoubleType(), blocks * N_ROWS * LANES))
-            data.align = CACHE_LINE
-            array = context.make_array(kind)(context, builder)
-            context.populate_array(
-                array,
-                data=builder.bitcast(data, ir.DoubleType().as_pointer()),
-                shape=[size(blocks * N_ROWS), arguments[0]],
-                strides=[size(8 * LANES), size(8)],
-                itemsize=size(8),
-                meminfo=None,
-            )
-            return array._getvalue()
+    def generate(context, builder, signature, arguments):
+        size = ir.IntType(64)
+        with builder.goto_entry_block():  # by hand: Numba's own would fill it with zeros at each call
+            data = builder.alloca(ir.ArrayType(ir.DoubleType(), BLOCKS * N_ROWS * LANES))
+        data.align = CACHE_LINE
+        array = context.make_array(kind)(context, builder)
+        context.populate_array(
+            array,
+            data=builder.bitcast(data, ir.DoubleType().as_pointer()),
+            shape=[size(BLOCKS * N_ROWS), arguments[0]],
+            strides=[size(8 * LANES), size(8)],
+            itemsize=size(8),
+            meminfo=None,
+        )
+        return array._getvalue()
 
-        return kind(types.int64), generate
-
-    return intrinsic(call)
+    return kind(types.int64), generate
 
 
 def _in_python(lanes):
     return np.empty((N_ROWS, LANES))
 
 
-new_rows = _in_python if config.DISABLE_JIT else _on_the_stack(1)
+new_rows = _in_python if config.DISABLE_JIT else _on_the_stack
 """``(lanes)``: an array of rows, not yet written; it lives as long as the kernel that asked for it.
 
-Lanes are LANES or WIDEST; always LANES where nothing is compiled.
-"""
-
-new_blocks = _in_python if config.DISABLE_JIT else _on_the_stack(BLOCKS)
-"""The same of up to BLOCKS times LANES: it is said to have as many columns, but lane LANES + k of row r is the k-th of
-row N_ROWS + r.
+It is said to have ``lanes`` columns, but has LANES: lane LANES + k of row r is the k-th of row N_ROWS + r. Always LANES
+where nothing is compiled.
 """

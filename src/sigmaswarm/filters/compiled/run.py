@@ -19,7 +19,7 @@ from sigmaswarm.drives.timeline import Q_SCALE
 from sigmaswarm.filters import fuzzy, models, schedule, student, tilted
 from sigmaswarm.filters.compiled.lanes import OPTIONS, kernel
 from sigmaswarm.filters.compiled.layout import LANES, N_KEPT, N_ROWS, R, state_rows
-from sigmaswarm.filters.compiled.rows import new_blocks
+from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.step import step_of
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.compiled.unroll import unrolled
@@ -67,33 +67,37 @@ def _take_logarithm(w):
         w[R.DET, l], w[R.TAIL, l] = 1.0, 1.0
 
 
-def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
-    """Add the squared errors at a moment of truth, and the position's NEES.
+def _wrapped(angle):
+    return angle - _TWO_PI * np.floor(angle / _TWO_PI + 0.5)
 
-    The estimate is linear between two IMU samples; the covariance is that at the later one.
-    """
+
+def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
+    """Errors in x, y and heading; the estimate is linear between two IMU samples."""
+    x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
+    y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
+    turn = _wrapped(w[heading, l] - w[R.BEFORE_T, l])
+    return x, y, _wrapped(w[R.BEFORE_T, l] + weight * turn - true_theta)
+
+
+def _add(w, l, x, y, wrong, scores_heading):
+    w[R.SQ_POSITION, l] += x * x + y * y
+    w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
+    xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
+    w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+
+
+def _score(w, weight, true_x, true_y, true_theta, scores_heading, *, heading):
+    """Add the squared errors at a moment of truth, and the position's NEES, by the covariance at the later sample."""
     for l in range(LANES):
-        x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
-        y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
-        turn = w[heading, l] - w[R.BEFORE_T, l]
-        turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
-        wrong = w[R.BEFORE_T, l] + weight * turn - true_theta
-        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
-        w[R.SQ_POSITION, l] += x * x + y * y
-        w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
-        xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
-        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
+        _add(w, l, x, y, wrong, scores_heading)
 
 
 def _score_there(w, true_x, true_y, true_theta, scores_heading, *, heading):
     """As `_score` at the very time of an IMU sample."""
     for l in range(LANES):
-        x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, w[heading, l] - true_theta
-        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
-        w[R.SQ_POSITION, l] += x * x + y * y
-        w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
-        xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
-        w[R.NEES, l] += (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        x, y, wrong = w[R.X, l] - true_x, w[R.Y, l] - true_y, _wrapped(w[heading, l] - true_theta)
+        _add(w, l, x, y, wrong, scores_heading)
 
 
 def _score_doubtful(
@@ -104,12 +108,7 @@ def _score_doubtful(
     Apart from `_score`, which a factor of 1 would let round otherwise.
     """
     for l in range(LANES):
-        x = w[R.BEFORE_X, l] + weight * (w[R.X, l] - w[R.BEFORE_X, l]) - true_x
-        y = w[R.BEFORE_Y, l] + weight * (w[R.Y, l] - w[R.BEFORE_Y, l]) - true_y
-        turn = w[heading, l] - w[R.BEFORE_T, l]
-        turn -= _TWO_PI * np.floor(turn / _TWO_PI + 0.5)
-        wrong = w[R.BEFORE_T, l] + weight * turn - true_theta
-        wrong -= _TWO_PI * np.floor(wrong / _TWO_PI + 0.5)
+        x, y, wrong = _off_between(w, l, weight, true_x, true_y, true_theta, heading)
         w[R.SQ_POSITION, l] += counts * (x * x + y * y)
         w[R.SQ_HEADING, l] += scores_heading * heading_counts * wrong * wrong
         xx, xy, yy = w[R.XX, l] + var_x, w[R.XY, l], w[R.YY, l] + var_y
@@ -271,7 +270,7 @@ def _machine_code(sources, *, steps_to):
     ):
         if sources == "":  # never; so the name is closed over
             return
-        w = new_blocks(rows.shape[1])
+        w = new_rows(rows.shape[1])
         _load(w, rows)
         steps_to(
             w,

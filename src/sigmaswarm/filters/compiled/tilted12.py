@@ -33,7 +33,7 @@ from sigmaswarm.drives.timeline import (
     GZ,
     Q_SCALE,
 )
-from sigmaswarm.filters.compiled.lanes import FAR, angle_of, kernel, sinc_cos, sincos
+from sigmaswarm.filters.compiled.lanes import FAR, TINY, angle_of, kernel, sinc_cos, sincos
 from sigmaswarm.filters.compiled.layout import C1, C2, FP, LANES, Q0, R, at
 from sigmaswarm.filters.tilted import GRAVITY, N
 
@@ -59,7 +59,7 @@ def _turn_far(w):
     """The quaternions of `_half_turn` for any angle; those of the lanes whose angle is small stay as they are."""
     for l in range(LANES):
         x, y, z = w[R.HALF_X, l], w[R.HALF_Y, l], w[R.HALF_Z, l]
-        angle = math.sqrt(x * x + y * y + z * z) + 1e-300
+        angle = math.sqrt(x * x + y * y + z * z) + TINY
         sine, c = sincos(angle)
         k = sine / angle
         near = x * x + y * y + z * z < FAR
@@ -173,7 +173,7 @@ def fold(w):
     """Turn the quaternion by the error in I, J and T, from the left; then there is none."""
     for l in range(LANES):
         x, y, z = 0.5 * w[R.I, l], 0.5 * w[R.J, l], 0.5 * w[R.T, l]
-        angle = math.sqrt(x * x + y * y + z * z) + 1e-300
+        angle = math.sqrt(x * x + y * y + z * z) + TINY
         sine, c = sincos(angle)
         k = sine / angle
         x, y, z = k * x, k * y, k * z

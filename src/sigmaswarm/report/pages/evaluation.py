@@ -40,7 +40,7 @@ from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
-from sigmaswarm.wording import TO_DO
+from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
@@ -85,9 +85,13 @@ def evaluation_report(folder: Path) -> Report:
         title=f"Evaluation of {filter_name(file)}",
         lead=(_result(scores, data, asked.outage_length_s, names), *without, what_was_tuned(file)),
         figures=_figures(scores, shown, names),
-        remarks=_in_order(
-            *_remarks(scores, data, shown),
-            *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
+        remarks=tuple(
+            in_order(
+                [
+                    *_remarks(scores, data, shown),
+                    *(remark for remark in remarks(file) if remark != NOT_VALIDATED),
+                ]
+            )
         ),
         sections=(
             _comparison(scores, names, shown, asked.outage_length_s),
@@ -109,11 +113,6 @@ def evaluation_report(folder: Path) -> Report:
 
 def _kind_and_model(file: TuningRecord) -> tuple[str, str]:
     return str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
-
-
-def _in_order(*remarks: str) -> tuple[str, ...]:
-    """First what asks for action."""
-    return tuple(sorted(remarks, key=lambda remark: not remark.startswith(TO_DO)))
 
 
 def _with_what_was_seen(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
