@@ -43,6 +43,15 @@ if __name__ == "__main__":
     elif before == "polars":
         import polars
         polars.DataFrame({"a": range(1000), "b": range(1000)}).sort("a").select(polars.all().sum())
+    elif before == "late":  # a pool whose first thread has not run yet: it has no name
+        import ctypes, threading
+        named = threading.Event()
+        def second():
+            ctypes.CDLL(None).prctl(15, b"polars-1")  # PR_SET_NAME
+            named.set()
+            threading.Event().wait()
+        threading.Thread(target=second, daemon=True).start()
+        named.wait()
     queue = multiprocessing.get_context(method).Queue()
     child = fork(int(depth), queue, method)
     try:
@@ -61,12 +70,13 @@ if __name__ == "__main__":
         ("read", "fork", 1, False),
         ("write", "fork", 0, False),
         ("polars", "fork", 0, False),
+        ("late", "fork", 0, False),
         ("read", "spawn", 0, True),
         ("read", "forkserver", 0, True),
     ],
 )
 def test_reading_in_a_child(tmp_path: Path, before: str, method: str, depth: int, works: bool):
-    if before == "polars" and sys.platform != "linux":
+    if before in ("polars", "late") and sys.platform != "linux":
         pytest.skip("only Linux tells which threads run")
     write_drive(make_drive(duration=20), tmp_path / "drive")
     (tmp_path / "program.py").write_text(PROGRAM)

@@ -5,12 +5,14 @@ that it reads. Children of a parent that had not yet used Polars make a pool of 
 """
 
 import os
+import re
 from pathlib import Path
 
 from sigmaswarm.errors import SigmaswarmError
 
-_THREADS = ("polars-0", "async-executor-")
-"""Names of the threads of Polars' pools (Linux shows 15 letters of them)."""
+_THREAD = re.compile(r"polars-\d|async-executor-")
+"""The name of a thread of Polars' pools (Linux shows 15 letters of it). Each names itself when it first runs, which on
+a busy machine is late: number 1 may have done all the work before number 0 has its name."""
 
 
 class _State:
@@ -44,7 +46,7 @@ def _threads_run() -> bool:
         names = [(task / "comm").read_text() for task in Path("/proc/self/task").iterdir()]
     except OSError:
         return False
-    return any(name.startswith(_THREADS) for name in names)
+    return any(_THREAD.match(name) for name in names)
 
 
 if hasattr(os, "register_at_fork"):
