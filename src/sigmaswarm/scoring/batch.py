@@ -20,7 +20,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.jobs import Job, cores, jobs_for
+from sigmaswarm.scoring.jobs import Job, cores, in_turn, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
 
@@ -239,10 +239,10 @@ class Replayer:
         """Every pass by every set, in pieces so that all workers have something to do."""
         workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
         sets = Sets(parameter_sets)
-        asked = len(parameter_sets), sets.groups[0][1].like.model, workers
-        jobs = self._jobs.get(asked)
+        alike = len(parameter_sets), sets.groups[0][1].like.model, workers
+        jobs = self._jobs.get(alike)
         if jobs is None:
-            jobs = self._jobs[asked] = jobs_for(self._steps, *asked)
+            jobs = self._jobs[alike] = jobs_for(self._steps, *alike)
         packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
         if len(parameter_sets) * len(self.initial) <= MANY_STARTS:
             for _, group in sets.groups:
@@ -250,9 +250,11 @@ class Replayer:
         # The longest first, so that no worker is left with one at the end.
         order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
         longest_first = [jobs[k] for k in order]
-        replays = [self._passes[job.name][job.replays.start : job.replays.stop] for job in longest_first]
-        packed = [packs[job.sets] for job in longest_first]
-        sums = dict(zip(order, (executor.map if executor else map)(run_packed, replays, packed), strict=True))
+        asked = [
+            (self._passes[job.name][job.replays.start : job.replays.stop], packs[job.sets])
+            for job in longest_first
+        ]
+        sums = dict(zip(order, in_turn(run_packed, asked, executor, workers), strict=True))
         done = {name: list[Sums]() for name in self._passes}
         for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
             done[name].append(joined([sums[k] for k in part], axis=1))
