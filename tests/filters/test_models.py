@@ -58,7 +58,7 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
               "R_ODOMETER": 0.7, "ODOMETER_SCALE": 2.0, "ODOMETER_LATENCY": 0.2,
               "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FADING": -1.0,
               "FORGETTING": 0.875 if kind == "adaptive-ukf" else 1.0, "SECOND": second,
-              "GAMMA": second * np.sqrt(0.25 * (n + 1)), "SHORTENS": -second * 2 / (0.25 * (n + 1)),
+              "QUARTER_GAMMA": second * np.sqrt(0.25 * (n + 1)) / 4, "SHORTENS": -second * 8 / (0.25 * (n + 1)),
               "SPREAD": 0.25 * n + 2.0, "OK": 1.0, "DET": 1.0, "RECENT": -1.0}  # fmt: skip
     assert {row: rows[getattr(R, row)] for row in wanted} == wanted
     assert tuple(rows[layout.Q0 : layout.Q0 + n]) == p.process_noise

@@ -27,6 +27,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.compiled.layout import R as RowsOf
 from sigmaswarm.filters.groups import pack_constants
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
@@ -127,6 +128,19 @@ def test_what_is_watched_does_not_change_it():
         if k % 100 == 0 and asked._pending is not None:
             asked._pending.result()
     assert everything(asked) == everything(fed(LiveSwarm, p))
+
+
+def test_a_lane_that_is_replaced_goes_where_it_heads():
+    among = made(LiveSwarm, parameters("planar5"))
+    steps = [(start().time + 0.01 * k, (1.0, 0.0, 0.0)) for k in range(1, 5)]
+    for t, seen in steps[:3]:
+        among.predict(t, seen)
+    rows = among._rows_of(among._numbers)
+    rows[[RowsOf.T, RowsOf.FACED], 7] = 2.5, 0.0
+    before = rows[[RowsOf.U, RowsOf.V], 7]
+    among.predict(*steps[3])
+    east, north = rows[[RowsOf.U, RowsOf.V], 7] - before
+    assert abs(math.atan2(north, east) - 2.5) < 1e-9
 
 
 @pytest.mark.parametrize("option", ["all", "both"])

@@ -215,8 +215,8 @@ def _constants(of: dict[str, Any], n_sets: int) -> Array:
     constants[Q0 - first : Q0 - first + n] = np.broadcast_to(q, (n_sets, n)).T
     (ratio, trend), (gain_r, gain_q) = np.transpose(of["fuzzy_widths"]), np.transpose(of["fuzzy_gains"])
     values = {
-        R.GAMMA: second * np.sqrt(gamma2),
-        R.SHORTENS: -second * 2 / gamma2,
+        R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
+        R.SHORTENS: -second * 8 / gamma2,
         R.SPREAD: np.square(of["alpha"]) * (n + of["kappa"] - 1) + of["beta"],
         R.SECOND: second,
         R.RX: r[..., 0],

@@ -50,7 +50,8 @@ QUATERNION = ("ATT_W", "ATT_X", "ATT_Y", "ATT_Z")
 COVARIANCE = tuple(a + b for j, b in enumerate(_STATES) for a in _STATES[: j + 1])
 """The upper triangle column by column, so that a model's rows are the first of a larger one's."""
 CONSTANTS = (
-    "GAMMA", "SHORTENS", "SPREAD", "SECOND",  # sigma points; the first two and the last of an extended filter are 0
+    # Sigma points; of an extended filter the first two and the last are 0. SHORTENS: -8 / gamma^2.
+    "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
     "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
@@ -70,6 +71,7 @@ SUMS = (
 )  # fmt: skip
 """What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
+    "FACED_ALL",  # 0 until a run has looked where FACED is 0, and in all lanes when it makes it 0
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for two components of z
     "S11", "S12", "S22",  # H P H^T

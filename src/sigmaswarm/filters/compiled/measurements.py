@@ -152,8 +152,8 @@ def _turn_lever(w, lever_x, lever_y):
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        _, k, sin2_h = spread_of(w[R.GAMMA, l], w[R.TT, l])
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * sin2_h
+        _, k, sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
+        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * sin2
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
@@ -381,16 +381,16 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
     else:
         shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     for l in range(LANES):
-        second, gamma = w[R.SECOND, l], w[R.GAMMA, l]
+        second, gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
         if lateral:  # noqa: SIM108 (written out)
             arm = w[R.REAR_AXLE, l]
         else:
             arm = w[R.ODOMETER_LATENCY, l] + age
         tt = w[R.TT, l]
         s, c = sincos(w[R.T, l])
-        d, k, sin2_h = spread_of(gamma, tt)
-        e = w[R.SHORTENS, l] * sin2_h
-        m = 2.0 * sin2_h * (gamma / d) * (gamma / d)
+        d, k, sin2 = spread_of(gamma, tt)  # a quarter of d; of the squared sine of d / 2
+        e = w[R.SHORTENS, l] * sin2
+        m = 8.0 * sin2 * (gamma / d) * (gamma / d)
         forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
         t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]
         if lateral:
@@ -403,8 +403,8 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
         else:
             variance = c * c * w[R.UU, l] + 2.0 * c * s * w[R.UV, l] + s * s * w[R.VV, l]
-        variance += k * k * (tt * away * away - gamma * gamma * t_along * t_along)
-        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
+        variance += k * k * (tt * away * away - 16.0 * gamma * gamma * t_along * t_along)
+        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 8.0 * sin2) * away * t_along
         w[R.N1, l] = arm * shown - along - mu
         if lateral == 0:
             w[R.N1, l] += w[R.ODOMETER_SCALE, l] * speed
@@ -447,7 +447,7 @@ def absorb_odometer(w, u, wheels, *, tilted, measure_odometer):
 def _absorb_one(w, *, n):
     """x += C nu / S, P -= C C^T / S, for a scalar z; S, nu and C in rows S11, N1 and C1."""
     for l in range(LANES):
-        w[R.FACED, l] = 0.0
+        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
         g = 1.0 / w[R.S11, l]
         for j in range(n):
             gain = g * w[C1 + j, l]
@@ -460,7 +460,7 @@ def _absorb_two(w, *, n, tilted):
     """x += C G nu, P -= C G C^T, for z with two components; G = S^-1, or zero, in rows G11, G12, G22."""
     for l in range(LANES):
         g11, g12, g22 = w[R.G11, l], w[R.G12, l], w[R.G22, l]
-        w[R.FACED, l] = 0.0
+        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
         for j in range(n):
             gain_1, gain_2 = w[C1 + j, l] * g11 + w[C2 + j, l] * g12, w[C1 + j, l] * g12 + w[C2 + j, l] * g22
             w[j, l] += gain_1 * w[R.N1, l] + gain_2 * w[R.N2, l]

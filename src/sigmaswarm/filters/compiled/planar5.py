@@ -17,7 +17,8 @@ The rest is the covariance of sums: Cov(., u') = Cov(., u) + dt Cov(., g), and s
 An extended Kalman filter is the same with the second-order terms off: gamma = 0, so that e = 0 and k = 1.
 
 The heading turns by the same angle in all lanes, so its cosine and sine, rows COS and SIN, turn along; they are asked
-for anew where something else has turned it, a fix or a start: row FACED is 0 there.
+for anew where something else has turned it, a fix or a start: row FACED is 0 there, and FACED_ALL in all lanes, until
+somebody has looked.
 """
 
 # pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -35,21 +36,28 @@ def _face(w):
         faced = w[R.FACED, l] > 0.0
         w[R.COS, l] = w[R.COS, l] if faced else cos_t
         w[R.SIN, l] = w[R.SIN, l] if faced else sin_t
+        w[R.FACED, l], w[R.FACED_ALL, l] = 1.0, 1.0
 
 
 @kernel
-def _turn(w, ax, ay, turn, faced):
+def _look_away(w):
+    """The heading has turned too far for its cosine and sine to have turned along."""
+    for l in range(LANES):
+        w[R.FACED, l], w[R.FACED_ALL, l] = 0.0, 0.0
+
+
+@kernel
+def _turn(w, ax, ay, turn):
     """What the mean heading and its spread do to the acceleration times dt; then the heading turns as the gyro says."""
     for l in range(LANES):
         k_turn, cos_turn = sinc_cos(turn * turn)
         sin_turn = turn * k_turn
         sin_t, cos_t = w[R.SIN, l], w[R.COS, l]
         w[R.COS, l], w[R.SIN, l] = cos_turn * cos_t - sin_turn * sin_t, cos_turn * sin_t + sin_turn * cos_t
-        w[R.FACED, l] = faced
         w[R.T, l] += turn
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        _, k, sin2_h = spread_of(w[R.GAMMA, l], w[R.TT, l])
-        e = w[R.SHORTENS, l] * sin2_h
+        _, k, sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
+        e = w[R.SHORTENS, l] * sin2
         w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
         w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
 
@@ -62,13 +70,12 @@ def predict_planar5(w, u):
     moves by half a step with that.
     """
     dt, ax, ay, gz, q_scale = u[DT], u[AX], u[AY], u[GZ], u[Q_SCALE]
-    unknown = 0
-    for l in range(LANES):
-        unknown += not (w[R.FACED, l] > 0.0)
-    if unknown > 0:
+    if w[R.FACED_ALL, 0] == 0.0:
         _face(w)
     turn = dt * gz
-    _turn(w, dt * ax, dt * ay, turn, 1.0 if turn * turn < FAR else 0.0)
+    _turn(w, dt * ax, dt * ay, turn)
+    if not turn * turn < FAR:
+        _look_away(w)
     h = 0.5 * dt
     for l in range(LANES):
         u, v, tt = w[R.U, l], w[R.V, l], w[R.TT, l]

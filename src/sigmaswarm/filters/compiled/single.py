@@ -16,7 +16,7 @@ from numba import config, float64, int64, types
 from numba.extending import intrinsic
 
 from sigmaswarm.compilation import address_of, once
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, state_rows
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, N_KEPT, WIDEST, R, state_rows
 from sigmaswarm.filters.compiled.rows import new_rows
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.step import step_of
@@ -35,6 +35,8 @@ def _one_step(sources, *, step, kept, tape, taped):
         for r in kept:
             for lane in range(w.shape[1]):
                 w[r, lane] = v[r]
+        for lane in range(w.shape[1]):
+            w[R.FACED_ALL, lane] = v[R.FACED]  # all lanes are the same
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
             (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),

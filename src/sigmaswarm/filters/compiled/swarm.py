@@ -155,6 +155,8 @@ def _swarm_step(sources, *, step, kept):
         if sources == "":  # never; so the name is closed over
             return
         w = _rows_of(v)
+        for lane in range(LANES):
+            w[R.FACED_ALL, lane] = 0.0  # some may have been replaced
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
             (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
