@@ -34,7 +34,7 @@ def table_of(model: ModelName, kind: FilterKind, use: Sequence[Option], n: int) 
 
 
 @pytest.mark.parametrize(("model", "kind", "use"), SPACES)
-@pytest.mark.parametrize("n", [1, 30])
+@pytest.mark.parametrize("n", [1, 30, 70])
 def test_a_table_packs_as_its_sets_do(model: ModelName, kind: FilterKind, use: Sequence[Option], n: int):
     table, start = table_of(model, kind, use, n), initial_state(make_drive(duration=12))
     chunks = [Sets(sets).packed(range(n))[0][1] for sets in (table, list(table))]

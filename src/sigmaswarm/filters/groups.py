@@ -4,8 +4,9 @@ What is done once a drive and a chunk costs time beside a kernel that takes 0.2 
 other threads wait: so it is done for all sets, and all drives, together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,14 @@ from sigmaswarm.filters.student import OUTLIERS_SPAN
 from sigmaswarm.filters.table import ParameterTable, fields_of
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""The state rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad."""
+"""The state rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad; one lane where all are alike."""
 
 KEPT_INTERVALS = 64
 """So many of the drives' intervals a group keeps rows for: each log has one of its own, and a fleet has thousands."""
+
+
+KEPT_STARTS = 1_000
+"""So many starts are kept from one generation to the next: 3 kB each."""
 
 
 class Group:
@@ -64,8 +69,15 @@ class Group:
                 "or run_textbook"
             )
         lanes = np.minimum(np.arange(len(sets) + most_lanes(self.like.model) - 1), len(sets) - 1)
-        of = fields_of(sets)
-        self._constants = _constants(of, len(sets))[:, lanes]
+        self._shared = _shared(self.like) if isinstance(sets, ParameterTable) else None
+        if self._shared is None:
+            of = fields_of(sets)
+            constants = _constants(of, len(sets))
+        else:
+            of = self._shared.fields | sets.columns
+            constants = np.repeat(self._shared.constants, len(sets), axis=1)
+            _write(constants, of, sets.columns)
+        self._constants = constants[:, lanes]
         self._interval = _in_lanes(of["nominal_interval"], lanes)
         self._bias_std = _in_lanes(of["bias_std"], lanes)
         q, r = (_in_lanes(of[name], lanes) for name in ("process_noise", "measurement_noise"))
@@ -73,7 +85,8 @@ class Group:
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
         self.reads = self.like.model, accuracy, switches(self.like)
         self._fresh: dict[float, Array] = {}
-        self._starts: Starts = {}
+        self._alike = len(sets) == 1 or (self._shared is not None and "bias_std" not in sets.columns)
+        self._starts: Starts = self._shared.starts if self._shared and self._alike else {}
 
     def fresh(self, nominal_interval: float) -> Array:
         """All that its filters are beside their state before they begin, shape (N_KEPT, lanes).
@@ -94,10 +107,19 @@ class Group:
 
     def keep_starts(self, initial: Sequence[InitialState]) -> None:
         """Find out where all of them begin, and keep it: it takes as long as for a few of them."""
-        self._starts |= self._starts_in(initial, slice(None))
+        if all(start in self._starts for start in initial):
+            return
+        found = self._starts_in(initial, slice(None))
+        if self._shared and self._alike:
+            if len(self._starts) + len(found) <= KEPT_STARTS:
+                found = self._starts | found
+            self._shared.starts = found
+        self._starts = found
 
     def starts(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
         """Where those in some lanes begin."""
+        if self._alike:
+            lanes = slice(None)
         if all(start in self._starts for start in initial):
             known = ((start, *self._starts[start]) for start in initial)
             return {start: (state[:, lanes], heading[lanes]) for start, state, heading in known}
@@ -105,9 +127,34 @@ class Group:
 
     def _starts_in(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
         model, each = self.like.model, [*dict.fromkeys(initial)]
-        mean, covariance = starts_of(each, MODELS[model], self._bias_std[lanes])
+        bias_std = self._bias_std[:1] if self._alike else self._bias_std[lanes]
+        mean, covariance = starts_of(each, MODELS[model], bias_std)
         found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
         return dict(zip(each, found, strict=True))
+
+
+@dataclass(eq=False)
+class _Shared:
+    """What the sets of a table have of the one that they are like, unless they have a column of it.
+
+    Attributes
+    ----------
+    fields : dict
+        As `fields_of` gives them.
+    constants : ndarray, shape (N_CONSTANTS, 1)
+    starts : dict
+        As far as they were asked for; a new one takes its place, for others may be looking at it.
+    """
+
+    fields: dict[str, Any]
+    constants: Array
+    starts: Starts
+
+
+@lru_cache(8)
+def _shared(like: FilterParameters) -> _Shared:
+    """Kept, for generations are all alike."""
+    return _Shared(fields_of(ParameterTable(like, {})), _constants(fields_of([like]), 1), {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,45 +252,74 @@ def _constants(of: dict[str, Any], n_sets: int) -> Array:
 
     ``of``: as `fields_of` gives it
     """
-    q, r = np.asarray(of["process_noise"]), np.asarray(of["measurement_noise"])
-    kind, forgetting = of["kind"], of["forgetting"]
-    n = q.shape[-1]
-    gamma2 = np.square(of["alpha"]) * (n + of["kappa"])
-    second = np.where(kind == "ekf", 0.0, 1.0)
     constants = np.zeros((len(CONSTANTS), n_sets))
-    first = CONSTANT_ROWS.start
-    constants[Q0 - first : Q0 - first + n] = np.broadcast_to(q, (n_sets, n)).T
-    (ratio, trend), (gain_r, gain_q) = np.transpose(of["fuzzy_widths"]), np.transpose(of["fuzzy_gains"])
-    values = {
+    constants[R.R_RATE - CONSTANT_ROWS.start] = STANDSTILL_RATE_NOISE
+    _write(constants, of, of)
+    return constants
+
+
+def _write(constants: Array, of: dict[str, Any], names: Collection[str]) -> None:
+    """Those that some fields make."""
+    for needed, rows in _CONSTANTS_OF:
+        if any(name in names for name in needed):
+            for row, value in rows(of).items():
+                constants[row - CONSTANT_ROWS.start] = value
+
+
+Fields = dict[str, Any]
+
+
+def _scaling(of: dict[str, Any]) -> dict[int, Any]:
+    n = np.shape(of["process_noise"])[-1]
+    alpha2, n_kappa = np.square(of["alpha"]), n + np.asarray(of["kappa"])
+    gamma2, second = alpha2 * n_kappa, np.where(of["kind"] == "ekf", 0.0, 1.0)
+    return {
         R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
         R.SHORTENS: -second * 8 / gamma2,
-        R.SPREAD: np.square(of["alpha"]) * (n + of["kappa"] - 1) + of["beta"],
+        R.SPREAD: alpha2 * (n_kappa - 1) + of["beta"],
         R.SECOND: second,
-        R.RX: r[..., 0],
-        R.RY: r[..., 1],
-        R.R_VELOCITY: of["velocity_noise"],
-        R.R_LATERAL: of["lateral_noise"],
-        R.R_STANDSTILL: of["standstill_noise"],
-        R.R_ODOMETER: of["odometer_noise"],
-        R.ODOMETER_SCALE: 1 / of["odometer_scale"],
-        R.ODOMETER_LATENCY: of["odometer_latency"],
-        R.R_RATE: STANDSTILL_RATE_NOISE,
-        R.REAR_AXLE: of["rear_axle"],
-        R.LATENCY: of["latency"],
-        R.GATE: of["gate"],
+    }
+
+
+def _adapting(of: dict[str, Any]) -> dict[int, Any]:
+    kind, forgetting = of["kind"], of["forgetting"]
+    return {
         R.FORGETTING: np.where(kind == "adaptive-ukf", forgetting, 1.0),
         R.FADING: np.where(kind == "strong-tracking-ukf", forgetting, -1.0),
         R.FUZZY: np.where(kind == "fuzzy-ukf", forgetting, -1.0),
-        R.WIDTH_RATIO: ratio,
-        R.WIDTH_TREND: trend,
-        R.GAIN_R: gain_r,
-        R.GAIN_Q: gain_q,
-        R.ACCURACY: of["accuracy_scale"],
-        R.DOF: of["robust_dof"],
     }
-    for row, value in values.items():
-        constants[row - first] = value
-    return constants
+
+
+def _entries(field: str, *rows: int) -> tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]]:
+    """A field of as many numbers, each of which is a constant."""
+    return (field,), lambda of: dict(zip(rows, np.transpose(of[field]), strict=False))
+
+
+def _number(field: str, row: int) -> tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]]:
+    """A field that is a constant."""
+    return (field,), lambda of: {row: of[field]}
+
+
+_CONSTANTS_OF: tuple[tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]], ...] = (
+    (("alpha", "beta", "kappa", "kind"), _scaling),
+    (("kind", "forgetting"), _adapting),
+    _entries("process_noise", *range(Q0, Q0 + len(MEAN))),
+    _entries("measurement_noise", R.RX, R.RY),
+    _entries("fuzzy_widths", R.WIDTH_RATIO, R.WIDTH_TREND),
+    _entries("fuzzy_gains", R.GAIN_R, R.GAIN_Q),
+    _number("velocity_noise", R.R_VELOCITY),
+    _number("lateral_noise", R.R_LATERAL),
+    _number("standstill_noise", R.R_STANDSTILL),
+    _number("odometer_noise", R.R_ODOMETER),
+    (("odometer_scale",), lambda of: {R.ODOMETER_SCALE: 1 / np.asarray(of["odometer_scale"])}),
+    _number("odometer_latency", R.ODOMETER_LATENCY),
+    _number("rear_axle", R.REAR_AXLE),
+    _number("latency", R.LATENCY),
+    _number("gate", R.GATE),
+    _number("accuracy_scale", R.ACCURACY),
+    _number("robust_dof", R.DOF),
+)
+"""The fields that make constants, and how."""
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:
@@ -261,13 +337,13 @@ def start_rows(initial: Sequence[InitialState], nominal_intervals: Sequence[floa
         state, heading = starts[start]
         rows[:, k] = _in_blocks(group.fresh(interval)[:, lanes], blocks)
         rows[:, k, :N_STATE] = _in_blocks(state, blocks)
-        rows[:, k, R.HEADING] = heading.reshape(blocks, -1)
+        rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis], blocks)[:, 0]
     return rows.reshape(-1, N_KEPT, chunk.width)
 
 
 def _in_blocks(rows: Array, blocks: int) -> Array:
-    """Rows (r, lanes) as (blocks, r, width)."""
-    return rows.reshape(len(rows), blocks, -1).swapaxes(0, 1)
+    """Rows (r, lanes) as (blocks, r, width), or (r, 1), of all, as (1, r, 1)."""
+    return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
 
 
 _FRESH = np.zeros((N_KEPT, 1))
