@@ -77,7 +77,9 @@ def test_sincos_is_as_good_as_a_library():
     x = angles()
     ours = np.array([lanes.sincos(value) for value in x]).T
     true = np.array([np.sin(x.astype(np.longdouble)), np.cos(x.astype(np.longdouble))])
-    assert np.all(np.abs(ours - true) < 3e-16 + 0.75 * EPS * np.abs(x))  # three quarters of the angle's last digit
+    assert np.all(
+        np.abs(ours - true) < 3e-16 + 0.75 * EPS * np.abs(x)
+    )  # three quarters of the angle's last digit
     # Small values keep their digits: sin(d/2)^2 is what the closed form lives on at alpha = 1e-3.
     small = np.abs(x) < 0.7
     assert np.max(np.abs(ours[0] - true[0])[small] / np.maximum(np.abs(true[0][small]), 1e-290)) < 2 * EPS

@@ -4,7 +4,7 @@ What is done once a drive and a chunk costs time beside a kernel that takes 0.2 
 other threads wait: so it is done for all sets, and all drives, together.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,7 +17,6 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.layout import (
     CONSTANT_ROWS,
-    CONSTANTS,
     MEAN,
     N_KEPT,
     N_STATE,
@@ -26,20 +25,20 @@ from sigmaswarm.filters.compiled.layout import (
     lanes_for,
     most_lanes,
 )
+from sigmaswarm.filters.constants import constants_of, write_constants
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, Switches, starts_of, switches
+from sigmaswarm.filters.schedule import Switches, starts_of, switches
 from sigmaswarm.filters.student import OUTLIERS_SPAN
-from sigmaswarm.filters.table import ParameterTable, fields_of
+from sigmaswarm.filters.table import Fields, ParameterTable, apart, shared_fields
 
 Starts = dict[InitialState, tuple[Array, Array]]
-"""The state rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad; one lane where all are alike."""
+"""State rows (N_STATE, lanes) of filters at starts, and their headings (lanes,), rad; one lane where all are alike."""
 
 KEPT_INTERVALS = 64
 """So many of the drives' intervals a group keeps rows for: each log has one of its own, and a fleet has thousands."""
-
 
 KEPT_STARTS = 1_000
 """So many starts are kept from one generation to the next: 3 kB each."""
@@ -61,7 +60,7 @@ class Group:
     """
 
     def __init__(self, sets: Sequence[FilterParameters]) -> None:
-        self.like = sets.like if isinstance(sets, ParameterTable) else sets[0]
+        self.like, columns = apart(sets)
         kinds = MODELS[self.like.model].kinds
         if self.like.kind not in kinds:
             raise InputError(
@@ -69,14 +68,10 @@ class Group:
                 "or run_textbook"
             )
         lanes = np.minimum(np.arange(len(sets) + most_lanes(self.like.model) - 1), len(sets) - 1)
-        self._shared = _shared(self.like) if isinstance(sets, ParameterTable) else None
-        if self._shared is None:
-            of = fields_of(sets)
-            constants = _constants(of, len(sets))
-        else:
-            of = self._shared.fields | sets.columns
-            constants = np.repeat(self._shared.constants, len(sets), axis=1)
-            _write(constants, of, sets.columns)
+        self._shared = _shared(self.like)
+        of = self._shared.fields | columns
+        constants = np.repeat(self._shared.constants, len(sets), axis=1)
+        write_constants(constants, of, columns)
         self._constants = constants[:, lanes]
         self._interval = _in_lanes(of["nominal_interval"], lanes)
         self._bias_std = _in_lanes(of["bias_std"], lanes)
@@ -85,8 +80,8 @@ class Group:
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
         self.reads = self.like.model, accuracy, switches(self.like)
         self._fresh: dict[float, Array] = {}
-        self._alike = len(sets) == 1 or (self._shared is not None and "bias_std" not in sets.columns)
-        self._starts: Starts = self._shared.starts if self._shared and self._alike else {}
+        self._alike = "bias_std" not in columns
+        self._starts: Starts = self._shared.starts if self._alike else {}
 
     def fresh(self, nominal_interval: float) -> Array:
         """All that its filters are beside their state before they begin, shape (N_KEPT, lanes).
@@ -110,7 +105,7 @@ class Group:
         if all(start in self._starts for start in initial):
             return
         found = self._starts_in(initial, slice(None))
-        if self._shared and self._alike:
+        if self._alike:
             if len(self._starts) + len(found) <= KEPT_STARTS:
                 found = self._starts | found
             self._shared.starts = found
@@ -135,18 +130,18 @@ class Group:
 
 @dataclass(eq=False)
 class _Shared:
-    """What the sets of a table have of the one that they are like, unless they have a column of it.
+    """What parameter sets have of the one that they are like, but for the fields in which they differ.
 
     Attributes
     ----------
     fields : dict
-        As `fields_of` gives them.
+        As `shared_fields` gives them.
     constants : ndarray, shape (N_CONSTANTS, 1)
     starts : dict
         As far as they were asked for; a new one takes its place, for others may be looking at it.
     """
 
-    fields: dict[str, Any]
+    fields: Fields
     constants: Array
     starts: Starts
 
@@ -154,7 +149,8 @@ class _Shared:
 @lru_cache(8)
 def _shared(like: FilterParameters) -> _Shared:
     """Kept, for generations are all alike."""
-    return _Shared(fields_of(ParameterTable(like, {})), _constants(fields_of([like]), 1), {})
+    of = shared_fields(like)
+    return _Shared(of, constants_of(of), {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,81 +241,6 @@ def _in_lanes(field: Any, lanes: NDArray[np.intp]) -> Array:
     if isinstance(field, np.ndarray):
         return field[lanes]
     return np.repeat(np.array(field, dtype=np.float64)[np.newaxis], len(lanes), axis=0)
-
-
-def _constants(of: dict[str, Any], n_sets: int) -> Array:
-    """The kernel's constants, (N_CONSTANTS, n_sets), with Q per nominal interval of its own, and without PATIENCE.
-
-    ``of``: as `fields_of` gives it
-    """
-    constants = np.zeros((len(CONSTANTS), n_sets))
-    constants[R.R_RATE - CONSTANT_ROWS.start] = STANDSTILL_RATE_NOISE
-    _write(constants, of, of)
-    return constants
-
-
-def _write(constants: Array, of: dict[str, Any], names: Collection[str]) -> None:
-    """Those that some fields make."""
-    for needed, rows in _CONSTANTS_OF:
-        if any(name in names for name in needed):
-            for row, value in rows(of).items():
-                constants[row - CONSTANT_ROWS.start] = value
-
-
-Fields = dict[str, Any]
-
-
-def _scaling(of: dict[str, Any]) -> dict[int, Any]:
-    n = np.shape(of["process_noise"])[-1]
-    alpha2, n_kappa = np.square(of["alpha"]), n + np.asarray(of["kappa"])
-    gamma2, second = alpha2 * n_kappa, np.where(of["kind"] == "ekf", 0.0, 1.0)
-    return {
-        R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
-        R.SHORTENS: -second * 8 / gamma2,
-        R.SPREAD: alpha2 * (n_kappa - 1) + of["beta"],
-        R.SECOND: second,
-    }
-
-
-def _adapting(of: dict[str, Any]) -> dict[int, Any]:
-    kind, forgetting = of["kind"], of["forgetting"]
-    return {
-        R.FORGETTING: np.where(kind == "adaptive-ukf", forgetting, 1.0),
-        R.FADING: np.where(kind == "strong-tracking-ukf", forgetting, -1.0),
-        R.FUZZY: np.where(kind == "fuzzy-ukf", forgetting, -1.0),
-    }
-
-
-def _entries(field: str, *rows: int) -> tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]]:
-    """A field of as many numbers, each of which is a constant."""
-    return (field,), lambda of: dict(zip(rows, np.transpose(of[field]), strict=False))
-
-
-def _number(field: str, row: int) -> tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]]:
-    """A field that is a constant."""
-    return (field,), lambda of: {row: of[field]}
-
-
-_CONSTANTS_OF: tuple[tuple[tuple[str, ...], Callable[[dict[str, Any]], dict[int, Any]]], ...] = (
-    (("alpha", "beta", "kappa", "kind"), _scaling),
-    (("kind", "forgetting"), _adapting),
-    _entries("process_noise", *range(Q0, Q0 + len(MEAN))),
-    _entries("measurement_noise", R.RX, R.RY),
-    _entries("fuzzy_widths", R.WIDTH_RATIO, R.WIDTH_TREND),
-    _entries("fuzzy_gains", R.GAIN_R, R.GAIN_Q),
-    _number("velocity_noise", R.R_VELOCITY),
-    _number("lateral_noise", R.R_LATERAL),
-    _number("standstill_noise", R.R_STANDSTILL),
-    _number("odometer_noise", R.R_ODOMETER),
-    (("odometer_scale",), lambda of: {R.ODOMETER_SCALE: 1 / np.asarray(of["odometer_scale"])}),
-    _number("odometer_latency", R.ODOMETER_LATENCY),
-    _number("rear_axle", R.REAR_AXLE),
-    _number("latency", R.LATENCY),
-    _number("gate", R.GATE),
-    _number("accuracy_scale", R.ACCURACY),
-    _number("robust_dof", R.DOF),
-)
-"""The fields that make constants, and how."""
 
 
 def pack_constants(parameter_sets: Sequence[FilterParameters], nominal_interval: float) -> Array:

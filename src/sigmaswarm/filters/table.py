@@ -41,6 +41,9 @@ class ParameterTable(Sequence[FilterParameters]):
         return replace(self.like, **{name: value.tolist() for name, value in part.items()})
 
 
+Fields = dict[str, Any]
+"""Of n parameter sets, by name: (n,) or (n, k); where all have the same, that."""
+
 MISSING: dict[str, float] = {
     **dict.fromkeys(
         ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
@@ -50,17 +53,29 @@ MISSING: dict[str, float] = {
 """What stands for None in the fields that may be."""
 
 
-def fields_of(
+def fields_of(parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None) -> Fields:
+    """Some fields, or all."""
+    like, columns = apart(parameter_sets, names)
+    return shared_fields(like, names) | columns
+
+
+def shared_fields(like: FilterParameters, names: Sequence[str] | None = None) -> Fields:
+    """Those of one."""
+    of = vars(like)
+    return {name: MISSING[name] if of[name] is None else of[name] for name in names or of}
+
+
+def apart(
     parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None
-) -> dict[str, Any]:
-    """Fields of n parameter sets, or all, by name: (n,) or (n, k); of a table whose sets all have the same, that."""
+) -> tuple[FilterParameters, dict[str, NDArray[Any]]]:
+    """One of them, and the fields in which they differ, or may, as columns."""
     if isinstance(parameter_sets, ParameterTable):
-        of_all = vars(parameter_sets.like)
-        alike = {name: MISSING[name] if value is None else value for name, value in of_all.items()}
-        return alike | parameter_sets.columns
-    return {name: _stacked(parameter_sets, name) for name in names or vars(parameter_sets[0])}
-
-
-def _stacked(parameter_sets: Sequence[FilterParameters], name: str) -> NDArray[Any]:
-    each = [getattr(p, name) for p in parameter_sets]
-    return np.array([MISSING[name] if value is None else value for value in each])
+        return parameter_sets.like, parameter_sets.columns
+    each = [vars(p) for p in parameter_sets]
+    columns = dict[str, NDArray[Any]]()
+    for name in names or each[0]:
+        of = [one[name] for one in each]
+        first = of[0]
+        if any(value is not first and value != first for value in of):
+            columns[name] = np.array([MISSING[name] if value is None else value for value in of])
+    return parameter_sets[0], columns
