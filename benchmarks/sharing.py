@@ -6,7 +6,7 @@ thread does before and after it (parameters of points, costs) is added; `benchma
 
 from sigmaswarm.scoring.jobs import jobs_for, makespan
 
-ALONE = 0.4e-3
+ALONE = 0.5e-3
 """s of a generation of 30 in which only one thread works."""
 KITTI = 8_300, 9_700, 12_700, 16_600, 28_800
 TEN_MINUTES = (60_000,) * 5

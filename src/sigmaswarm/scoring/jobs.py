@@ -20,8 +20,8 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 
 R = TypeVar("R")
-STEP, STEP_MORE = 20e-9, 3.4e-9
-"""s: a step of planar5, and more for each lane; by the power of 1.5 of the number of states more of another model."""
+STEP, STEP_MORE = 20e-9, 3.2e-9
+"""s: a step, and more for each lane of planar5; of another model by the square of its number of states more."""
 HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
 MANY = 16
@@ -134,14 +134,14 @@ def _jobs(
     parts: Sequence[_Part], n_sets: int, model: ModelName, lanes: tuple[int, int], *, wide: int
 ) -> Iterator[Job]:
     """The parts by all sets: so many of the longest parts by the first number of lanes, the others by the second."""
-    more, most = (len(MODELS[model].states) / 5) ** 1.5, most_lanes(model)
+    more, most = STEP_MORE * (len(MODELS[model].states) / 5) ** 2, most_lanes(model)
     longest = set(sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide])
     for k, part in enumerate(parts):
         width = lanes[0] if k in longest else lanes[1]
         for first in range(0, n_sets, width):
             sets = range(first, min(first + width, n_sets))
             blocks = -(-len(sets) // most)
-            step = (blocks * STEP + STEP_MORE * lanes_for(len(sets))) * more
+            step = blocks * STEP + more * lanes_for(len(sets))
             held = HELD + len(part.replays) * HELD_MORE
             yield Job(part.name, part.replays, sets, held + step * part.steps)
 
