@@ -23,7 +23,7 @@ import numpy as np
 from sigmaswarm import datasheet, simulate
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import schedule
-from sigmaswarm.filters.compiled import layout, measurements, planar5, run
+from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.groups import Chunk
 from sigmaswarm.filters.models import MODELS
@@ -77,11 +77,8 @@ def count() -> None:
     """Print operations per lane of a predict and of a fix; needs NUMBA_DISABLE_JIT=1."""
     absorb = measurements.absorbers(MODELS["planar5"])["absorb_fix"]
     counting = SimpleNamespace(sqrt=lambda x: Counting._do("sqrt", math.sqrt, x), log=math.log, pi=math.pi)
-    for kernel in (
-        planar5.predict_planar5,
-        absorb,
-    ):  # each has names of its own, put there when it was written out
-        names = kernel.written.names
+    # each has names of its own, put there when it was written out
+    for names in (planar5.predict_planar5.written.names, absorb.written.names, vars(lanes)):
         names.update({name: counting for name, value in names.items() if value is math})
     rows = np.array(
         [[Counting(0.1) for _ in range(layout.LANES)] for _ in range(layout.N_ROWS)], dtype=object
