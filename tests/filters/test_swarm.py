@@ -25,9 +25,8 @@ from filter_cases import OPTIONS, WEIGHED, equipped, parameters
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters.compiled import swarm
+from sigmaswarm.filters.compiled import layout, swarm
 from sigmaswarm.filters.compiled.layout import LANES
-from sigmaswarm.filters.compiled.layout import R as RowsOf
 from sigmaswarm.filters.groups import pack_constants
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
@@ -136,10 +135,10 @@ def test_a_lane_that_is_replaced_goes_where_it_heads():
     for t, seen in steps[:3]:
         among.predict(t, seen)
     rows = among._rows_of(among._numbers)
-    rows[[RowsOf.T, RowsOf.FACED], 7] = 2.5, 0.0
-    before = rows[[RowsOf.U, RowsOf.V], 7]
+    rows[[layout.R.T, layout.R.FACED], 7] = 2.5, 0.0
+    before = rows[[layout.R.U, layout.R.V], 7]
     among.predict(*steps[3])
-    east, north = rows[[RowsOf.U, RowsOf.V], 7] - before
+    east, north = rows[[layout.R.U, layout.R.V], 7] - before
     assert abs(math.atan2(north, east) - 2.5) < 1e-9
 
 

@@ -1,5 +1,6 @@
 """A table of parameter sets is the sets that it stands for, to whoever looks at one and to the kernel."""
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -8,7 +9,16 @@ import pytest
 
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.prepared import prepared
-from sigmaswarm.filters.groups import KEPT_INTERVALS, Chunk, Group, Sets, start_rows
+from sigmaswarm.filters.groups import (
+    KEPT_INTERVALS,
+    KEPT_STARTS,
+    MANY_STARTS,
+    Chunk,
+    Group,
+    Sets,
+    _shared,  # pyright: ignore[reportPrivateUsage]
+    start_rows,
+)
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import run_replays
@@ -73,6 +83,42 @@ def test_known_starts_are_those_that_are_found():
     group.keep_starts([start])
     for kept, one in zip(group.starts([start], slice(0, 16))[start], found[start], strict=True):
         assert kept.tobytes() == one.tobytes()
+
+
+def test_what_one_group_has_kept_serves_the_next_where_it_is_the_same():
+    start = initial_state(make_drive(duration=12))
+    p = FilterParameters(0.5, 2.0, 0.0, (1e-4,) * 8, (1.0, 2.0), "planar8")
+    others = [replace(p, alpha=0.1), replace(p, bias_std=(0.5, 0.02)), replace(p, process_noise=(2e-4,) * 8)]
+    _shared.cache_clear()
+    alone = [start_rows([start], [0.01], Chunk.of([one]))[0, :, :1] for one in [p, *others]]
+    first = Group([p, *others[::2]])
+    first.keep_starts([start])
+    assert [*_shared(p).starts] == [start]
+    for sets in ([p, *others], [p, *others[::2]], [p] * 8):
+        group = Group(sets)
+        group.keep_starts([start])
+        rows = start_rows([start], [0.01], Chunk(group, 0, len(sets)))[0]
+        wanted = [alone[[p, *others].index(one)] for one in sets]
+        assert rows[:, : len(sets)].tobytes() == np.concatenate(wanted, axis=1).tobytes()
+    Group([p]).keep_starts([replace(start) for _ in range(50)])
+    later = Group([p] * 8)
+    later.keep_starts([start])
+    assert len(pickle.dumps(later)) < 1.1 * len(pickle.dumps(group))  # what travels is its own
+
+
+def test_few_starts_are_kept_for_the_next():
+    start, p = (
+        initial_state(make_drive(duration=12)),
+        FilterParameters(0.5, 2.0, 0.0, (1e-4,) * 5, (1.0, 2.0)),
+    )
+    _shared.cache_clear()
+    for n in (KEPT_STARTS - 5, 10, KEPT_STARTS + 1, MANY_STARTS + 1):
+        many = [replace(start) for _ in range(n)]
+        group = Group([p])
+        group.keep_starts(many)
+        assert len(_shared(p).starts) <= KEPT_STARTS
+        assert [*group.starts(many[-2:], slice(0, 8))] == many[-2:]
+    assert not group._starts  # pyright: ignore[reportPrivateUsage]
 
 
 def test_a_table_is_a_sequence_of_sets():

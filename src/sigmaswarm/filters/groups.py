@@ -40,8 +40,11 @@ Starts = dict[InitialState, tuple[Array, Array]]
 KEPT_INTERVALS = 64
 """So many of the drives' intervals a group keeps rows for: each log has one of its own, and a fleet has thousands."""
 
+MANY_STARTS = 20_000
+"""More starts of lanes, 3 kB each, are found when it is their turn."""
+
 KEPT_STARTS = 1_000
-"""So many starts are kept from one generation to the next: 3 kB each."""
+"""So many, 3 kB each, are kept from one generation to the next."""
 
 
 class Group:
@@ -68,9 +71,9 @@ class Group:
                 "or run_textbook"
             )
         lanes = np.minimum(np.arange(len(sets) + most_lanes(self.like.model) - 1), len(sets) - 1)
-        self._shared = _shared(self.like)
-        of = self._shared.fields | columns
-        constants = np.repeat(self._shared.constants, len(sets), axis=1)
+        shared = _shared(self.like)
+        of = shared.fields | columns
+        constants = np.repeat(shared.constants, len(sets), axis=1)
         write_constants(constants, of, columns)
         self._constants = constants[:, lanes]
         self._interval = _in_lanes(of["nominal_interval"], lanes)
@@ -80,8 +83,8 @@ class Group:
         accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
         self.reads = self.like.model, accuracy, switches(self.like)
         self._fresh: dict[float, Array] = {}
-        self._alike = "bias_std" not in columns
-        self._starts: Starts = self._shared.starts if self._alike else {}
+        self._start_alike = "bias_std" not in columns
+        self._starts: Starts = {}
 
     def fresh(self, nominal_interval: float) -> Array:
         """All that its filters are beside their state before they begin, shape (N_KEPT, lanes).
@@ -102,35 +105,37 @@ class Group:
 
     def keep_starts(self, initial: Sequence[InitialState]) -> None:
         """Find out where all of them begin, and keep it: it takes as long as for a few of them."""
-        if all(start in self._starts for start in initial):
+        shared = _shared(self.like)
+        known = shared.starts if self._start_alike else {}
+        unknown = [start for start in dict.fromkeys(initial) if start not in known]
+        if len(unknown) * (1 if self._start_alike else len(self._bias_std)) > MANY_STARTS:
             return
-        found = self._starts_in(initial, slice(None))
-        if self._alike:
-            if len(self._starts) + len(found) <= KEPT_STARTS:
-                found = self._starts | found
-            self._shared.starts = found
-        self._starts = found
+        if unknown:
+            found = self._starts_in(unknown, slice(None))
+            known = known | found
+            if self._start_alike and len(found) <= KEPT_STARTS:
+                shared.starts = known if len(known) <= KEPT_STARTS else found
+        self._starts = {start: known[start] for start in initial}
 
     def starts(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
         """Where those in some lanes begin."""
-        if self._alike:
+        if self._start_alike:
             lanes = slice(None)
         if all(start in self._starts for start in initial):
             known = ((start, *self._starts[start]) for start in initial)
             return {start: (state[:, lanes], heading[lanes]) for start, state, heading in known}
-        return self._starts_in(initial, lanes)
+        return self._starts_in([*dict.fromkeys(initial)], lanes)
 
     def _starts_in(self, initial: Sequence[InitialState], lanes: slice) -> Starts:
-        model, each = self.like.model, [*dict.fromkeys(initial)]
-        bias_std = self._bias_std[:1] if self._alike else self._bias_std[lanes]
-        mean, covariance = starts_of(each, MODELS[model], bias_std)
-        found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
-        return dict(zip(each, found, strict=True))
+        bias_std = self._bias_std[:1] if self._start_alike else self._bias_std[lanes]
+        mean, covariance = starts_of(initial, MODELS[self.like.model], bias_std)
+        found = zip(pack_states(mean, covariance, self.like.model), mean[..., THETA], strict=True)
+        return dict(zip(initial, found, strict=True))
 
 
 @dataclass(eq=False)
 class _Shared:
-    """What parameter sets have of the one that they are like, but for the fields in which they differ.
+    """What is the same of all sets that are like one, but for what they have columns of.
 
     Attributes
     ----------

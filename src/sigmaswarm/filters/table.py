@@ -42,7 +42,7 @@ class ParameterTable(Sequence[FilterParameters]):
 
 
 Fields = dict[str, Any]
-"""Of n parameter sets, by name: (n,) or (n, k); where all have the same, that."""
+"""Fields of n parameter sets by name: (n,) or (n, k); of a field that is the same in all sets, its value alone."""
 
 MISSING: dict[str, float] = {
     **dict.fromkeys(
@@ -54,13 +54,13 @@ MISSING: dict[str, float] = {
 
 
 def fields_of(parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None) -> Fields:
-    """Some fields, or all."""
+    """Of some sets; of all fields, or those with the names."""
     like, columns = apart(parameter_sets, names)
     return shared_fields(like, names) | columns
 
 
 def shared_fields(like: FilterParameters, names: Sequence[str] | None = None) -> Fields:
-    """Those of one."""
+    """What sets that are like one have, where they do not differ."""
     of = vars(like)
     return {name: MISSING[name] if of[name] is None else of[name] for name in names or of}
 
@@ -68,7 +68,7 @@ def shared_fields(like: FilterParameters, names: Sequence[str] | None = None) ->
 def apart(
     parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None
 ) -> tuple[FilterParameters, dict[str, NDArray[Any]]]:
-    """One of them, and the fields in which they differ, or may, as columns."""
+    """One of some sets, and as columns the fields in which they differ; of a table it has them, all of them."""
     if isinstance(parameter_sets, ParameterTable):
         return parameter_sets.like, parameter_sets.columns
     each = [vars(p) for p in parameter_sets]

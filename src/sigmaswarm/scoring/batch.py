@@ -20,13 +20,12 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.jobs import Job, cores, in_turn, jobs_for
+from sigmaswarm.scoring.jobs import Job, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
+from sigmaswarm.scoring.workers import cores, in_turn
 
 T = TypeVar("T")
-MANY_STARTS = 20_000
-"""More of them, 2 kB each, are found when it is their turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,14 +238,13 @@ class Replayer:
         """Every pass by every set, in pieces so that all workers have something to do."""
         workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
         sets = Sets(parameter_sets)
-        alike = len(parameter_sets), sets.groups[0][1].like.model, workers
-        jobs = self._jobs.get(alike)
+        shared_as = len(parameter_sets), sets.groups[0][1].like.model, workers
+        jobs = self._jobs.get(shared_as)
         if jobs is None:
-            jobs = self._jobs[alike] = jobs_for(self._steps, *alike)
+            jobs = self._jobs[shared_as] = jobs_for(self._steps, *shared_as)
         packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
-        if len(parameter_sets) * len(self.initial) <= MANY_STARTS:
-            for _, group in sets.groups:
-                group.keep_starts(self.initial)
+        for _, group in sets.groups:
+            group.keep_starts(self.initial)
         # The longest first, so that no worker is left with one at the end.
         order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
         longest_first = [jobs[k] for k in order]

@@ -7,21 +7,17 @@ Python's lock for a moment, in which no other job gets on. So few large jobs sui
 
 import heapq
 import math
-import os
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, wait
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from sigmaswarm.filters.compiled.layout import WIDEST, lanes_for, most_lanes
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 
-R = TypeVar("R")
 STEP, STEP_MORE = 20e-9, 3.2e-9
-"""s: a step, and more for each lane of planar5; of another model by the square of its number of states more."""
+"""s: a step, and more for each lane of planar5; a lane of another model, of n states, costs (n / 5)^2 times as much."""
 HELD, HELD_MORE = 70e-6, 25e-6
 """s: how long a job holds Python's lock, and how much longer for each replay."""
 MANY = 16
@@ -53,11 +49,6 @@ class Job:
     seconds: float
 
 
-def cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
     """All replays by all sets, in the order of passes, replays and sets.
 
@@ -85,41 +76,6 @@ def makespan(jobs: Iterable[Job], workers: int) -> float:
     for seconds in each:
         heapq.heapreplace(busy, busy[0] + seconds)
     return max(max(busy), len(each) * HELD)
-
-
-def in_turn(
-    function: Callable[..., R], asked: Sequence[tuple[Any, ...]], executor: Executor | None, workers: int
-) -> list[R]:
-    """The function of each, begun in their order by so many workers.
-
-    This thread is one of them: it has a processor that no other then has to be found for, and threads that are all
-    woken at once may find themselves on the same one.
-    """
-    if executor is not None and not isinstance(executor, ThreadPoolExecutor):
-        return list(executor.map(function, *zip(*asked, strict=True)))
-    left = deque(enumerate(asked))
-    done = dict[int, R]()
-
-    def work() -> None:
-        try:
-            while left:
-                try:
-                    k, arguments = left.popleft()
-                except IndexError:  # another was quicker
-                    return
-                done[k] = function(*arguments)
-        finally:
-            left.clear()  # where one fails, none goes on
-
-    others = [executor.submit(work) for _ in range(min(workers, len(asked)) - 1)] if executor else []
-    try:
-        work()
-    finally:
-        begun = [other for other in others if not other.cancel()]
-        wait(begun)
-    for other in begun:
-        other.result()
-    return [done[k] for k in range(len(asked))]
 
 
 class _Part(NamedTuple):

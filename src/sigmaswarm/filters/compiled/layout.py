@@ -67,11 +67,12 @@ SUMS = (
     "OUTLIERS", "SPAN",  # in a row, and the nominal steps from the first to the last of them
     "QUICK", "SLOW", "TIMES_R", "TIMES_Q",  # a fuzzy filter's averages, and the factors in force
     "HEADING",  # of models with tilts, whose mean has no row for it
-    "FACED", "COS", "SIN",  # planar5's heading's, right where FACED is not 0: whoever writes a heading makes it 0
+    # planar5's heading's, right where FACED is 1: whoever writes a heading makes it 0, in a kernel FACED_ALL, too.
+    "FACED", "COS", "SIN",
 )  # fmt: skip
 """What a run adds up and remembers; the first nine are those of `replay.Sums`, in its order."""
 SCRATCH = (
-    "FACED_ALL",  # 0 until a run has looked where FACED is 0, and in all lanes when it makes it 0
+    "FACED_ALL",  # the same in all lanes. 1: FACED is 1 in each of them; 0: nobody has looked
     "BEFORE_X", "BEFORE_Y", "BEFORE_T",  # the last estimate
     *(f"C1_{a}" for a in _STATES), *(f"C2_{a}" for a in _STATES),  # Cov(state, z) for two components of z
     "S11", "S12", "S22",  # H P H^T

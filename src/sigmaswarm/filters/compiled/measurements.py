@@ -152,8 +152,8 @@ def _turn_lever(w, lever_x, lever_y):
     for l in range(LANES):
         sin_t, cos_t = sincos(w[R.T, l])
         east, north = cos_t * lever_x - sin_t * lever_y, sin_t * lever_x + cos_t * lever_y
-        _, k, sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
-        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * sin2
+        _, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
+        w[R.EAST, l], w[R.NORTH, l], w[R.E, l] = east, north, w[R.SHORTENS, l] * quarter_sin2
         w[R.JEAST, l], w[R.JNORTH, l] = -k * north, k * east
 
 
@@ -381,16 +381,17 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
     else:
         shown, speed, age, more = u[AX], wheels[SPEED], wheels[AGE], wheels[MORE]
     for l in range(LANES):
-        second, gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
+        second, quarter_gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
         if lateral:  # noqa: SIM108 (written out)
             arm = w[R.REAR_AXLE, l]
         else:
             arm = w[R.ODOMETER_LATENCY, l] + age
         tt = w[R.TT, l]
         s, c = sincos(w[R.T, l])
-        d, k, sin2 = spread_of(gamma, tt)  # a quarter of d; of the squared sine of d / 2
-        e = w[R.SHORTENS, l] * sin2
-        m = 8.0 * sin2 * (gamma / d) * (gamma / d)
+        quarter_d, k, quarter_sin2 = spread_of(quarter_gamma, tt)
+        g2, sin2_h = 16.0 * quarter_gamma * quarter_gamma, 4.0 * quarter_sin2
+        e = w[R.SHORTENS, l] * quarter_sin2
+        m = 2.0 * sin2_h * (quarter_gamma / quarter_d) * (quarter_gamma / quarter_d)
         forward, left = c * w[R.U, l] + s * w[R.V, l], c * w[R.V, l] - s * w[R.U, l]
         t_forward, t_left = c * w[R.UT, l] + s * w[R.VT, l], c * w[R.VT, l] - s * w[R.UT, l]
         if lateral:
@@ -403,8 +404,8 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
             variance = c * c * w[R.VV, l] - 2.0 * c * s * w[R.UV, l] + s * s * w[R.UU, l]
         else:
             variance = c * c * w[R.UU, l] + 2.0 * c * s * w[R.UV, l] + s * s * w[R.VV, l]
-        variance += k * k * (tt * away * away - 16.0 * gamma * gamma * t_along * t_along)
-        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 8.0 * sin2) * away * t_along
+        variance += k * k * (tt * away * away - g2 * t_along * t_along)
+        variance += w[R.SPREAD, l] * mu * mu - 2.0 * k * (1.0 - 2.0 * sin2_h) * away * t_along
         w[R.N1, l] = arm * shown - along - mu
         if lateral == 0:
             w[R.N1, l] += w[R.ODOMETER_SCALE, l] * speed

@@ -56,8 +56,8 @@ def _turn(w, ax, ay, turn):
         w[R.COS, l], w[R.SIN, l] = cos_turn * cos_t - sin_turn * sin_t, cos_turn * sin_t + sin_turn * cos_t
         w[R.T, l] += turn
         a, b = cos_t * ax - sin_t * ay, sin_t * ax + cos_t * ay
-        _, k, sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
-        e = w[R.SHORTENS, l] * sin2
+        _, k, quarter_sin2 = spread_of(w[R.QUARTER_GAMMA, l], w[R.TT, l])
+        e = w[R.SHORTENS, l] * quarter_sin2
         w[R.EAST, l], w[R.NORTH, l], w[R.E, l], w[R.ALONG, l] = a, b, e, w[R.SPREAD, l] * e * e
         w[R.JEAST, l], w[R.JNORTH, l] = -k * b, k * a
 

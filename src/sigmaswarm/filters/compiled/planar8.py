@@ -29,10 +29,11 @@ def _turn(w, dt, ax, ay):
         s, c = dt * sin_t, dt * cos_t  # all below is times dt
         fx, fy = ax - w[R.A, l], ay - w[R.B, l]
         a, b = c * fx - s * fy, s * fx + c * fy
-        second, gamma, tt = w[R.SECOND, l], w[R.QUARTER_GAMMA, l], w[R.TT, l]
-        d, k, sin2 = spread_of(gamma, tt)  # a quarter of d; of the squared sine of d / 2
-        e = w[R.SHORTENS, l] * sin2
-        m = 8.0 * sin2 * (gamma / d) * (gamma / d)
+        second, quarter_gamma, tt = w[R.SECOND, l], w[R.QUARTER_GAMMA, l], w[R.TT, l]
+        quarter_d, k, quarter_sin2 = spread_of(quarter_gamma, tt)
+        g2, sin2_h = 16.0 * quarter_gamma * quarter_gamma, 4.0 * quarter_sin2
+        e = w[R.SHORTENS, l] * quarter_sin2
+        m = 2.0 * sin2_h * (quarter_gamma / quarter_d) * (quarter_gamma / quarter_d)
         te, tn = c * w[R.TA, l] - s * w[R.TB, l], s * w[R.TA, l] + c * w[R.TB, l]
         mu_e, mu_n = e * a + second * k * tn, e * b - second * k * te
         w[R.COS, l], w[R.SIN, l], w[R.EAST, l], w[R.NORTH, l] = c, s, a, b
@@ -41,7 +42,7 @@ def _turn(w, dt, ax, ay):
 
         aa, ab, bb = w[R.AA, l], w[R.AB, l], w[R.BB, l]
         ea, eb, na, nb = c * aa - s * ab, c * ab - s * bb, s * aa + c * ab, s * ab + c * bb  # R P[b, b]
-        k2, kc, spread, g2 = k * k, k * (1.0 - 8.0 * sin2), w[R.SPREAD, l], 16.0 * gamma * gamma
+        k2, kc, spread = k * k, k * (1.0 - 2.0 * sin2_h), w[R.SPREAD, l]
         w[R.GEE, l] = (
             c * ea - s * eb + k2 * (tt * b * b - g2 * te * te) + 2.0 * kc * b * te + spread * mu_e * mu_e
         )
