@@ -13,7 +13,7 @@ from pathlib import Path
 
 from defaults import cases
 from sigmaswarm import SigmaswarmWarning, evaluate, tune
-from sigmaswarm.scoring.evaluation import said_of_position
+from sigmaswarm.scoring.remarks import said_of_position
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from sigmaswarm import SigmaswarmWarning, evaluate, read_drive, split_time, tune
 from sigmaswarm.scoring.drifts import UNTUNED
-from sigmaswarm.scoring.evaluation import MEASURES, METHODS
+from sigmaswarm.scoring.measures import MEASURES, METHODS
 
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0018", "kitti-09-30-0033", "kitti-09-30-0034")
 

@@ -38,7 +38,7 @@ from sigmaswarm import (
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import smoothed_estimates
-from sigmaswarm.scoring.evaluation import MEASURES
+from sigmaswarm.scoring.measures import MEASURES
 from switches import cases
 
 FILTERS = (

@@ -19,7 +19,8 @@ from sigmaswarm.report.evaluation import comparison, errors, save_evaluation, tr
 from sigmaswarm.report.style import LABELS
 from sigmaswarm.report.tuning import convergence, save_tuning_figures
 from sigmaswarm.report.views.charts import Axis, Bars, Chart, Look
-from sigmaswarm.scoring.evaluation import MEASURES, evaluate, method_names
+from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.scoring.measures import MEASURES, method_names
 from sigmaswarm.scoring.tracks import Picture, compared, picture_of
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.tune import tune

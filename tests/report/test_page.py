@@ -24,7 +24,8 @@ from sigmaswarm.report.evaluation import copy_tuning
 from sigmaswarm.report.pages.commands import STATED, tune_command
 from sigmaswarm.report.pages.folders import read_report
 from sigmaswarm.report.tuning import save_tuning_figures
-from sigmaswarm.scoring.evaluation import MEASURES, METHODS, Evaluation, evaluate
+from sigmaswarm.scoring.evaluation import Evaluation, evaluate
+from sigmaswarm.scoring.measures import MEASURES, METHODS
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.options import DEFAULTS

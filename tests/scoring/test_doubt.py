@@ -16,7 +16,8 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.doubt import HEADING_FLOOR, POSITION_FLOOR, share_known
-from sigmaswarm.scoring.evaluation import evaluate, partly_scored
+from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.scoring.remarks import partly_scored
 from sigmaswarm.scoring.score import score_estimate, score_raw_gps
 from sigmaswarm.scoring.targets import outage_windows
 

@@ -7,8 +7,9 @@ import pytest
 
 import sigmaswarm
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.scoring.evaluation import evaluate, how_far, said_of_first_look, said_of_position
+from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.records import ConsistencyRecord
+from sigmaswarm.scoring.remarks import how_far, said_of_first_look, said_of_position
 from sigmaswarm.scoring.tracks import first_look
 from sigmaswarm.tuning.tune import tune
 

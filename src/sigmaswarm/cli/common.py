@@ -215,7 +215,8 @@ def print_evaluation(
 
     from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.scoring.drifts import OWN, UNTUNED
-    from sigmaswarm.scoring.evaluation import HOW_AGAINST, HOW_UNTUNED, how_far, partly_scored, said_of_drives
+    from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_UNTUNED
+    from sigmaswarm.scoring.remarks import how_far, partly_scored, said_of_drives
 
     console, record = stdout(), evaluation.record
     methods, known = record.told(evaluation.names, evaluation.measures)

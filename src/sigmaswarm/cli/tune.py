@@ -86,7 +86,7 @@ def tune(
         tuning_progress,
     )
     from sigmaswarm.doctor.suited import equipment
-    from sigmaswarm.scoring.evaluation import said_of_first_look
+    from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from sigmaswarm.errors import InputError
 from sigmaswarm.report.views.charts import Dash, Look
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
-from sigmaswarm.scoring.evaluation import ALSO, METHODS, method_names
+from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
 BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"

@@ -8,7 +8,7 @@ from sigmaswarm.report.draw.png import figure_of, save
 from sigmaswarm.report.evaluation import tracks
 from sigmaswarm.report.style import LABELS
 from sigmaswarm.report.views.tuning import convergence_chart
-from sigmaswarm.scoring.evaluation import method_names
+from sigmaswarm.scoring.measures import method_names
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tuning.record import HISTORY_FILE, History
 from sigmaswarm.tuning.result import Tuning

@@ -21,21 +21,16 @@ from sigmaswarm.report.views.evaluation import method_bars, swarm_charts
 from sigmaswarm.report.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
-from sigmaswarm.scoring.evaluation import (
-    ALSO,
-    HOW_AGAINST,
-    HOW_UNTUNED,
-    Measure,
+from sigmaswarm.scoring.measures import ALSO, HOW_AGAINST, HOW_UNTUNED, Measure, measures, method_names
+from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.remarks import (
     how_far,
-    measures,
-    method_names,
     partly_scored,
     restarted,
     said_of_drives,
     worse_than_raw,
     worse_than_untuned,
 )
-from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord

@@ -35,7 +35,8 @@ from sigmaswarm.report.views.charts import (
 )
 from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.drifts import LEARNED, OWN, UNTUNED
-from sigmaswarm.scoring.evaluation import Evaluated, Measure
+from sigmaswarm.scoring.evaluation import Evaluated
+from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import ScoresRecord
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
 
