@@ -26,6 +26,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
+	@echo "the command:  source $(BIN)/activate"
 
 install: $(VENV)/installed
 	@echo "installed; next: source $(BIN)/activate, then sigmaswarm --help"

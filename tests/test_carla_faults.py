@@ -126,7 +126,7 @@ def test_broken_in_the_second_drive(fault: dict, said: str, complete: Path, tmp_
         with stand_in(tmp_path) as server:
             done = record(server.port, out, *BRAKE, "--runs", 2, "--resume")
         assert done.returncode == 0, done.stderr
-        assert "recorded 1 drive(s)" in done.stdout
+        assert "recorded 1 drive to" in done.stdout
         assert digests(out / "brake-clear-00") == before
         assert len(sigmaswarm.read_drive(out / "brake-clear-01").imu) > 1000
 

@@ -119,7 +119,7 @@ def test_from_the_server_to_a_tuned_filter(version: str, maneuvers: tuple[str, .
             server.port, out, "--environment", "clear", "--runs", 1, "--maneuver", *maneuvers, version=version
         )
     assert done.returncode == 0, done.stderr
-    assert f"recorded {len(maneuvers)} drive(s)" in done.stdout
+    assert f"recorded {len(maneuvers)} drive" in done.stdout
     drives = [read(out / f"{name}-clear-00") for name in maneuvers]
     for drive in drives:
         was = simulated(server.log, drive)

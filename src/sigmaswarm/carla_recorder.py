@@ -1693,7 +1693,7 @@ def main(arguments: Sequence[str]) -> int:
     except OSError as error:
         print(f"sigmaswarm: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         return 2
-    print(f"recorded {count} drive(s) to {options.out}")
+    print(f"recorded {count} drive{'' if count == 1 else 's'} to {options.out}")
     print(f"next: sigmaswarm tune {options.out} --out tuned --objective truth-pose")
     return 0
 

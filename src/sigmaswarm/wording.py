@@ -22,6 +22,11 @@ def in_order(remarks: Iterable[str]) -> list[str]:
     return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
 
 
+def counted(n: int, noun: str) -> str:
+    """``1 drive``, ``2 drives``."""
+    return f"{n} {noun}{'' if n == 1 else 's'}"
+
+
 def visible(text: str, kept: str = "\n\t") -> str:
     """The text with control characters but ``kept`` as escapes: a name may hold what moves a terminal's cursor."""
     if text.isprintable():

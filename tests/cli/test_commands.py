@@ -54,7 +54,7 @@ def test_tune_writes_filter_history_and_pictures(sigmaswarm, drives: Path, here:
     ended = sigmaswarm("tune", drives, "--out", "t", "--particles", 4, "--generations", 3, "--trials", 2)
     assert ended.code == 0
     table = tomllib.loads(Path("t/tuning.toml").read_text())
-    assert f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees) on 2 drive(s)" in ended.out
+    assert f"cost {table['result']['cost']:.4f} (truth-pose + 0.2 nees) on 2 drives" in ended.out
     assert "model:    tilted12 with lateral, standstill, robust: six IMU axes\n" in ended.out
     assert (table["config"]["model"], table["config"]["use"]) == (
         "tilted12",
@@ -380,7 +380,7 @@ def test_the_demo_shows_the_whole_way(sigmaswarm, here: Path):
         "raw GPS",
         "lower than data-sheet filter",
         "pictures:",
-        "next:         sigmaswarm report show/evaluation\n",
+        "page:         show/evaluation/page.html: open it in a browser\n",
     ):
         assert words in ended.out
     pictures = list(Path("show").rglob("*.png"))

@@ -45,7 +45,7 @@ def test_records_a_drive(tmp_path: Path):
             "--out", tmp_path / "d", "--port", server.port, *BRAKE, "--seed", 4, HOME=str(tmp_path)
         )
     assert code == 0, err
-    assert "recorded 1 drive(s)" in out
+    assert "recorded 1 drive to" in out
     drive = sigmaswarm.read_drive(tmp_path / "d" / "brake-clear-00")
     assert drive.metadata["scenario"]["seed"] == 4
 

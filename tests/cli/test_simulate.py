@@ -38,7 +38,7 @@ def test_the_same_bytes_whatever_the_number_of_workers(sigmaswarm, here: Path):
     said = json.loads(sigmaswarm("simulate", "--out", "a", *SOME, "--workers", 1, "--json").out)
     assert said == {"drives": [f"a/{name}" for name in NAMES], "written": 8, "kept": 0}
     ended = sigmaswarm("simulate", "--out", "b", *SOME, "--workers", 2)
-    assert ended.out.splitlines() == ["wrote 8 drive(s) to b", "next: sigmaswarm plot b/turns-rain-00"]
+    assert ended.out.splitlines() == ["wrote 8 drives to b", "next: sigmaswarm plot b/turns-rain-00"]
     assert "8/8 drives" in ended.err
     assert len(digests("a")) == 8 * 4
     assert digests("a") == digests("b")
@@ -60,7 +60,7 @@ def test_resume_makes_what_is_missing_to_the_same_bytes(sigmaswarm, here: Path):
     assert kept.stat().st_mtime_ns == touched
     assert digests("part") == digests("whole")
     again = sigmaswarm("simulate", "--out", "part", *SOME, "--resume")
-    assert "wrote 0 drive(s) to part, kept 8" in again.out
+    assert "wrote 0 drives to part, kept 8" in again.out
     assert again.err == ""
 
 

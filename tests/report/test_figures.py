@@ -81,7 +81,7 @@ def test_tracks_show_the_whole_and_a_close_up():
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("east, m", "north, m")
         assert ax.get_aspect() == 1.0
     assert whole.get_title(loc="left") == "monday"
-    expected = {"raw GPS", "truth", "tuned UKF", "data-sheet filter", "start"}
+    expected = {"raw GPS", "truth", "tuned UKF", "data-sheet filter", "filter starts"}
     assert labels(figure) == expected
     drawn = lines(whole)
     np.testing.assert_array_equal(
@@ -92,7 +92,7 @@ def test_tracks_show_the_whole_and_a_close_up():
     np.testing.assert_array_equal(
         drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, datasheet(DRIVE, like=GOOD)).mean[:, :2]
     )
-    np.testing.assert_array_equal(drawn["start"].get_xydata(), [initial_state(DRIVE).mean[:2]])
+    np.testing.assert_array_equal(drawn["filter starts"].get_xydata(), [initial_state(DRIVE).mean[:2]])
     low, high = close.get_xlim()
     assert 30 < high - low < 200  # a close-up
 

@@ -228,6 +228,15 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         "18.5 m",
     )
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
+    good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
+    sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
+    assert Evaluation({"town": Evaluated(others | {"untuned": sheet, "tuned": good})}).worse_than_untuned == (
+        "the tuned filter is worse in 1 of 4 measures than the data-sheet filter, which nobody tuned: heading error "
+        "0.4 deg against 0.3 deg",
+    )
+    farther = replace(sheet, position_rmse=0.4)
+    (here,) = Evaluation({"town": Evaluated(others | {"untuned": farther, "tuned": good})}).worse_than_untuned
+    assert "is WORSE than" in here
 
 
 def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evaluation):

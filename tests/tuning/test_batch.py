@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,3 +100,27 @@ def test_what_can_not_be_run_is_refused():
     still = replace(DRIVES[0], gps=replace(DRIVES[0].gps, x=zero, y=zero))
     with pytest.raises(AlignmentError, match="d0: never travels"):
         run_batch([DRIVES[1], still], SETS)
+
+
+@pytest.mark.parametrize(
+    ("drives", "sets", "executor", "said"),
+    [
+        (
+            "drives/monday",
+            [DEFAULTS],
+            None,
+            r"got a str; run_batch takes Drives; sigmaswarm.read_drive\(path\) reads one",
+        ),
+        (None, [DEFAULTS, {"alpha": 1.0}], None, "got a dict; run_batch takes FilterParameters"),
+        (None, 3, None, "got a int; run_batch takes FilterParameters"),
+        (None, [DEFAULTS], 2, r"executor = 2: is none; take concurrent.futures.ThreadPoolExecutor\(2\)"),
+    ],
+)
+def test_what_is_no_drive_no_parameters_no_executor_is_said(drives: Any, sets: Any, executor: Any, said: str):
+    with pytest.raises(InputError, match=said):
+        run_batch(make_drive(duration=20) if drives is None else drives, sets, executor=executor)
+
+
+def test_one_of_each_is_a_batch():
+    drive = make_drive(duration=20)
+    assert run_batch(drive, DEFAULTS).costs.tolist() == run_batch([drive], [DEFAULTS]).costs.tolist()

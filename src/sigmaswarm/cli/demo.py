@@ -32,7 +32,10 @@ def demo(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout, tuning_progress
     from sigmaswarm.errors import InputError
+    from sigmaswarm.files import write_whole
+    from sigmaswarm.report.draw.html import page
     from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.report.pages.folders import read_report
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
     from sigmaswarm.tuning.defaults import with_filter
@@ -64,6 +67,8 @@ def demo(
     save_tuning_figures(tuning, picture_of(training[0], filters, training[0].name), out / "tuning")
     evaluation = sigmaswarm.evaluate(held_out, tuning.parameters)
     save_evaluation(evaluation, out / "evaluation", out / "tuning")
+    written = out / "evaluation" / "page.html"
+    write_whole(written, page(read_report(out / "evaluation")))
     if json:
         print_json(evaluation.to_dict())
         return
@@ -71,5 +76,5 @@ def demo(
     print_evaluation(evaluation)
     console.print(f"tuned filter: {out / 'tuning' / 'tuning.toml'}")
     console.print(f"pictures:     {out / 'tuning'} and {out / 'evaluation'} (*.png)")
-    console.print(f"next:         sigmaswarm report {out / 'evaluation'}")
-    console.print("then:         sigmaswarm tune YOUR_DRIVE... --out tuned")
+    console.print(f"page:         {written}: open it in a browser")
+    console.print("next:         sigmaswarm tune YOUR_DRIVE... --out tuned")

@@ -95,6 +95,7 @@ def simulate(
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import drive_name
+    from sigmaswarm.wording import counted
 
     maneuvers = list(dict.fromkeys(maneuver or PAPER_MANEUVERS))
     environments = list(dict.fromkeys(environment or ENVIRONMENTS))
@@ -130,7 +131,7 @@ def simulate(
         print_json({"drives": [str(out / name) for name in names], "written": written, "kept": len(kept)})
         return
     console = stdout()
-    console.print(f"wrote {written} drive(s) to {out}" + (f", kept {len(kept)}" if kept else ""))
+    console.print(f"wrote {counted(written, 'drive')} to {out}" + (f", kept {len(kept)}" if kept else ""))
     if len({"clear", "night", "fog"} & set(environments)) > 1:
         console.print("note: clear, night and fog share one physics; only their random numbers differ")
     console.print(f"next: sigmaswarm plot {out / names[0]}")

@@ -89,6 +89,7 @@ def tune(
     from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
+    from sigmaswarm.wording import counted
 
     with cluster_at(cluster) as client:
         read, held_back = held_drives(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
@@ -122,14 +123,18 @@ def tune(
     margin = (
         f"; {tuning.trials[tuning.best_trial].cost:.4f} before the margin" if tuning.raised_by != 1.0 else ""
     )
-    console.print(f"cost {tuning.cost:.4f} ({tuning.config.objective}{margin}) on {len(read)} drive(s)")
+    console.print(
+        f"cost {tuning.cost:.4f} ({tuning.config.objective}{margin}) on {counted(len(read), 'drive')}"
+    )
     if tuning.config.racing:
         share = tuning.steps / tuning.full_steps
         console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
     if tuning.validation:
         gap = tuning.validation.gap
         gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
-        console.print(f"cost {tuning.validation.cost:.4f} on {len(held_back)} validation drive(s): {gap}")
+        console.print(
+            f"cost {tuning.validation.cost:.4f} on {counted(len(held_back), 'validation drive')}: {gap}"
+        )
     if position := said_of_first_look(look):
         console.print(f"position: {position}")
     print_remarks(tuning.remarks)

@@ -50,7 +50,10 @@ def _drives(given: Any, cluster: "Client | None", takes: str) -> list[Any]:
     allowed = Drive if cluster is None else Drive | str | Path
     stray = [type(thing).__name__ for thing in drives if not isinstance(thing, allowed)]
     if stray:
+        paths = any(isinstance(thing, str | Path) for thing in drives)
         raise InputError(
-            f"got a {stray[0]}; {takes}" + (", and with a cluster their paths and URLs" if cluster else "")
+            f"got a {stray[0]}; {takes}"
+            + (", and with a cluster their paths and URLs" if cluster else "")
+            + ("; sigmaswarm.read_drive(path) reads one" if paths and not cluster else "")
         )
     return drives

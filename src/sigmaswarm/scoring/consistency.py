@@ -199,7 +199,8 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
     }
     blind = bool(known) and all(nees is None for _, _, nees, _ in known)
     return {
-        kind: f"on {count} of {len(found)} drives the filter {VERDICTS[kind]}"
+        kind: (f"on {count} of {len(found)} drives " if len(found) > 1 else "")
+        + f"the filter {VERDICTS[kind]}"
         + (f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else "")
         for kind, count in counts.items()
         if count

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,22 @@ from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Array, Drive, listed
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.fleets.held import Held, Here
+from sigmaswarm.fleets.gathering import held_drives
+from sigmaswarm.fleets.held import Held
 from sigmaswarm.scoring.batch import Passes, Replayer, Replays
 from sigmaswarm.scoring.fleet import replays_on
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
 from sigmaswarm.tuning.objectives import Objective, objective_named
+from sigmaswarm.wording import shown
 
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
     """Costs and scores of a batch.
+
+    Only what the objective asks for is run: where it has no drifts or forecasts, these are NaN in the scores. Medians
+    and longer outages are always: `evaluate`, which runs each filter by itself, has them.
 
     Attributes
     ----------
@@ -41,7 +47,7 @@ class BatchResult:
 
 def run_batch(
     drives: Sequence[Drive] | Drive,
-    parameter_sets: Sequence[FilterParameters],
+    parameter_sets: Sequence[FilterParameters] | FilterParameters,
     *,
     objective: str = "truth-rmse",
     worst: float = 1.0,
@@ -56,7 +62,7 @@ def run_batch(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-    parameter_sets : sequence of FilterParameters
+    parameter_sets : FilterParameters or sequence of FilterParameters
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
@@ -71,22 +77,40 @@ def run_batch(
     Raises
     ------
     InputError
-        If the objective is unknown, or needs truth that a drive does not have.
+        If the objective is unknown, or needs truth that a drive does not have; if something is no drive, no parameters
+        or no executor.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    drives = listed(drives)
+    (held,) = held_drives(drives, takes="run_batch takes Drives")
+    sets = _sets_given(parameter_sets)
+    _check_executor(executor)
     goal = objective_named(objective)
-    check_drives(drives, goal)
-    replayer = replays_for(goal, Here(drives), outage_seed, as_recorded=as_recorded)
+    check_drives(held.of_each(equipment), goal)
+    replayer = replays_for(goal, held, outage_seed, as_recorded=as_recorded)
     if executor is None:
         with ThreadPoolExecutor() as pool:
-            scores = replayer.scores(parameter_sets, pool)
+            scores = replayer.scores(sets, pool)
     else:
-        scores = replayer.scores(parameter_sets, executor)
-    sets = range(len(parameter_sets))
-    each = tuple(tuple(scores[i, j] for j in range(len(drives))) for i in sets)
+        scores = replayer.scores(sets, executor)
+    each = tuple(tuple(scores[i, j] for j in range(len(held))) for i in range(len(sets)))
     return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
+
+
+def _sets_given(given: Any) -> Sequence[FilterParameters]:
+    """What was given, one or many, if they are parameters."""
+    sets: list[Any] = listed(given)
+    stray = [type(one).__name__ for one in sets if not isinstance(one, FilterParameters)]
+    if stray:
+        raise InputError(f"got a {stray[0]}; run_batch takes FilterParameters")
+    return sets
+
+
+def _check_executor(given: Any) -> None:
+    if given is not None and not isinstance(given, Executor):
+        raise InputError(
+            f"executor = {shown(given)}: is none; take concurrent.futures.ThreadPoolExecutor(2), or leave it out"
+        )
 
 
 def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> None:

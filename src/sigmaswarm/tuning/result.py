@@ -22,7 +22,7 @@ from sigmaswarm.tuning.scale import SCALE_FREE
 from sigmaswarm.tuning.search import Trial
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
 from sigmaswarm.versions import versions
-from sigmaswarm.wording import in_order, to_do
+from sigmaswarm.wording import counted, in_order, to_do
 
 P = TypeVar("P", default=FilterParameters)
 NOT_VALIDATED = (
@@ -245,7 +245,8 @@ class Tuning(Generic[P]):
             )
             for s in self.sensitivities
         ]
-        caption = f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {len(self.data)} drive(s)"
+        on = counted(len(self.data), "drive")
+        caption = f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
         return notebook.table(caption, heads, rows) + notebook.listed("Before you trust it:", self.remarks)
 

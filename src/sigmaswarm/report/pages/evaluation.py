@@ -156,21 +156,22 @@ def _result(
     ):
         tuned = scores.mean_of("tuned", measure)
         if tuned is not None:
-            rivals = [m for m in (_rival(scores, measure), "raw_gps") if m]
-            against = [
-                _against(tuned, other, m, names) for m in rivals if (other := scores.mean_of(m, measure))
-            ]
+            others = {m: other for m in (OWN, "raw_gps", UNTUNED) if (other := scores.mean_of(m, measure))}
+            sheet = others.pop(UNTUNED, None)
+            against = [_against(tuned, other, names[m]) for m, other in others.items()]
             spread = scores.drift_said(measure)
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
-            return f"{said}: {', and '.join(against)}." if against else f"{said}."
+            said = f"{said}: {', and '.join(against)}." if against else f"{said}."
+            if sheet is None or OWN in others:
+                return said
+            # a share of what nobody tuned would flatter
+            return f"{said} The {names[UNTUNED]}, which nobody tuned, has {sheet:.3g} m."
     return f"On {drives} nothing can be said of the tuned filter: it failed, or there is no truth."
 
 
-def _against(tuned: float, other: float, method: str, names: Mapping[str, str]) -> str:
-    if method == UNTUNED:  # a share of what nobody tuned would flatter
-        return f"the {names[method]}, which nobody tuned, has {other:.3g} m"
+def _against(tuned: float, other: float, name: str) -> str:
     change = 100 * (other - tuned) / other
-    return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {names[method]} ({other:.3g} m)"
+    return f"{abs(change):.0f}% {'less' if change >= 0 else 'MORE'} than {name} ({other:.3g} m)"
 
 
 def _rival(scores: ScoresRecord, measure: str) -> str | None:

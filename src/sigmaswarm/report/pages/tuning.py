@@ -79,7 +79,9 @@ def what_was_tuned(file: TuningRecord) -> str:
 def _held_out(file: TuningRecord) -> str:
     result = file.result
     if result is None or result.validation_cost is None or result.validation_gap is None:
-        return "Of other drives nothing is known yet; `sigmaswarm evaluate` tells what the filter is worth there."
+        return (
+            "Of other drives nothing is known yet; sigmaswarm evaluate tells what the filter is worth there."
+        )
     n = len(result.validation_drives)
     return (
         f"On {n} drive{'s' if n != 1 else ''} held back from the search its cost is {result.validation_cost:.4g}, "

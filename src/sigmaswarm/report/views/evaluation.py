@@ -124,7 +124,12 @@ def track_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, Ch
     margin = 0.08 * float((high - low).max())  # the fixes: a filter that runs away must not set the scale
     whole = (
         *_paths(picture.whole.series, labels),
-        Points(picture.start[:1], picture.start[1:], Look(BLACK, 0.0, "none", "triangle-up", 7.0), "start"),
+        Points(
+            picture.start[:1],
+            picture.start[1:],
+            Look(BLACK, 0.0, "none", "triangle-up", 7.0),
+            "filter starts",
+        ),
         Curve(x + corners[0], y + corners[1], Look(CHARCOAL, 0.8)),
     )
     return (
