@@ -46,6 +46,7 @@ def main() -> None:
         # By name: in a whole folder pytest would also import the rivals that are not installed, to look for examples.
         tests = sorted(map(str, HERE.glob("test_*.py")))
         command = [sys.executable, "-m", "pytest", *tests, "-q", "-p", "no:cacheprovider"]
+        command += ["-o", "addopts=-ra --import-mode=importlib"]  # the tests' own plugins need not be here
         command += ["--benchmark-timer=time.process_time"]  # what other jobs on the core take does not count
         subprocess.run([*command, f"--benchmark-json={result}"], check=True, cwd=HERE.parent)
         measured = by_turn(json.loads(result.read_text(encoding="utf-8"))["benchmarks"])
