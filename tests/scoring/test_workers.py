@@ -106,6 +106,8 @@ def test_interrupted_while_it_waits_for_the_last_it_waits_for_that(kind: type[Ex
     def run(k: int) -> None:
         both.wait()
         if threading.current_thread() is not threading.main_thread():
+            while not ended:
+                time.sleep(0.01)
             time.sleep(0.3)  # until the caller waits
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
             time.sleep(0.3)
