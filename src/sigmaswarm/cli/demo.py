@@ -31,11 +31,9 @@ def demo(
 
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout, tuning_progress
+    from sigmaswarm.cli.report import save_page
     from sigmaswarm.errors import InputError
-    from sigmaswarm.files import write_whole
-    from sigmaswarm.report.draw.html import page
     from sigmaswarm.report.evaluation import save_evaluation
-    from sigmaswarm.report.pages.folders import read_report
     from sigmaswarm.report.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
     from sigmaswarm.tuning.defaults import with_filter
@@ -67,8 +65,7 @@ def demo(
     save_tuning_figures(tuning, picture_of(training[0], filters, training[0].name), out / "tuning")
     evaluation = sigmaswarm.evaluate(held_out, tuning.parameters)
     save_evaluation(evaluation, out / "evaluation", out / "tuning")
-    written = out / "evaluation" / "page.html"
-    write_whole(written, page(read_report(out / "evaluation")))
+    written = save_page(out / "evaluation")
     if json:
         print_json(evaluation.to_dict())
         return

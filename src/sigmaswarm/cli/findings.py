@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sigmaswarm.cli.common import stdout
+from sigmaswarm.wording import counted
 
 if TYPE_CHECKING:
     from sigmaswarm.doctor.findings import Diagnosis, Finding
@@ -65,11 +66,7 @@ def mending(diagnosis: "Diagnosis", folder: "Place") -> tuple[str, Path | None]:
 def _summary(diagnosis: "Diagnosis") -> str:
     counts = {s: sum(f.severity == s for f in diagnosis.findings) for s in _STYLES}
     serious = f"{counts['serious']} SERIOUS" if counts["serious"] else "nothing serious"
-    return f"{serious}, {_many(counts['warning'], 'warning')}, {_many(counts['note'], 'note')}"
-
-
-def _many(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+    return f"{serious}, {counted(counts['warning'], 'warning')}, {counted(counts['note'], 'note')}"
 
 
 def _said(finding: "Finding") -> str:

@@ -33,6 +33,16 @@ def report(
         Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, stdout
+
+    file = save_page(folder, out)
+    if json:
+        print_json({"out": str(file)})
+    else:
+        stdout().print(f"wrote {file}")
+
+
+def save_page(folder: Path, out: Path | None = None) -> Path:
+    """Make the page of a folder of results, by default in it; the file."""
     from sigmaswarm.files import write_whole
     from sigmaswarm.report.draw.html import page
     from sigmaswarm.report.pages.folders import read_report
@@ -44,7 +54,4 @@ def report(
     file = out or folder / "page.html"
     check_file(file, ".html")
     write_whole(file, page(read))
-    if json:
-        print_json({"out": str(file)})
-    else:
-        stdout().print(f"wrote {file}")
+    return file

@@ -11,6 +11,7 @@ from sigmaswarm.scoring.drifts import UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.records import ConsistencyRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
+from sigmaswarm.wording import counted
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
@@ -24,7 +25,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
     """What a sentence calls drives: how many they are, and how much of them the tuning saw."""
-    called = f"{len(data)} drive{'s' if len(data) != 1 else ''}"
+    called = counted(len(data), "drive")
     if not any(drive.seen_s for drive in data):
         known = all(drive.seen_s is not None for drive in data)
         return f"{called} that the tuning never saw" if known else called

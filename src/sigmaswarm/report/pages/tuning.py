@@ -15,6 +15,7 @@ from sigmaswarm.report.views.tuning import convergence_chart
 from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
+from sigmaswarm.wording import counted
 
 MEANINGS = {
     "latency": (
@@ -69,9 +70,7 @@ def what_was_tuned(file: TuningRecord) -> str:
     if file.result is None:
         return f"The filter is {filter_name(file)}; its file does not say how it was tuned."
     length = sum(d.duration_s or 0 for d in file.data)
-    on = f"{len(file.data)} drive{'s' if len(file.data) != 1 else ''}" + (
-        f" ({length / 60:.1f} min)" if length else ""
-    )
+    on = counted(len(file.data), "drive") + (f" ({length / 60:.1f} min)" if length else "")
     meaning = f": {file.result.objective_meaning}" if file.result.objective_meaning else ""
     return f"{filter_name(file)} was tuned on {on} for {file.result.objective}{meaning}."
 
@@ -84,7 +83,7 @@ def _held_out(file: TuningRecord) -> str:
         )
     n = len(result.validation_drives)
     return (
-        f"On {n} drive{'s' if n != 1 else ''} held back from the search its cost is {result.validation_cost:.4g}, "
+        f"On {counted(n, 'drive')} held back from the search its cost is {result.validation_cost:.4g}, "
         f"{_gap(result.validation_gap)}; on the training drives it is {result.cost:.4g}."
     )
 
