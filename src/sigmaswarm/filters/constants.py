@@ -13,6 +13,9 @@ from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, CONSTANTS, MEAN, Q
 from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE
 from sigmaswarm.filters.table import Fields
 
+Rule = tuple[tuple[str, ...], Callable[[Fields], dict[int, Any]]]
+"""Some fields, and the constants that they make, by row."""
+
 
 def constants_of(of: Fields) -> Array:
     """Those of one parameter set, shape (N_CONSTANTS, 1)."""
@@ -51,17 +54,17 @@ def _adapting(of: Fields) -> dict[int, Any]:
     }
 
 
-def _entries(field: str, *rows: int) -> tuple[tuple[str, ...], Callable[[Fields], dict[int, Any]]]:
+def _entries(field: str, *rows: int) -> Rule:
     """A field of as many numbers, each of which is a constant."""
     return (field,), lambda of: dict(zip(rows, np.transpose(of[field]), strict=False))
 
 
-def _number(field: str, row: int) -> tuple[tuple[str, ...], Callable[[Fields], dict[int, Any]]]:
+def _number(field: str, row: int) -> Rule:
     """A field that is a constant."""
     return (field,), lambda of: {row: of[field]}
 
 
-_CONSTANTS_OF: tuple[tuple[tuple[str, ...], Callable[[Fields], dict[int, Any]]], ...] = (
+_CONSTANTS_OF: tuple[Rule, ...] = (
     (("alpha", "beta", "kappa", "kind"), _scaling),
     (("kind", "forgetting"), _adapting),
     _entries("process_noise", *range(Q0, Q0 + len(MEAN))),

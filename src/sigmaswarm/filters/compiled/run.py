@@ -80,8 +80,7 @@ def _off_between(w, l, weight, true_x, true_y, true_theta, heading):
 
 
 def _add(w, l, x, y, wrong, scores_heading):
-    w[R.SQ_POSITION, l] += x * x
-    w[R.SQ_POSITION, l] += y * y
+    w[R.SQ_POSITION, l] += x * x + y * y
     w[R.SQ_HEADING, l] += scores_heading * wrong * wrong
     xx, xy, yy = w[R.XX, l], w[R.XY, l], w[R.YY, l]
     w[R.NEES, l] += (x * (yy * x - xy * y) + y * (xx * y - xy * x)) / (xx * yy - xy * xy)
