@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
 from sigmaswarm.experiments.compare.record import COMPARED
-from sigmaswarm.report.compare import comparison_table, save_comparison
+from sigmaswarm.reports.compare import comparison_table, save_comparison
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 BASE = ("pso", "de", "cma-es", "ga", "ga-pso", "sobol")

@@ -15,8 +15,8 @@ import pytest
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.export.c99 import replay_rows
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import replay_rows
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters

@@ -21,8 +21,8 @@ CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
 MUST_HOLD = (
     "sigmaswarm/py.typed",
     "sigmaswarm/kernels.zip",
-    "sigmaswarm/export/templates/ins_gps.c.in",
-    "sigmaswarm/report/draw/page/page.html",
+    "sigmaswarm/exports/templates/ins_gps.c.in",
+    "sigmaswarm/reports/draw/page/page.html",
 )
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.c99 import replay_events
-from sigmaswarm.export.features import features_of
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import replay_events
+from sigmaswarm.exports.features import features_of
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 

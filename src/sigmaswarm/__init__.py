@@ -62,8 +62,8 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.swarm.run import run_swarm
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.references.reference import reference
-    from sigmaswarm.report.compare import comparison_table
-    from sigmaswarm.report.study import save_study, study_figures, study_tables
+    from sigmaswarm.reports.compare import comparison_table
+    from sigmaswarm.reports.study import save_study, study_figures, study_tables
     from sigmaswarm.scoring.consistency import Consistency, consistency
     from sigmaswarm.scoring.evaluation import Evaluation, evaluate
     from sigmaswarm.scoring.score import Score

@@ -18,7 +18,7 @@ from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.report.evaluation import save_evaluation
+from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
 

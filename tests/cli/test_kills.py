@@ -10,7 +10,7 @@ import pytest
 
 from processes import COMMAND, Process, run
 from sigmaswarm import FilterParameters, evaluate, files, read_drive
-from sigmaswarm.report.evaluation import save_evaluation
+from sigmaswarm.reports.evaluation import save_evaluation
 
 DYING = """
 import os, signal, sys

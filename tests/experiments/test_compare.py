@@ -17,7 +17,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.compare.record import FEWEST_SEEDS, Comparison
 from sigmaswarm.experiments.compare.run import compare
 from sigmaswarm.experiments.statistics import holm, signed_rank
-from sigmaswarm.report.compare import comparison_table, save_comparison
+from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.tune import tune
 from support import make_drive

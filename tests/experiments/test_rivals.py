@@ -34,8 +34,8 @@ from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.learned.learn import LEARNERS, Finished, Trained
 from sigmaswarm.learned.noise_gru import FEATURES
 from sigmaswarm.learned.outage_lstm import untrained
-from sigmaswarm.report.pages.folders import read_report
-from sigmaswarm.report.study import save_study, study_tables
+from sigmaswarm.reports.pages.folders import read_report
+from sigmaswarm.reports.study import save_study, study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.search import Search

@@ -24,7 +24,7 @@ from sigmaswarm.experiments.study import run as study_run
 from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
 from sigmaswarm.experiments.study.run import Study, run_study
-from sigmaswarm.report.study import save_study
+from sigmaswarm.reports.study import save_study
 from sigmaswarm.tuning.racing import MANY
 from sigmaswarm.tuning.search import Search
 from sigmaswarm.tuning.space import SearchSpace, search_space

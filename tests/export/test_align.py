@@ -15,8 +15,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.c99 import replay_rows
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import replay_rows
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
 from support import DRIVES, make_drive, needs_shared

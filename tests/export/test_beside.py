@@ -16,8 +16,8 @@ from importing.bags import ROS1, ROS2, messages, write_mcap, write_ros
 from importing.logs import EPOCH, a_drive, imported
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.ros import TOPIC
-from sigmaswarm.export.trajectory import time_origin_of, write_estimate
+from sigmaswarm.exports.ros import TOPIC
+from sigmaswarm.exports.trajectory import time_origin_of, write_estimate
 from sigmaswarm.filters.run import Estimate, run_filter
 
 KINDS = ("sqlite3", "mcap", "sqlite3 file", "mcap file")

@@ -37,8 +37,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.c99 import c99, replay_rows
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import c99, replay_rows
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from support import DRIVES, needs_shared, quickly

@@ -9,7 +9,7 @@ import pytest
 
 from exported import SANITIZERS, build, distance, needs_gcc, replay, tuned
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle

@@ -11,8 +11,8 @@ from exported import SANITIZERS, build, distance, needs_gcc, replay
 from filter_cases import OPTIONS, equipped, parameters
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.c99 import replay_rows
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import replay_rows
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter

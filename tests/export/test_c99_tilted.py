@@ -11,8 +11,8 @@ import pytest
 from exported import SANITIZERS, STRICT, build, distance, needs_clang, needs_gcc, replay, tuned
 from sigmaswarm import InputError, clip, read_drive, simulate
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.c99 import replay_rows
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.c99 import replay_rows
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.simulation.gps import find_gps

@@ -19,9 +19,9 @@ from filter_cases import WEIGHED, equipped, parameters, straying
 from microcontroller import COMPILER, M4F, WARNINGS, needs_arm
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.export import check
-from sigmaswarm.export.check import check_export
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports import check
+from sigmaswarm.exports.check import check_export
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import geodetic_to_enu
 from support import quickly

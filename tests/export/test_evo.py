@@ -15,7 +15,7 @@ from exported import tuned
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.trajectory import true_trajectory, write_estimate
+from sigmaswarm.exports.trajectory import true_trajectory, write_estimate
 from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.scoring.evaluation import evaluate
 from support import DRIVES, make_drive, needs_shared

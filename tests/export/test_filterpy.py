@@ -17,7 +17,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.export.filterpy import filterpy, source_of
+from sigmaswarm.exports.filterpy import filterpy, source_of
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import enu_to_geodetic
 from support import DRIVES, make_drive, needs_shared, quickly

@@ -22,9 +22,9 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.check import check_export
-from sigmaswarm.export.lanes import Lanes
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.check import check_export
+from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS

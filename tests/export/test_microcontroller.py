@@ -30,7 +30,7 @@ from microcontroller import (
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.simulation.scenarios import simulate

@@ -14,7 +14,7 @@ import yaml
 
 from exported import STRICT, needs_gcc, tuned
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.targets import TARGETS, export_filter
+from sigmaswarm.exports.targets import TARGETS, export_filter
 
 P = tuned("planar5", "ukf", 0.01)
 SEVENTEEN = 0.12345678901234568

@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Drive, Imu
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters import schedule
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.parameters import FilterParameters

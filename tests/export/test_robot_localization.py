@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from exported import tuned
-from sigmaswarm.export.robot_localization import robot_localization, yaml_number
+from sigmaswarm.exports.robot_localization import robot_localization, yaml_number
 from sigmaswarm.filters.parameters import FilterParameters
 
 ORDER = ["x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az"]

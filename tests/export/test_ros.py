@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from exported import tuned
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.ros import NOT_ESTIMATED, TOPIC
-from sigmaswarm.export.trajectory import check_target, true_trajectory, write_estimate
+from sigmaswarm.exports.ros import NOT_ESTIMATED, TOPIC
+from sigmaswarm.exports.trajectory import check_target, true_trajectory, write_estimate
 from sigmaswarm.filters.run import Estimate, run_filter
 from support import make_drive
 

@@ -9,7 +9,7 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.drives.writer import write_drive
-from sigmaswarm.export.targets import export_filter
+from sigmaswarm.exports.targets import export_filter
 from support import make_drive
 
 DRIVE = make_drive(duration=8.0)

@@ -8,7 +8,7 @@ import pytest
 
 from exported import tuned
 from sigmaswarm.errors import InputError
-from sigmaswarm.export.targets import TARGETS, Target, export_filter
+from sigmaswarm.exports.targets import TARGETS, Target, export_filter
 from support import make_drive
 
 P = tuned("planar5", "ukf", 0.01, everything=False)

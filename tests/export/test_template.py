@@ -5,10 +5,10 @@ import re
 import pytest
 
 from exported import tuned
-from sigmaswarm.export.c99 import c99
-from sigmaswarm.export.lanes import Lanes
-from sigmaswarm.export.targets import TARGETS
-from sigmaswarm.export.template import _chosen, fill
+from sigmaswarm.exports.c99 import c99
+from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.targets import TARGETS
+from sigmaswarm.exports.template import _chosen, fill
 
 TEXT = """a
 #if USE_A

@@ -15,7 +15,7 @@ from exported import build, needs_gcc
 from filter_cases import equipped, parameters
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.split import clip
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.run import run_filter
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError, SigmaswarmError
-from sigmaswarm.export.trajectory import (
+from sigmaswarm.exports.trajectory import (
     check_target,
     true_trajectory,
     write_estimate,

@@ -10,7 +10,7 @@ from exported import SANITIZERS, build, needs_gcc
 from filters.test_recovery import PLANTS, SET, drive_of, rmse, stops_and_goes
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.c99 import replay_rows
+from sigmaswarm.exports.c99 import replay_rows
 from sigmaswarm.filters.run import run_filter
 
 WATCHED = r"""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from oracles.extended import covariance_error, mean_error
 from sigmaswarm import InputError, LiveFilter, TuneConfig, initial_state, run_filter, run_textbook, tune
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.export.targets import TARGETS, export_filter
+from sigmaswarm.exports.targets import TARGETS, export_filter
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.lanes import angle_of
 from sigmaswarm.filters.compiled.layout import QUATERNION, R

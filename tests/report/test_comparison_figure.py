@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm.experiments.compare.run import compare
-from sigmaswarm.report.compare import comparison_figure, save_comparison
+from sigmaswarm.reports.compare import comparison_figure, save_comparison
 from support import make_drive
 
 DRIVES = [make_drive(duration=15.0, seed=s, name=f"d{s}") for s in range(3)]

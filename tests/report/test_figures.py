@@ -14,11 +14,11 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.report.draw.png import figure_of, save
-from sigmaswarm.report.evaluation import comparison, errors, save_evaluation, tracks
-from sigmaswarm.report.style import LABELS
-from sigmaswarm.report.tuning import convergence, save_tuning_figures
-from sigmaswarm.report.views.charts import Axis, Bars, Chart, Look
+from sigmaswarm.reports.draw.png import figure_of, save
+from sigmaswarm.reports.evaluation import comparison, errors, save_evaluation, tracks
+from sigmaswarm.reports.style import LABELS
+from sigmaswarm.reports.tuning import convergence, save_tuning_figures
+from sigmaswarm.reports.views.charts import Axis, Bars, Chart, Look
 from sigmaswarm.scoring.evaluation import evaluate
 from sigmaswarm.scoring.measures import MEASURES, method_names
 from sigmaswarm.scoring.tracks import Picture, compared, picture_of

@@ -19,11 +19,11 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.report.draw.html import page as html_page
-from sigmaswarm.report.evaluation import copy_tuning
-from sigmaswarm.report.pages.commands import STATED, tune_command
-from sigmaswarm.report.pages.folders import read_report
-from sigmaswarm.report.tuning import save_tuning_figures
+from sigmaswarm.reports.draw.html import page as html_page
+from sigmaswarm.reports.evaluation import copy_tuning
+from sigmaswarm.reports.pages.commands import STATED, tune_command
+from sigmaswarm.reports.pages.folders import read_report
+from sigmaswarm.reports.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, METHODS
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of

@@ -66,7 +66,7 @@ def compare(
     import sigmaswarm
     from sigmaswarm.cli.common import cluster_at, held_drives, print_json, progress_bar, stdout
     from sigmaswarm.doctor.suited import equipment
-    from sigmaswarm.report.compare import comparison_table, save_comparison
+    from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import with_filter
 
     chosen = {"optimizers": optimizers, "scales": scales}

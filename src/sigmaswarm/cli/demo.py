@@ -33,8 +33,8 @@ def demo(
     from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout, tuning_progress
     from sigmaswarm.cli.report import save_page
     from sigmaswarm.errors import InputError
-    from sigmaswarm.report.evaluation import save_evaluation
-    from sigmaswarm.report.tuning import save_tuning_figures
+    from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.reports.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
     from sigmaswarm.tuning.defaults import with_filter
 

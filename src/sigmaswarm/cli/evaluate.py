@@ -87,7 +87,7 @@ def evaluate(
     from sigmaswarm.errors import InputError
     from sigmaswarm.learned.folder import load_learned, seen_in
     from sigmaswarm.records import load_record
-    from sigmaswarm.report.evaluation import save_evaluation
+    from sigmaswarm.reports.evaluation import save_evaluation
     from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from sigmaswarm.export.check import Checked
+    from sigmaswarm.exports.check import Checked
 
 
 def export(
@@ -58,8 +58,8 @@ def export(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, read_known, stdout, tuned_as_recorded
-    from sigmaswarm.export.check import check_export
-    from sigmaswarm.export.targets import export_filter
+    from sigmaswarm.exports.check import check_export
+    from sigmaswarm.exports.targets import export_filter
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
     if check and to != "c99":

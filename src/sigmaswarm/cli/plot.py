@@ -32,9 +32,9 @@ def plot(
         Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.report.draw.png import save
-    from sigmaswarm.report.drive_figure import drive_figure
-    from sigmaswarm.report.style import check_file
+    from sigmaswarm.reports.draw.png import save
+    from sigmaswarm.reports.drive_figure import drive_figure
+    from sigmaswarm.reports.style import check_file
 
     if out is not None:
         check_file(out)

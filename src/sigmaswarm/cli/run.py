@@ -79,7 +79,7 @@ def run(
     from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded
     from sigmaswarm.drives.fingerprint import START_RULE
     from sigmaswarm.errors import InputError
-    from sigmaswarm.export.trajectory import (
+    from sigmaswarm.exports.trajectory import (
         check_fixes_target,
         check_target,
         time_origin_of,

@@ -98,7 +98,7 @@ def study(
     from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
     from sigmaswarm.experiments.study.config import read_config
     from sigmaswarm.experiments.study.run import run_study
-    from sigmaswarm.report.study import save_study, study_tables
+    from sigmaswarm.reports.study import save_study, study_tables
 
     named: dict[str, Any] = {
         "drives": None if drives is None else tuple(drives),

@@ -111,7 +111,7 @@ def tune(
         )
         (look,) = read.subset([0]).of_each(shown)
         (part,) = read.subset([0]).of_each(_is_part)
-    from sigmaswarm.report.tuning import save_tuning_figures  # what draws takes memory beside a long drive
+    from sigmaswarm.reports.tuning import save_tuning_figures  # what draws takes memory beside a long drive
 
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:

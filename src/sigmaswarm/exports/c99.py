@@ -1,0 +1,241 @@
+"""The filter as a C99 library: one header, one source file, and a program that replays a drive through it."""
+
+import math
+from collections.abc import Iterable
+from operator import itemgetter
+
+import numpy as np
+
+from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, standstill
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.features import features_of, in_range, listed, plain, values_of
+from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.template import fill
+from sigmaswarm.filters import recovery, schedule
+from sigmaswarm.filters.compiled import live
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.versions import __version__
+
+FILES = (
+    "ins_gps.h",
+    "ins_gps.c",
+    "ins_gps_align.h",
+    "ins_gps_align.c",
+    "replay.c",
+    "README.md",
+    "CMakeLists.txt",
+    "library.json",
+    "zephyr/module.yml",
+    "zephyr/CMakeLists.txt",
+    "zephyr/Kconfig",
+    "ins_gps.py",
+    "ins_gps_shared.c",
+)
+SHORTEST_INTERVAL = 1e-4
+"""s: no IMU is faster than that, and a second of its samples would take megabytes."""
+_FLOAT_RANGE = 2.0**-126, (2 - 2.0**-23) * 2.0**127
+
+
+ALONE = Lanes()
+
+
+def c99(
+    parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
+) -> dict[str, str]:
+    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to.
+
+    ``as_recorded``: see `PreparedDrive`.
+
+    Raises
+    ------
+    InputError
+        If a number of the filter has no place in C, or the IMU would be too fast.
+    """
+    if interval < SHORTEST_INTERVAL:
+        raise InputError(
+            f"nominal_interval = {interval:g} s: the C library keeps a second of samples, of an IMU of "
+            f"{1 / SHORTEST_INTERVAL:g} Hz at most; correct it in [filter] of the filter's file"
+        )
+    kinds = MODELS[parameters.model].kinds
+    if parameters.kind not in kinds:
+        raise InputError(f"{parameters.model} has no {parameters.kind} in C; take kind {' or '.join(kinds)}")
+    features = features_of(parameters)
+    fits = all(fits_float(p) for p in lanes.filters(parameters))
+    features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
+    return {name: fill(f"{name}.in", features, values) for name in FILES}
+
+
+def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False) -> str:
+    """A drive as the rows that replay.c reads: those of `replay_events`, as text."""
+    events = replay_events(drive, model, as_recorded=as_recorded)
+    return "".join(_row(name, numbers) + "\n" for name, numbers in events)
+
+
+def replay_events(
+    drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False
+) -> list[tuple[str, list[float]]]:
+    """What a filter is told of a drive, in the order of time: where it starts, then samples, fixes and readings.
+
+    Parameters
+    ----------
+    drive : Drive
+    model : {"planar5", "planar8", "tilted12"}
+        Whose axes of the IMU and of the lever arm the events hold.
+    as_recorded : bool
+        See `PreparedDrive`.
+
+    Returns
+    -------
+    list of (str, list of float)
+        First ``start``, then ``imu``, ``fix`` and ``odometer``; their numbers are those of replay.c's rows.
+
+    Raises
+    ------
+    InputError
+        If the drive's IMU lacks an axis that the model reads.
+    AlignmentError
+        If the drive never moves far enough for a start.
+    """
+    schedule.require_axes(drive, model)
+    initial, imu = initial_state(drive, as_recorded=as_recorded), drive.imu
+    start = [initial.time, *drive.lever_arm, *initial.mean, *initial.covariance.ravel()]
+    axes = ["ax", "ay", "gz"]
+    if MODELS[model].tilts is not None:
+        start = [*start, drive.antenna_height]
+        axes += ["az", "gx", "gy"]
+    start += _gyro(initial)
+    events = [(z[0], 0, "fix", z) for z in _fixes(drive.gps)]  # a fix before the sample of its time
+    if drive.odometer is not None:
+        readings = zip(drive.odometer.time, drive.odometer.speed, strict=True)
+        events += [(t, 0, "odometer", [t, speed]) for t, speed in readings]
+    samples = zip(imu.time, *(getattr(imu, axis) for axis in axes), strict=True)
+    events += [(t, 1, "imu", [t, *u]) for t, *u in samples]
+    ordered = sorted(events, key=itemgetter(0, 1))
+    return [("start", start), *((name, numbers) for *_, name, numbers in ordered)]
+
+
+def _gyro(initial: InitialState) -> list[float]:
+    """What a start shows of the gyro, in the order of InsGpsGyro."""
+    seen = initial.gyro
+    assert seen is not None  # an alignment says it
+    return [*seen.bias, *seen.variance, seen.taken, *seen.turns]
+
+
+def _fixes(gps: Gps) -> list[list[float]]:
+    """Time and position (s, m); velocity (m/s) and stated deviations (m), east and north, where the log has them."""
+    columns = [gps.time, gps.x, gps.y]
+    if gps.speed is not None and gps.course is not None:
+        columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
+    elif gps.std_x is not None:
+        columns += [np.full(len(gps), np.nan)] * 2
+    if gps.std_x is not None and gps.std_y is not None:
+        columns += [gps.std_x, gps.std_y]
+    return np.column_stack(columns).tolist()
+
+
+def _row(name: str, numbers: Iterable[float]) -> str:
+    return ",".join([name, *(repr(float(number)) for number in numbers)])
+
+
+def _sigma_points(p: FilterParameters) -> tuple[float, float]:
+    """alpha^2 (n + kappa) and alpha^2 (n + kappa - 1) + beta, which place and weigh the sigma points."""
+    of = f"the spread of the sigma points, of alpha = {p.alpha:g}, beta = {p.beta:g}, kappa = {p.kappa:g},"
+    square = p.alpha**2 if p.alpha < 1e150 else math.inf
+    gamma_squared = in_range(square * (p.n_states + p.kappa), of)
+    in_range(1 / gamma_squared if gamma_squared else math.inf, of)
+    return gamma_squared, in_range(square * (p.n_states + p.kappa - 1) + p.beta, of)
+
+
+def fits_float(p: FilterParameters) -> bool:
+    """Whether C's float holds all numbers of a filter."""
+    options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
+    options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
+    numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
+    numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
+    numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
+    low, high = _FLOAT_RANGE
+    return all(v == 0 or low <= abs(v) <= high for v in numbers)
+
+
+def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
+    stands, names = p.standstill_noise is not None, MODELS[p.model].names
+    tilted = MODELS[p.model].tilts is not None
+    gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
+    derived: dict[str, float | None] = {
+        "GAMMA_SQUARED": gamma_squared,
+        "SPREAD": spread,
+        "BLOCK": standstill.BLOCK,
+        "DEPARTS": standstill.DEPARTS,
+        "FOLLOWS": standstill.FOLLOWS,
+        "FORGETS": standstill.FORGETS,
+        "CALM": standstill.CALM,
+        "SETTLES": standstill.SETTLES,
+        "RISES": standstill.RISES,
+        "TURNING": standstill.TURNING,
+        "FIX_WINDOW": standstill.FIX_WINDOW,
+        "FILLED": standstill.FILLED,
+        "FIX_SPEED": standstill.FIX_SPEED,
+        "BEFORE": frozen.BEFORE,
+        "SPEED_WINDOW": frozen.SPEED_WINDOW,
+        "BRAKING": frozen.BRAKING,
+        "REST": frozen.REST,
+        "NO_REST": frozen.NO_REST,
+        "GAP_MANY": gaps.MANY,
+        "GAP_SHORTEST": gaps.SHORTEST,
+        "GAP_OVER": gaps.OVER,
+        "GAP_MOST": gaps.MOST,
+        "GAP_TURN": schedule.GAP_TURN_STD,
+        "GAP_ACCELERATION": schedule.GAP_ACCELERATION_STD,
+        "GAP_TILT": schedule.GAP_TILT_STD,
+        "LEAP": live.LEAP,
+        "AGREES": live.AGREES,
+        "LOOK_INTERVAL": recovery.LOOK_INTERVAL,
+        "LATEST_LOOK": recovery.LATEST_LOOK,
+        "LOST_AFTER": recovery.LOST_AFTER,
+        "MANY_SIGMAS": recovery.MANY_SIGMAS,
+        "HEADING_OFF": float(recovery.HEADING_OFF),
+        "POSITION_OFF": recovery.POSITION_OFF,
+        "SPEED_STD": recovery.SPEED_STD,
+        "CONTRADICTS": gyro_seen.CONTRADICTS,
+        "STRANGE": gyro_seen.STRANGE,
+        "STRANGE_STD": gyro_seen.STRANGE_STD,
+        "YAW_STD": float(gyro_seen.YAW_STD),
+        "TURN_SHARE": gyro_seen.TURN_SHARE,
+        "LEAN_STD": float(gyro_seen.LEAN_STD),
+        "MOST_BIAS": gyro_seen.MOST_BIAS,
+    }
+    return (
+        plain(derived)
+        | {
+            "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "REFITS": str(alignment.REFITS),
+            "SLOTS": str(round(1.0 / schedule.LATERAL_INTERVAL)),  # of the standstill and the odometer, too
+            "BLOCKS": str(round(1.0 / standstill.BLOCK)),
+            "PROCESS_NOISE": listed(p.process_noise, "R({})"),
+            "MEASUREMENT_NOISE": listed(p.measurement_noise, "R({})"),
+            "HISTORY": str(max(1, math.ceil(1.0 / interval))),  # as LiveFilter's default
+            "FIXES": "64",  # 6 s at 10 Hz
+            "NUMERIC_VERSION": ".".join(__version__.split(".")[:3]),
+            "STATES": repr(names),
+            "MOST_OF_IT": str(standstill.MOST_OF_IT),
+            "QUARTER": str(standstill.QUARTER),
+            "COUNTERS": ", time_jumps, too_fast and frozen" if stands else ", time_jumps and frozen",
+            "CALM_NOTE": ": it learns what calm is" if stands else "",
+            "VELOCITY_NOTE": "" if p.velocity_noise is not None else " (this filter does not use it)",
+            "GYRO_NOTE": ", and all that the gyro shows is its bias"
+            if MODELS[p.model].gyro_bias is not None
+            else "",
+            "LEVER_NOTE": ", and with its height at roll and pitch" if tilted else "",
+            "LEVER_AXES": ", left and up" if tilted else " and left",
+            "LEVER_COLUMNS": ",left,up" if tilted else ",left",
+            "SAMPLE": "m/s2 forward, left and up, rad/s about the same"
+            if tilted
+            else "m/s2 forward and left, rad/s",
+            "CSV_HEADER": ",".join(["t", *names, *(f"std_{name}" for name in names)]),
+        }
+    )

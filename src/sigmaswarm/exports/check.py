@@ -1,0 +1,173 @@
+"""An exported C filter on this machine: built, called through its own Python module, and held against `run_filter`."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c99 import fits_float, replay_events
+from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import joined
+from sigmaswarm.filters.run import replay_of, run_filter
+from sigmaswarm.filters.swarm.run import SwarmRun
+
+COMPILERS = ("cc", "gcc", "clang")
+_SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The largest differences of a run in C from `run_filter`; NaN where one of them failed.
+
+    Attributes
+    ----------
+    state : float
+        Of any state, relative to max(1, |x|).
+    position : float
+        m
+    heading : float
+        rad
+    """
+
+    state: float
+    position: float
+    heading: float
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What the exported C made of a drive: in double, and in float (None where float can't hold the filter)."""
+
+    drive: str
+    double: Difference
+    single: Difference | None
+
+
+def check_export(
+    folder: Path,
+    parameters: FilterParameters,
+    drives: Sequence[Drive],
+    *,
+    as_recorded: bool = False,
+    lanes: int = 1,
+    seed: int = 0,
+) -> list[Checked]:
+    """Build an exported C library as shared objects beside it, and run it over drives.
+
+    Parameters
+    ----------
+    folder : Path
+        What `export_filter` wrote for ``c99``; libins_gps.so and libins_gps_float.so come beside it.
+    parameters : FilterParameters
+        The filter that was exported.
+    drives : sequence of Drive
+    as_recorded : bool
+        See `PreparedDrive`; as the filter was exported.
+    lanes, seed
+        As the filter was exported. Several lanes are held against a `LiveSwarm` without searches.
+
+    Raises
+    ------
+    InputError
+        If there is no C compiler, or it refuses; or if a drive lacks what the filter reads.
+    AlignmentError
+        If a drive never moves far enough for a start.
+    """
+    side_by_side = Lanes(lanes, seed)
+    double = _shared_object(folder, "libins_gps.so")
+    fits = all(fits_float(p) for p in side_by_side.filters(parameters))
+    single = _shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT") if fits else None
+    checked: list[Checked] = []
+    # Where they are built they may be built anew, and a process loads what has one path only once.
+    with tempfile.TemporaryDirectory() as loaded:
+        libraries = [Path(shutil.copy(each, loaded)) for each in (double, single) if each is not None]
+        for drive in drives:
+            ours = _of_library(drive, parameters, side_by_side, as_recorded=as_recorded)
+            events = replay_events(drive, parameters.model, as_recorded=as_recorded)
+            runs = (_replay(folder, library, parameters, events) for library in libraries)
+            of_double, *of_single = (_difference(run, ours) for run in runs)
+            checked.append(Checked(drive.name, of_double, of_single[0] if of_single else None))
+    return checked
+
+
+def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
+    """The means (k, n) that the C is held against."""
+    if lanes.n == 1:
+        return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
+    replay = replay_of(drive, as_recorded=as_recorded)
+    run = SwarmRun(replay, parameters, seed=lanes.seed, searches=False, as_recorded=as_recorded)
+    run.swarm.count_only(lanes.n)
+    return joined(run).mean
+
+
+def _shared_object(folder: Path, name: str, *flags: str) -> Path:
+    compiler = os.environ.get("CC") or next(filter(shutil.which, COMPILERS), None)
+    if compiler is None:
+        raise InputError(
+            f"no C compiler was found ({', '.join(COMPILERS)}); install one, or name it in the variable CC"
+        )
+    command = [*compiler.split(), "-std=c99", "-O2", "-shared", "-fPIC", *flags]
+    command += [*_SOURCES, "-lm", "-o", name]
+    try:
+        built = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise InputError(
+            f"the C compiler {compiler} does not run: {error.strerror}; name another one in CC"
+        ) from None
+    if built.returncode != 0:
+        first = next(iter(built.stderr.splitlines()), f"exit code {built.returncode}")
+        raise InputError(f"{compiler} could not build {folder / name}: {first}")
+    return (folder / name).resolve()
+
+
+def _replay(
+    folder: Path, library: Path, parameters: FilterParameters, events: Sequence[tuple[str, list[float]]]
+) -> Array:
+    """The means (k, n) after each sample after the start, by the module that was exported with the filter."""
+    spec = importlib.util.spec_from_file_location("ins_gps", folder / "ins_gps.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    states_accuracy, tilted = (
+        parameters.accuracy_scale is not None,
+        MODELS[parameters.model].tilts is not None,
+    )
+    (_, start), *told = events
+    lever_arm = (start[1], start[2], start[33] if tilted else 0.0)
+    board: Any = module.Filter(
+        start[0], start[3:8], start[8:33], lever_arm, library, start[34 if tilted else 33 :]
+    )
+    means: list[list[float]] = []
+    for name, (time, *z) in told:
+        if name == "imu":
+            board.predict(time, [z[0], z[1], z[3], z[4], z[5], z[2]] if tilted else z)
+            if time > start[0]:
+                means.append(board.mean)
+        elif name == "fix":
+            velocity = None if len(z) < 4 or np.isnan(z[2]) else z[2:4]
+            std = {"std": z[4:6]} if states_accuracy else {}
+            board.update(time, z[:2], velocity=velocity, **std)
+        elif parameters.odometer_noise is not None:
+            board.odometer(time, z[0])
+    return np.array(means)
+
+
+def _difference(theirs: Array, ours: Array) -> Difference:
+    error = theirs - ours
+    error[:, 4] = (error[:, 4] + np.pi) % (2 * np.pi) - np.pi
+    return Difference(
+        float(np.max(np.abs(error) / np.maximum(1.0, np.abs(ours)))),
+        float(np.max(np.hypot(error[:, 0], error[:, 1]))),
+        float(np.max(np.abs(error[:, 4]))),
+    )

@@ -1,0 +1,99 @@
+"""The filter as a Python script that needs only NumPy and FilterPy.
+
+The start, the standstill, geodesy and the models are not FilterPy's, and must be as in the library: the library's own
+source is put into the script, so it is written once.
+"""
+
+import ast
+import inspect
+from types import ModuleType
+
+from sigmaswarm import geodesy
+from sigmaswarm.drives import alignment, alignment_fit, frozen, gaps, gyro_seen, standstill
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.features import features_of, listed, values_of
+from sigmaswarm.exports.template import fill
+from sigmaswarm.filters import models, schedule
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.textbook import ekf
+
+FILE = "run_filter.py"
+
+
+def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
+    """The script, by file name; ``interval`` (s) is what Q refers to, ``as_recorded`` as in `PreparedDrive`."""
+    p = parameters
+    if p.odometer_noise is not None:
+        raise InputError(
+            "the script for FilterPy reads no odometer; export the filter as C99, or tune one without odometer"
+        )
+    features = features_of(p)
+    model = models.MODELS[p.model]
+    stands = features["USE_STANDSTILL"] and model.gyro_bias is not None
+    used = ["THETA", *(["GYRO_BIAS"] if stands or features["USE_LATERAL"] else [])]
+    used += [*dict.fromkeys(["planar5", p.model]), "gps_position"]
+    used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
+    used += ["lateral_velocity"] if features["USE_LATERAL"] else []
+    used += ["gyro_bias"] if stands else []
+    sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
+    places = [
+        "SEMI_MAJOR_AXIS",
+        "FLATTENING",
+        "_E2",
+        "wrap_angle",
+        "geodetic_to_ecef",
+        "enu_axes",
+        "geodetic_to_enu",
+    ]
+    values = values_of(p, interval) | {
+        "STATES": repr(model.names),
+        "AS_RECORDED": repr(as_recorded),
+        "PROCESS_NOISE": listed(p.process_noise),
+        "MEASUREMENT_NOISE": listed(p.measurement_noise),
+        "STANDS": "stands[k]" if features["USE_STANDSTILL"] else "False",
+        "FILTERPY_NAMES": "ExtendedKalmanFilter"
+        if p.kind == "ekf"
+        else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
+        "MODEL_SOURCE": "\n\n\n".join(sources),
+        "GEODESY_SOURCE": source_of(geodesy, places),
+        "FROZEN_SOURCE": source_of(frozen),
+        "GAPS_SOURCE": source_of(gaps),
+        "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),
+        "ALIGNMENT_SOURCE": "\n\n\n".join(map(source_of, (gyro_seen, alignment_fit, alignment))),
+        "STANDSTILL_SOURCE": source_of(standstill),
+    }
+    return {FILE: fill("filterpy.py.in", features, values)}
+
+
+def source_of(module: ModuleType, names: list[str] | None = None) -> str:
+    """The source of a module's constants, functions and classes: all of them, or those that ``names`` names.
+
+    Imports, Numba's decorators and typing's overloads are left out; the order is the module's.
+    """
+    text = inspect.getsource(module)
+    lines = text.splitlines()
+    parts: list[str] = []
+    kept = False
+    for node in ast.parse(text).body[1:]:  # the module's docstring comes first
+        if isinstance(node, ast.Expr):  # what is said of the constant before it
+            if kept:
+                parts[-1] += "\n" + "\n".join(lines[node.lineno - 1 : node.end_lineno])
+            continue
+        name = _name(node)
+        decorators = [ast.unparse(d) for d in getattr(node, "decorator_list", [])]
+        kept = name is not None and "overload" not in decorators and (names is None or name in names)
+        if kept:
+            compiled = any(d.startswith(("njit", "cached")) for d in decorators)
+            first = node.lineno if compiled or not decorators else node.decorator_list[0].lineno  # pyright: ignore
+            parts.append("\n".join(lines[first - 1 : node.end_lineno]))
+    return "\n\n\n".join(parts)
+
+
+def _name(node: ast.stmt) -> str | None:
+    """What a statement defines, if it is a constant, a function or a class."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return node.name
+    if not isinstance(node, ast.Assign):
+        return None
+    first = node.targets[0].elts[0] if isinstance(node.targets[0], ast.Tuple) else node.targets[0]
+    return first.id if isinstance(first, ast.Name) and first.id != "Array" else None

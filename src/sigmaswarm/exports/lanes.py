@@ -1,0 +1,94 @@
+"""What the exported C of a swarm needs beside a filter's: a table of what its lanes differ in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.features import listed, plain
+from sigmaswarm.filters.compiled import swarm
+from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.swarm.spread import Spread
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """How many filters run side by side, and the seed of what those differ in that are drawn.
+
+    The first of them are those of a `LiveSwarm` of that seed without searches.
+
+    Raises
+    ------
+    InputError
+        If there can't be so many.
+    """
+
+    n: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.n <= LANES:
+            raise InputError(f"lanes = {self.n}: a swarm has 2 to {LANES}; 1 is the filter alone")
+
+    def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
+        """Each lane's; the first one is the tuning itself."""
+        spread = Spread(tuning)
+        return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
+
+    def _offsets(self, spread: Spread) -> np.ndarray:
+        return spread.first(np.random.default_rng([self.seed, 0]))[: self.n]
+
+    def values(self, tuning: FilterParameters) -> dict[str, str]:
+        """The template's values; of a filter alone its numbers stand where the table's are asked for."""
+        if self.n == 1:
+            own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in _numbers(tuning).items()}
+            return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | self._biases(tuning)
+        spread = Spread(tuning)
+        against = spread.against(self._offsets(spread)).tolist()
+        rows = [_row(p, held) for p, held in zip(self.filters(tuning), against, strict=True)]
+        evidence: dict[str, float | None] = {
+            "EVIDENCE_LASTS": swarm.EVIDENCE_LASTS,
+            "EVIDENCE_COUNTS": swarm.EVIDENCE_COUNTS,
+            "LARGEST_NIS": swarm.LARGEST_NIS,
+        }
+        return plain(evidence) | {
+            **self._biases(tuning),
+            **{f"OF_{name.upper()}": f"lanes[b->lane].{name}" for name in _numbers(tuning)},
+            "Q": "lanes[b->lane].process_noise",
+            "R": "lanes[b->lane].measurement_noise",
+            "LANES": str(self.n),
+            "DESCRIPTION": f"{tuning.model}, {tuning.kind}: {self.n} lanes, differently tuned, and their mixture",
+            "LANE_ROWS": ",\n".join(rows),
+        }
+
+    def _biases(self, tuning: FilterParameters) -> dict[str, str]:
+        """What each lane expects of the gyro at the start."""
+        return {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in self.filters(tuning)])}
+
+
+def _numbers(p: FilterParameters) -> dict[str, float]:
+    """What lanes may differ in beside Q and R: those of these numbers that a filter has."""
+    numbers = {
+        "accel_bias_std": p.bias_std[0] if MODELS[p.model].sensors else None,
+        "gyro_bias_std": p.bias_std[1] if MODELS[p.model].sensors else None,
+        "accuracy_scale": p.accuracy_scale,
+        "velocity_noise": p.velocity_noise,
+        "lateral_noise": p.lateral_noise,
+        "rear_axle": None if p.lateral_noise is None else p.rear_axle,
+        "odometer_noise": p.odometer_noise,
+        "standstill_noise": p.standstill_noise,
+    }
+    return {name: float(value) for name, value in numbers.items() if value is not None}
+
+
+def _row(p: FilterParameters, against: float) -> str:
+    """A lane, in C."""
+    fields = [
+        f".process_noise = {{{listed(p.process_noise, 'R({})')}}}",
+        f".measurement_noise = {{{listed(p.measurement_noise, 'R({})')}}}",
+        f".against = R({against!r})",
+        *(f".{name} = R({value!r})" for name, value in _numbers(p).items()),
+    ]
+    return "    {" + ",\n     ".join(fields) + "}"

@@ -1,0 +1,100 @@
+"""The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c99 import c99, replay_rows
+from sigmaswarm.exports.filterpy import filterpy
+from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.exports.robot_localization import robot_localization
+from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+
+Target = Literal["filterpy", "c99", "robot_localization"]
+
+TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
+    "filterpy": filterpy,
+    "c99": c99,
+    "robot_localization": robot_localization,
+}
+"""From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
+name."""
+WITH_TILTS: frozenset[Target] = frozenset({"c99"})
+"""Those that know models with tilts."""
+
+
+def export_filter(
+    parameters: FilterParameters,
+    target: Target,
+    folder: str | Path,
+    *,
+    replay: Drive | None = None,
+    as_recorded: bool = False,
+    lanes: int = 1,
+    seed: int = 0,
+) -> list[Path]:
+    """Write a filter for a target.
+
+    Parameters
+    ----------
+    parameters : FilterParameters
+        With ``nominal_interval``, as every tuning has it.
+    target : {"filterpy", "c99", "robot_localization"}
+    folder : str or Path
+        Made if missing; files of the same names are replaced.
+    replay : Drive, optional
+        c99: also write this drive as replay.csv, the input of the program that replays.
+    as_recorded : bool
+        filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+    lanes : int
+        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveSwarm`
+        without searches.
+    seed : int
+        Of what the lanes differ in.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    InputError
+        If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
+        variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
+    """
+    if target not in TARGETS:
+        raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
+    if MODELS[parameters.model].tilts and target not in WITH_TILTS:
+        raise InputError(
+            f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
+        )
+    if parameters.nominal_interval is None:
+        raise InputError(
+            "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "
+            "example nominal_interval = 0.01, to [filter] in its file"
+        )
+    if min(parameters.process_noise) < 0 or min(parameters.measurement_noise) <= 0:
+        raise InputError(
+            "a variance of the filter is not positive, so it would fail; tune it again or correct it"
+        )
+    if replay is not None and target != "c99":
+        raise InputError(f"--replay is for --to c99 only: {target} has no program that replays a drive")
+    side_by_side = Lanes(lanes, seed)
+    if lanes > 1 and target != "c99":
+        raise InputError(f"--lanes is for --to c99 only: {target} runs one filter")
+    if target == "c99":
+        texts = c99(parameters, parameters.nominal_interval, as_recorded, side_by_side)
+    else:
+        texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
+    if replay is not None:
+        texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+    folder = make_folder(Path(folder))
+    for name, text in texts.items():
+        make_folder((folder / name).parent)
+        write_whole(folder / name, text)
+    return [folder / name for name in texts]

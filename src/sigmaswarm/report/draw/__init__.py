@@ -1,1 +1,0 @@
-"""Drawing of what `report/views/` says: PNG by matplotlib, charts of pages by plotly, pages as HTML, tables as text."""

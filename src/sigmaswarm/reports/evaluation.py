@@ -1,0 +1,96 @@
+"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else.
+
+All that the pictures show is said in `views/`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from sigmaswarm.drives.overlap import SEEN_FILE
+from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.reports.draw.png import figure_of, new_figure, save
+from sigmaswarm.reports.style import LABELS
+from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
+from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
+from sigmaswarm.scoring.tracks import Picture
+from sigmaswarm.tuning.record import FILE, HISTORY_FILE
+
+
+def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
+    """Write all that `sigmaswarm report` and people look at; the paths of all files.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+    folder : Path
+        Made where it is missing.
+    tuning : Path, optional
+        The tuning.toml that was evaluated, or the folder that holds it; copied.
+    """
+    make_folder(folder)
+    written = [*evaluation.save(folder), *save_evaluation_figures(evaluation, folder)]
+    return written if tuning is None else [*written, *copy_tuning(tuning, folder)]
+
+
+def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
+    """Copy a tuning.toml, or that of a folder, its history and landmarks; the paths of what was copied."""
+    file = tuning / FILE if tuning.is_dir() else tuning
+    written: list[Path] = []
+    beside = (HISTORY_FILE, SEEN_FILE)
+    for name, source in ((FILE, file), *((name, file.parent / name) for name in beside)):
+        copy = folder / name
+        if source.is_file() and not (copy.exists() and copy.samefile(source)):
+            write_whole(copy, source.read_bytes())
+            written.append(copy)
+    return written
+
+
+def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write the figures of an evaluation into its folder; their paths."""
+    labels = LABELS | dict(evaluation.names)
+    written = [save(comparison(evaluation), folder / "comparison.png")]
+    for name, found in evaluation.drives.items():
+        stem = name.replace("/", "-")
+        figures = {
+            "track": found.picture and tracks(found.picture, labels),
+            "consistency": consistency(name, found),
+            "error": found.picture and errors(found.picture, labels),
+        }
+        written += [save(f, folder / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
+    return written
+
+
+def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:
+    """The whole track, and a close-up where the car turns most (the paper's Fig. 3)."""
+    return figure_of(*track_charts(picture, labels), size=(11, 5.4), legend="below")
+
+
+def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
+    """Position and heading error over time; None without truth."""
+    charts = error_charts(picture, labels)
+    return figure_of(*charts, size=(9, 6), columns=1, legend="below", sharex=True) if charts else None
+
+
+def comparison(evaluation: Evaluation) -> Figure:
+    """Bars of the mean scores of each method, where there are any: without truth no errors."""
+    charts = [
+        replace(chart, title=chart.x.title, x=replace(chart.x, title=""))
+        for chart in method_bars(evaluation.record, evaluation.names, evaluation.measures)
+    ]
+    if charts:
+        columns = min(len(charts), 3)
+        rows = -(-len(charts) // columns)
+        return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)
+    figure, (ax,) = new_figure(6.4, 3.4)
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, "nothing can be compared: no truth, and no outage fits", ha="center")
+    return figure
+
+
+def consistency(name: str, found: Evaluated) -> Figure | None:
+    """What the tuned filter's innovations say; None where it failed or saw too few fixes."""
+    charts = consistency_charts(name, found)
+    return figure_of(*charts, size=(11, 3.4)) if charts else None

@@ -1,0 +1,40 @@
+"""Which adapter a folder of results needs."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.reports.pages.evaluation import evaluation_report
+from sigmaswarm.reports.pages.study import study_report
+from sigmaswarm.reports.pages.tuning import tuning_report
+from sigmaswarm.reports.views.record import Report
+
+ADAPTERS: dict[str, Callable[[Path], Report]] = {
+    "scores.json": evaluation_report,
+    "results.json": lambda folder: study_report(StudyRecord.read(folder)),
+    "tuning.toml": tuning_report,
+}
+"""The file that a kind of folder is known by; the first that is there counts."""
+
+
+def read_report(folder: Path) -> Report:
+    """Read a folder of results.
+
+    Raises
+    ------
+    InputError
+        If it is no such folder, or a file in it is missing or damaged.
+    """
+    if not folder.is_dir():
+        wrong = "is a file" if folder.exists() else "no such folder"
+        raise InputError(f"{folder}: {wrong}; give a folder that tune, evaluate or study wrote")
+    for file, adapter in ADAPTERS.items():
+        if (folder / file).exists():
+            return adapter(folder)
+    if (folder / "config.json").exists() and list(folder.glob("checkpoint-*.npz")):
+        raise InputError(f"{folder}: the tuning is not finished; repeat its command with --resume")
+    raise InputError(
+        f"{folder}: holds no results (none of {', '.join(ADAPTERS)}); give a folder that "
+        "tune, evaluate or study wrote"
+    )

@@ -1,0 +1,79 @@
+"""The tables and pictures of a study, as files; all they say is said in `views/`."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from sigmaswarm.experiments.study.config import MAIN
+from sigmaswarm.experiments.study.record import Results
+from sigmaswarm.experiments.study.run import Study
+from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.reports.draw.png import figure_of, save_both
+from sigmaswarm.reports.draw.text import Printed
+from sigmaswarm.reports.views import study_rivals
+from sigmaswarm.reports.views import study_tables as views
+from sigmaswarm.reports.views.study_charts import convergence_chart, spread_chart
+from sigmaswarm.reports.views.study_drive import error_charts, nis_charts, trajectory_chart
+
+
+def save_study(study: Study, folder: Path) -> list[Path]:
+    """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
+    tables, figures = make_folder(folder / "tables"), make_folder(folder / "figures")
+    record = study.record
+    runtime = {"runtime": Printed(views.runtime_table(record.results, record.live))}
+    if record.results.rivals is not None:
+        runtime["runtime-rivals"] = Printed(study_rivals.rivals_table(record.results, record.rival_times))
+    written: list[Path] = []
+    for name, table in (study_tables(study.results) | runtime).items():
+        for ending, text in (("md", table.to_markdown()), ("tex", table.to_latex()), ("csv", table.to_csv())):
+            written.append(tables / f"{name}.{ending}")
+            write_whole(written[-1], text)
+    for name, figure in study_figures(study).items():
+        written += save_both(figure, figures / name)
+    return written
+
+
+def study_tables(results: Results) -> dict[str, Printed]:
+    """All tables of a study but that of the run time, which no two runs share.
+
+    Parameters
+    ----------
+    results : Results
+        ``study.results``.
+
+    Returns
+    -------
+    dict of str to Printed
+        ``table-1`` to ``table-3`` beside the paper's, ``comparison-honest`` and ``comparison-paper``, three of the
+        conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
+        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
+    """
+    tables = views.study_tables(results) | study_rivals.rivals_tables(results)
+    return {name: Printed(table) for name, table in tables.items()}
+
+
+def study_figures(study: Study) -> dict[str, Figure]:
+    """All figures of a study.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    dict of str to matplotlib.figure.Figure
+        ``convergence`` (the paper's Fig. 2), ``trajectory`` (its Fig. 3), ``boxes`` (errors over drives), ``errors``
+        (over time) and ``nis``; with rivals ``learning-curve``. No global state of pyplot is touched.
+    """
+    results, spreads, picture = study.results, study.record.spreads, study.picture
+    courses = [convergence_chart(results, protocol, [MAIN], "linear") for protocol in results.protocols]
+    boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in views.ERRORS]
+    curves = study_rivals.curve_charts(results)
+    return {
+        "convergence": figure_of(*(c for c in courses if c), size=(10, 4)),
+        "trajectory": figure_of(trajectory_chart(picture), size=(6.4, 5.6)),
+        "boxes": figure_of(*(c for c in boxes if c), size=(12, 4.6), sharey=True),
+        "errors": figure_of(*error_charts(picture), size=(11, 7), columns=2, sharex=True),
+        "nis": figure_of(*nis_charts(picture), size=(11, 3.4), sharey=True),
+        **({"learning-curve": figure_of(*curves, size=(11, 7), columns=2)} if curves else {}),
+    }

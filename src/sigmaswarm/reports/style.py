@@ -1,0 +1,54 @@
+"""One look for all pictures: colors that the color-blind can tell apart, and lines that stay legible in grey."""
+
+from pathlib import Path
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.reports.views.charts import Dash, Look
+from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
+
+# M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
+BLACK, BLUE, ORANGE, GREEN = "#000000", "#0072B2", "#E69F00", "#009E73"
+VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
+CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
+
+MANY = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
+"""For as many lines as there are; `DASHES` tells those apart that repeat a color."""
+DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
+
+# Line styles differ, too, so that a grey print stays legible.
+LOOKS: dict[str, Look] = {
+    "truth": Look(BLACK, 1.2),
+    "tuned": Look(BLUE, 2.2),
+    "smoothed": Look(INDIGO, 1.6),
+    "swarm": Look(VERMILION, 1.4, "dash"),
+    "outage-lstm": Look(SKY, 1.6, "dash"),
+    "noise-gru": Look(PURPLE, 1.6, "dash"),
+    "against": Look(SKY, 1.6),
+    UNTUNED: Look(PURPLE, 1.2, "dashdot"),
+    "imu_only": Look(VERMILION, 1.2, "dot"),
+    "raw_gps": Look(GREEN, 0.0, "none", "dot", 4.0, 0.7),
+}
+STUDY_LOOKS: dict[str, Look] = {
+    "truth": LOOKS["truth"],
+    "honest-pso-ukf": LOOKS["tuned"],
+    "paper-pso-ukf": Look(VERMILION, 1.4, "dashdot"),
+    "honest-pso-ekf": Look(SKY, 1.4),
+    "honest-pso-planar8": Look(INDIGO, 1.4, "dash"),
+    "ukf-datasheet": LOOKS[UNTUNED],
+    "ukf-defaults": Look(ORANGE, 0.8, "dash", opacity=0.5),
+    "imu_only": Look("#51585F", 1.2, "dot"),
+    "raw_gps": LOOKS["raw_gps"],
+}
+"""Of the series in a study's tracks, the first one on top."""
+LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
+
+
+def check_file(path: Path, suffix: str = ".png") -> None:
+    """Raise `InputError` where no file of that kind can be written, before any work is done."""
+    if path.suffix != suffix:
+        raise InputError(f"{path}: can't tell the format; end the name in {suffix}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent}: no such folder; make it first")
