@@ -27,7 +27,7 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters.compiled import layout, swarm
 from sigmaswarm.filters.compiled.layout import LANES
-from sigmaswarm.filters.groups import pack_constants
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -199,9 +199,9 @@ def test_the_heading_of_a_mixture_goes_around_the_circle():
 def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
     for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
         spread = Spread(parameters(model, **option))
-        own = pack_constants((spread.tuning,), 0.01)[:, :1]
+        own = KernelArray((spread.tuning,)).constants(0.01)[:, :1]
         by = np.resize(offsets, len(spread.names))
-        packed = pack_constants((spread.parameters(by),), 0.01)[:, 0]
+        packed = KernelArray((spread.parameters(by),)).constants(0.01)[:, 0]
         np.testing.assert_allclose(spread.grown(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
     assert spread.grown(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
 

@@ -17,7 +17,7 @@ from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
-from sigmaswarm.filters.groups import Chunk, plausible, start_rows
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.packing import believed
@@ -131,7 +131,7 @@ class LiveFilter:
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
-        self._plausible = plausible(p)
+        self._plausible = bool(KernelArray((p,)).plausible[0])
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
         # More than the history takes: an IMU may run faster than it says.
@@ -306,7 +306,7 @@ class LiveFilter:
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
-        rows = start_rows([start], [self._interval], Chunk.of((self.parameters,)))
+        rows = KernelArray((self.parameters,)).start([start], [self._interval])
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
@@ -395,7 +395,7 @@ def _believe(
 ) -> Array:
     """The belief at the start, and the settings behind it."""
     v = np.zeros(live.N_ALL)
-    v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk.of((p,)))[0, :, 0]
+    v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
     v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = v[live.ODOMETER_SLOT] = -1.0
     v[live.ODOMETER_TIME] = initial.time

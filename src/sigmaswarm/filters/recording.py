@@ -12,12 +12,12 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_place
-from sigmaswarm.filters.groups import Chunk, start_rows, unpack_sums
+from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.packing import believed, definite
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
-from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
+from sigmaswarm.filters.replay import Replay, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
@@ -116,8 +116,8 @@ class Recording:
         samples: int = SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._replay, self._chunk, self._samples = replay, Chunk.of((parameters,)), samples
-        self._rows, self._place = start_replays([replay], self._chunk), new_place()
+        self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
+        self._rows, self._place = start_replays([replay], self._array), new_place()
         self._state = state_rows(parameters.model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
         self._looks = looks_of(replay.timeline) if recover else None
@@ -190,13 +190,13 @@ class Recording:
         assert self._looks is not None
         if self._recovery.lost:
             return row + 1
-        if self._chunk.like.kind not in ADAPTS_R:
+        if self._array.like.kind not in ADAPTS_R:
             return len(stops)
         due = np.flatnonzero(np.isin(stops[row:] - 1, self._looks.step))
         return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, record, self._innovations)
+        run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
     def _look(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
         """Look at the filter after some steps, by what is recorded of them, until one at which it is lost.
@@ -207,7 +207,7 @@ class Recording:
         assert looks is not None
         first, last = np.searchsorted(looks.step, [steps[0], steps[-1] + 1]).tolist()
         rows = np.searchsorted(steps, looks.step[first:last])
-        means, covariances = believed(record[rows, :-1, 0].T, self._chunk.model)
+        means, covariances = believed(record[rows, :-1, 0].T, self._array.model)
         sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # where it is not it failed, and says so
         times = self._replay.timeline.end[looks.step[first:last][sound]].tolist()
         if not times:
@@ -232,7 +232,7 @@ class Recording:
             fix=line.fixes[fix, :2],
             fix_variance=self._variance_of(fix),
             lever=line.lever,
-            latency=self._chunk.like.latency,
+            latency=self._array.like.latency,
             since=lambda: np.array([since]),
             heading=lambda: float(alignments.course[ends] + since[0] * since[3]),
             align=lambda: alignments.at(ends),
@@ -247,7 +247,7 @@ class Recording:
 
     def _believed(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = believed(self._rows[0, self._state, :1], self._chunk.model)
+        mean, covariance = believed(self._rows[0, self._state, :1], self._array.model)
         return mean[0], covariance[0]
 
     def _variance_of(self, fix: int) -> Array:
@@ -257,14 +257,14 @@ class Recording:
 
     def _start_anew(self, start: InitialState) -> None:
         """The filter as at a start; what it has added up stays."""
-        fresh = start_rows([start], [self._replay.timeline.nominal_interval], self._chunk)[0]
+        fresh = self._array.start([start], [self._replay.timeline.nominal_interval])[0]
         added_up = slice(R.SQ_POSITION, R.OK + 1)
         fresh[added_up] = self._rows[0, added_up]
         self._rows[0] = fresh
 
     def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
-        mean, covariance = believed(record[:, :-1, 0].T, self._chunk.model)
-        sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._chunk.plausible
+        mean, covariance = believed(record[:, :-1, 0].T, self._array.model)
+        sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._array.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         mean[~sound], covariance[~sound] = np.nan, np.nan
@@ -276,8 +276,7 @@ class Recording:
     def sums(self) -> Sums:
         """What `run_replays` gives for this replay and this set, shape (1, 1); after the last piece."""
         self._need_all()
-        columns, failed = unpack_sums(self._rows, self._chunk)
-        return Sums(*columns, failed=failed)
+        return self._array.sums(self._rows)
 
     @property
     def innovations(self) -> Innovations:

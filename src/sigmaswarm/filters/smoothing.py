@@ -134,7 +134,7 @@ class _Forward(Recording):
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
         super().__init__(replay, parameters, samples=samples, recover=recover)
-        require_readable(replay, self._chunk)
+        require_readable(replay, self._array)
         self.marks: list[_Mark] = []
         self._switches = switches(parameters)
         self._kernel: Any = taped_kernel(parameters.model)

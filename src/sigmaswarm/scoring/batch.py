@@ -6,7 +6,6 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import groupby
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -14,11 +13,12 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.groups import Sets
+from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
+from sigmaswarm.filters.replay import Replay, run_array
 from sigmaswarm.filters.student import INNOVATION_DOF
+from sigmaswarm.filters.table import tables_of
 from sigmaswarm.fleets.held import Held, Here
 from sigmaswarm.scoring.jobs import Job, jobs_for
 from sigmaswarm.scoring.score import Score
@@ -235,28 +235,32 @@ class Replayer:
         return [function(one) for one in self._ready]
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
-        """Every pass by every set, in pieces so that all workers have something to do."""
+        """Run every pass by every set, in jobs that keep all workers busy."""
         workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
-        sets = Sets(parameter_sets)
-        shared_as = len(parameter_sets), sets.groups[0][1].like.model, workers
-        jobs = self._jobs.get(shared_as)
-        if jobs is None:
-            jobs = self._jobs[shared_as] = jobs_for(self._steps, *shared_as)
-        packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
-        for _, group in sets.groups:
-            group.keep_starts(self.initial)
+        work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
+        for places, table in tables_of(parameter_sets):
+            array = KernelArray(table)
+            array.compute_starts(self.initial)
+            work += [
+                (job, places[job.sets.start : job.sets.stop], array.part(job.sets))
+                for job in self._jobs_for(len(table), array.model, workers)
+            ]
         # The longest first, so that no worker is left with one at the end.
-        order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
-        longest_first = [jobs[k] for k in order]
-        asked = [
-            (self._passes[job.name][job.replays.start : job.replays.stop], packs[job.sets])
-            for job in longest_first
+        work.sort(key=lambda item: item[0].seconds, reverse=True)
+        tasks = [
+            (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
         ]
-        sums = dict(zip(order, in_turn(run_packed, asked, executor, workers), strict=True))
-        done = {name: list[Sums]() for name in self._passes}
-        for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
-            done[name].append(joined([sums[k] for k in part], axis=1))
-        return {name: joined(each, axis=0) for name, each in done.items()}
+        sums = {name: Sums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
+        for (job, places, _), part in zip(work, in_turn(run_array, tasks, executor, workers), strict=True):
+            sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
+        return sums
+
+    def _jobs_for(self, n_sets: int, model: ModelName, workers: int) -> list[Job]:
+        """As `jobs_for`; kept, since all generations of a search have the same jobs."""
+        key = n_sets, model, workers
+        if key not in self._jobs:
+            self._jobs[key] = jobs_for(self._steps, n_sets, model, workers)
+        return self._jobs[key]
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,7 +128,8 @@ class SearchSpace(Box):
     def decode(self, points: Array) -> ParameterTable:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
         values = self.values(points)
-        return ParameterTable(self._any, {name: values[:, places] for name, places in self._places.items()})
+        columns = {name: values[:, places] for name, places in self._places.items()}
+        return ParameterTable(self._any, columns, len(points))
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:

@@ -24,7 +24,7 @@ from sigmaswarm.filters.compiled.lagged import again_call
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
 from sigmaswarm.filters.compiled.memory import Memory
 from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
-from sigmaswarm.filters.groups import Chunk, pack_constants, start_rows
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter, LiveState, told
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.names import ModelName
@@ -243,7 +243,7 @@ class LiveSwarm(LiveFilter):
     def _started(self, start: InitialState) -> Array:
         """All lanes as at a start, (N_KEPT, LANES)."""
         sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
-        return start_rows([start], [self._interval], Chunk.of(sets))[0]
+        return KernelArray(sets).start([start], [self._interval])[0]
 
     def count_only(self, lanes: int) -> None:
         """From now on no lanes count but the first ones: what an export with so many does. Without searches only."""
@@ -253,7 +253,7 @@ class LiveSwarm(LiveFilter):
 
     @property
     def _own_constants(self) -> Array:
-        return pack_constants((self.parameters,), self._interval)[:, :1]
+        return KernelArray((self.parameters,)).constants(self._interval)[:, :1]
 
     @staticmethod
     def _rows_of(numbers: Array) -> Array:

@@ -12,7 +12,7 @@ import polars as pl
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.groups import Chunk
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
@@ -105,7 +105,7 @@ class SwarmRun:
         recover: bool = False,
         as_recorded: bool = False,
     ) -> None:
-        require_readable(replay, Chunk.of((parameters,)))
+        require_readable(replay, KernelArray((parameters,)))
         self._line, self.initial = replay.timeline, replay.initial
         self._model: ModelName = parameters.model
         self.swarm = LiveSwarm(

@@ -25,7 +25,7 @@ from sigmaswarm.filters.compiled.swarm import (
     T_TIME,
     T_WHEELS,
 )
-from sigmaswarm.filters.groups import pack_constants
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
@@ -208,7 +208,7 @@ def search(
     rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_FIXES:
         return None
-    own = pack_constants((spread.tuning,), nominal_interval)[:, :1]
+    own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
 
     def begun(offsets: Array) -> Array:
         lanes = np.repeat(as_at_start(start[:, np.newaxis]), len(offsets), axis=1)
