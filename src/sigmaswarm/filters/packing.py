@@ -49,7 +49,7 @@ def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
     return mean, covariance
 
 
-def believed(state: Array, model: ModelName) -> tuple[Array, Array]:
+def state_estimate(state: Array, model: ModelName) -> tuple[Array, Array]:
     """As `unpack_states`, with the covariance of the mean itself: of a tilted model's angles."""
     mean, covariance = unpack_states(state, model)
     tilts = MODELS[model].tilts
