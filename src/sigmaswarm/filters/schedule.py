@@ -32,9 +32,9 @@ STANDSTILL_INTERVAL = 0.1
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
 """rad2/s2: variance of the gyro around its bias while the car stands."""
 SLIP_GATE = 9.0
-"""The largest NIS of a wheel speed that is used: three sigmas. Wheels that slip or lock are wrong for seconds, with equal
-readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is rejected,
-too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
+"""The largest NIS of a wheel speed that is used: three sigmas. Wheels that slip or lock are wrong for seconds, with
+equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
+rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
 MOST_REJECTED = 5
 """Fixes in a row that the gate may reject; the next one is used, or a filter that has diverged would never recover."""
 
