@@ -1,9 +1,9 @@
 """The rules by which a fuzzy filter scales R and Q, and their constants in every form of it.
 
-The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. It is
-averaged from fix to fix, quickly and, for its trend, `SLOWER` times as slowly. Both averages are brought to (-1, 1),
-``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) / (quick + slow)``. Straight edges of tuned widths turn
-"small", "right", "large" and "rises" into truths between 0 and 1:
+The ratio d of the actual to the theoretical innovation covariance is NIS / 2, on average 1 for a consistent filter. It
+is averaged from fix to fix, quickly and, for its trend, `SLOWER` times as slowly. Both averages are brought to (-1, 1),
+``ratio = (quick - 1) / (quick + 1)`` and ``trend = (quick - slow) / (quick + slow)``. Straight edges of tuned widths
+turn "small", "right", "large" and "rises" into truths between 0 and 1:
 
     ratio is small                       R / g_R    Q / g_Q     the covariance is too large
     ratio is right                       R          Q
