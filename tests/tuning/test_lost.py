@@ -30,7 +30,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
             lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
         except SigmaswarmError:
             continue
-        said = [doubt for doubt in problem.doubts(point) if "the tuned filter diverged" in doubt]
+        said = [doubt for doubt in problem.warnings(point) if "the tuned filter diverged" in doubt]
         assert bool(said) == any(lost.values())
         assert all(
             (f"diverged on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said

@@ -26,7 +26,7 @@ from sigmaswarm.filters.schedule import (
 from sigmaswarm.filters.table import tables_of
 
 NO_SPEEDS = np.empty((0, 3))
-"""Of a filter that does not look at the wheels."""
+"""For a filter without an odometer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +40,11 @@ class Targets:
     x, y : (m,) m
     theta : (m,) rad
     counts : (m,) bool
-        Where the heading is compared.
+        True where the heading is compared.
     end : (k,) int32
-        How many targets lie before the end of each step of the time line.
-    doubts : (m, 4), or (0, 4) where what is known is exact
-        What the squared errors of position and heading count, and the variances of x and y, m2, beside P in the NEES.
+        Number of targets before the end of each step of the time line.
+    noise : (m, 4), or (0, 4) where the reference is exact
+        Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
     """
 
     weight: Array
@@ -53,19 +53,19 @@ class Targets:
     theta: Array
     counts: NDArray[np.bool_]
     end: NDArray[np.int32]
-    doubts: Array = field(default_factory=lambda: run.NO_DOUBTS)
+    noise: Array = field(default_factory=lambda: run.NO_DOUBTS)
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
         """Nothing to compare with."""
-        weight, x, y, theta, counts, doubts = run.NO_TARGETS
-        return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), doubts)
+        weight, x, y, theta, counts, noise = run.NO_TARGETS
+        return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
     @property
     def columns(self) -> run.TargetColumns:
-        """What the kernel reads of the moments."""
+        """The moments as the kernel reads them."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
-        return weight, x, y, theta, self.counts, run.kept(self.doubts)
+        return weight, x, y, theta, self.counts, run.kept(self.noise)
 
     def compared(self, line: Timeline) -> NDArray[np.intp]:
         """The steps that end at an IMU sample with a comparison in the interval before or behind it."""
@@ -75,18 +75,18 @@ class Targets:
 
     @property
     def n_positions(self) -> int:
-        """How many positions are compared."""
+        """Number of positions that are compared."""
         return len(self.weight)
 
     @cached_property
     def position_weight(self) -> float:
-        """What the squared errors of position count together: as many as they are where truth is exact."""
-        return float(self.doubts[:, 0].sum()) if len(self.doubts) else float(self.n_positions)
+        """Total weight of the squared errors of position: their number where truth is exact."""
+        return float(self.noise[:, 0].sum()) if len(self.noise) else float(self.n_positions)
 
     @cached_property
     def heading_weight(self) -> float:
-        """The same of heading."""
-        return float(self.doubts[self.counts, 1].sum()) if len(self.doubts) else float(self.counts.sum())
+        """Total weight of the squared errors of heading."""
+        return float(self.noise[self.counts, 1].sum()) if len(self.noise) else float(self.counts.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +101,13 @@ class Replay:
 
     @cached_property
     def n_hidden(self) -> int:
-        """How many fixes are hidden from the filter."""
+        """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
     def arrays(
         self, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
     ) -> "DriveArrays":
-        """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
+        """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
         taken = velocity, lateral, standstill, odometer
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets

@@ -26,7 +26,6 @@ from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.records import (
@@ -48,6 +47,7 @@ from sigmaswarm.scoring.targets import (
     tracking_replay,
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.truth_noise import share_known
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
