@@ -54,8 +54,7 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.bank.run import run_bank
     from sigmaswarm.filters.custom.log import Log
     from sigmaswarm.filters.custom.model import Model, Tunable
-    from sigmaswarm.filters.custom.run import ModelEstimate, run_model
-    from sigmaswarm.filters.custom.smoothing import smooth_model
+    from sigmaswarm.filters.custom.run import ModelEstimate, run_model, smooth_model
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import baseline, preset
@@ -98,13 +97,12 @@ _HOMES = {
     "experiments.study.run": ("Study", "run_study"),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
-    "filters.custom.run": ("ModelEstimate", "run_model"),
+    "filters.custom.run": ("ModelEstimate", "run_model", "smooth_model"),
     "filters.parameters": ("FilterParameters",),
     "filters.presets": ("baseline", "preset"),
     "filters.live": ("LiveFilter",),
     "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
-    "filters.custom.smoothing": ("smooth_model",),
     "filters.smoothing": ("smooth",),
     "filters.bank.live": ("LiveFilterBank",),
     "filters.bank.run": ("run_bank",),

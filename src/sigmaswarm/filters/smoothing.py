@@ -32,7 +32,7 @@ from sigmaswarm.filters.replay import Replay, require_readable
 from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
 from sigmaswarm.filters.schedule import IMU, switches
 from sigmaswarm.filters.textbook.car import TextbookCar
-from sigmaswarm.filters.textbook.smoothing import smooth_steps
+from sigmaswarm.filters.textbook.loop import smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
 

@@ -1,6 +1,6 @@
-"""The filters for cars, put together from the textbook's parts: one step of it reads like the equations.
+"""The filters for cars in textbook form: a step reads like the equations.
 
-`compiled/run.py` does the same; tests hold the two together, one step at a time.
+`compiled/run.py` does the same; tests compare the two, one step at a time.
 """
 
 import numpy as np
@@ -55,7 +55,7 @@ class TextbookCar:
     filter : GaussianFilter
         Its ``mean`` and ``covariance`` may be set before a step.
     noise : SageHusa or FuzzyNoise
-        The diagonals of Q and R that are in force.
+        The current diagonals of Q and R.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class TextbookCar:
         self._since = 0.0
 
     def step(self, i: int) -> None:
-        """Take the time line's step i: predict, then absorb what there is at its end."""
+        """Take step i of the time line: predict, then update with the measurements at its end."""
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
