@@ -1,4 +1,4 @@
-"""How the filters of a bank differ from the tuning: offsets, most of them in decades of variance.
+"""Offsets of a bank's filters from the tuning, most of them in decades of variance.
 
 An offset stands for one thing that may have changed since the filter was tuned: the noise of the IMU or the receiver,
 the place of the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
@@ -15,7 +15,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Of the offsets' distribution, Student's t: most are small; where a sensor is another one, they are decades."""
+"""Degrees of freedom of the offsets' distribution, Student's t: most are small; of another sensor large."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
 """Standard deviations of offsets, decades of variance: of a state's noise, a bias's walk, R, other measurements."""
 R_DOWN_STD = 0.45

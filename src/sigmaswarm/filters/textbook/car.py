@@ -111,7 +111,7 @@ class TextbookCar:
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]
-            self._absorb_fix(fix[:2], fix[4:], float(line.end[i]))
+            self._update_with_fix(fix[:2], fix[4:], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
                 self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
@@ -131,7 +131,7 @@ class TextbookCar:
                 noise = STANDSTILL_RATE_NOISE * np.eye(len(shown))
                 self.filter.update(shown, noise, model.rates_at_rest)
 
-    def _absorb_fix(self, fix: Array, stated: Array, time: float) -> None:
+    def _update_with_fix(self, fix: Array, stated: Array, time: float) -> None:
         times = self.fuzzy.times_r if self.fuzzy else 1.0
         noise = self.noise.measurement_noise + times * (self.parameters.accuracy_scale or 0.0) * stated
         innovation = self.filter.measure(fix, np.diag(noise))
