@@ -8,7 +8,8 @@ The commands and options are those of version 0.3.0. Two drives are simulated, a
 (kitti-09-26-0101 and colorado-1) where it is given. Each side runs in its own folder, both at once.
 
 A file is compared by its keys or columns. Where these differ (renamed, or in another order) and the numbers
-are the same, the command counts as equal and is marked as *layout*. `ALLOWED` names what may differ. Exit code 0: all equal.
+are the same, the command counts as equal and is marked as *layout*. `ALLOWED` names what may differ. Exit code 0 if
+all commands are equal.
 """
 
 import argparse

@@ -10,7 +10,6 @@ import argparse
 import hashlib
 import json
 import os
-import pickle
 import platform
 import subprocess
 import sys
@@ -306,24 +305,15 @@ def write_learned() -> None:
 
 
 def write_others() -> None:
-    """A reference, exports with their replays, estimates, a swarm's saved filter, pickles of live filters."""
+    """A reference, exports with their replays, estimates, the filter that a swarm settled on."""
     run("reference", "drives/town-2", "--fixes", "drives/town-2", "--out", "reference", "--accuracy", "3")
     for target in ("filterpy", "c99", "robot_localization"):
         more = ("--replay", "drives/town-2") if target == "c99" else ()
         run("export", "tunings/planar5", "--to", target, "--out", f"exports/{target}", *more)
+    Path("estimates").mkdir()
     run("run", "tunings/planar5", "drives/town-2", "--out", "estimates/swarm.csv", "--swarm")
+    Path("estimates/swarm.csv").unlink()  # large; what it settled on is kept
     run("run", "tunings/planar8", "drives/town-2", "--out", "estimates/plain.csv")
-    live = sigmaswarm.LiveFilter(*_live("planar5"), nominal_interval=0.02)
-    Path("live").mkdir()
-    try:
-        Path("live/filter.pickle").write_bytes(pickle.dumps(live))
-    except Exception as error:
-        print("live filter:", error)
-
-
-def _live(tuning: str) -> tuple[Any, Any]:
-    drive = sigmaswarm.read_drive("drives/town-2")
-    return sigmaswarm.FilterParameters.load(f"tunings/{tuning}"), sigmaswarm.initial_state(drive)
 
 
 def drive_of(name: str) -> str:
