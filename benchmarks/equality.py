@@ -162,7 +162,7 @@ def steps(real: Sequence[str]) -> list[Step]:
         Step(
             "compare",
             f"compare {a} --validation {b} --optimizers pso de --model planar5 --particles 3 --generations 2 "
-            "--trials 2 --workers 1 --out compared",
+            "--seeds 3 --workers 1 --out compared",
         ),
         Step(
             "study",
