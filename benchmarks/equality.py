@@ -118,7 +118,7 @@ def steps(real: Sequence[str]) -> list[Step]:
         ),
         Step(
             "import nmea",
-            f"import imu.csv --gps fixes.nmea {imu_map} --out imported/nmea",
+            f"import imu.csv --gps fixes.nmea {imu_map} --gps-offset -1767268800 --out imported/nmea",
             WORLD_TOLERANCE,
             {"fixes.nmea": nmea},
         ),

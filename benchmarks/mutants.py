@@ -20,11 +20,11 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
 import tempfile
-import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -32,8 +32,9 @@ from pathlib import Path
 from typing import Any
 
 BUDGET = 60.0
-"""s of test files for a mutant, as an unchanged run takes them."""
+"""s of a processor for the test files of a mutant, as an unchanged run takes them."""
 TIMEOUT = 120.0
+"""s of a processor that a mutant may take; four times as much by the clock, as the machine may be busy."""
 LEFT_OUT = {".git", ".venv", "__pycache__", ".pytest_cache", ".ruff_cache", ".import_linter_cache", "_build"}
 FLIPPED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
@@ -252,9 +253,8 @@ class Tests:
         left = BUDGET
         for file in order:
             if file not in self.seconds:
-                begun = time.perf_counter()
-                passed = self.scratch.run([file], BUDGET) == "survived"
-                self.seconds[file] = time.perf_counter() - begun if passed else None
+                verdict, seconds = self.scratch.run([file], BUDGET)
+                self.seconds[file] = round(seconds, 1) if verdict == "survived" else None
             seconds = self.seconds[file]
             if seconds is not None and seconds <= left:
                 chosen.append(file)
@@ -292,9 +292,10 @@ class Scratch:
         shutil.copytree(root, self.root, ignore=lambda _, names: [n for n in names if n in LEFT_OUT])
         self.environment = os.environ | {"PYTHONPATH": str(self.root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
 
-    def run(self, files: list[str], timeout: float) -> str:
-        """Run test files; killed, survived or timeout."""
+    def run(self, files: list[str], limit: float) -> tuple[str, float]:
+        """Run test files; killed, survived or timeout, and the processor's seconds, those of children too."""
         words = ["-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *files]
+        before = _children_seconds()
         process = subprocess.Popen(
             [str(self.python), *words],
             cwd=self.root,
@@ -302,17 +303,18 @@ class Scratch:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5)),
         )
         try:
-            return "survived" if process.wait(timeout) == 0 else "killed"
+            code = process.wait(4 * limit)
         except subprocess.TimeoutExpired:
-            return "timeout"
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
+            code = -signal.SIGXCPU
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        stopped = code in (-signal.SIGXCPU, -signal.SIGKILL)
+        return "timeout" if stopped else "killed" if code else "survived", _children_seconds() - before
 
-    def try_out(self, site: Site, files: list[str]) -> str:
+    def try_out(self, site: Site, files: list[str]) -> tuple[str, float]:
         """Change the source, run the tests, and put it back."""
         path = self.root / site.path
         source = path.read_text()
@@ -321,6 +323,11 @@ class Scratch:
             return self.run(files, TIMEOUT)
         finally:
             path.write_text(source)
+
+
+def _children_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def save(out: Path, state: dict[str, Any]) -> None:
@@ -374,10 +381,9 @@ def run_all(
             mutant = Mutant(**entry["mutant"])
             site = sites[mutant]
             files = tests.of(mutant)
-            begun = time.perf_counter()
-            entry["verdict"] = scratch.try_out(site, files) if files else "no tests"
+            entry["verdict"], seconds = scratch.try_out(site, files) if files else ("no tests", 0.0)
             entry |= {
-                "seconds": round(time.perf_counter() - begun, 1),
+                "seconds": round(seconds, 1),
                 "tests": files,
                 "line": site.start[0],
                 "text": site.text,
