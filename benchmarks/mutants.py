@@ -8,8 +8,8 @@ A mutant is named by its function's qualified name, the kind of change and its o
 that function. In other code a function is looked for by its module, then by its name alone where just one has it; in
 place of a mutant whose function is gone another one of the same package is drawn.
 
-A test file is run for a mutant if it imports the mutated module or names the function (distance 0), or imports a module
-that imports it (1, then 2). Nearer and quicker files come first, until `BUDGET` seconds by an unchanged run are full.
+A test file is run for a mutant if it imports the mutated module or the function (distance 0), or imports a module that
+imports it or is in the folder of tests of the module's package (1), or is one import farther (2). Nearer and quicker files come first, until `BUDGET` seconds by an unchanged run are full.
 Each mutant runs in a scratch copy of the checkout with the checkout's own Python. A timeout counts as killed, as a test
 would have been; it is recorded as such.
 """
@@ -19,7 +19,6 @@ import ast
 import json
 import os
 import random
-import re
 import resource
 import shutil
 import signal
@@ -230,14 +229,18 @@ class Tests:
     def of(self, mutant: Mutant) -> list[str]:
         """Return the test files for a mutant, those first that are near and quick."""
         name = mutant.function.rpartition(".")[2]
-        named = re.compile(rf"\b{re.escape(name)}\b")
+        folder = f"tests/{package_of(mutant.module)}/"
         near, order = {mutant.module}, list[str]()
         for distance in range(3):
             hit = [
                 file
                 for file, imports in self.imports.items()
                 if file not in order
-                and (imports & near or (distance == 0 and named.search(self.files[file])))
+                and (
+                    imports & near
+                    or (distance == 0 and name in {imported.rpartition(".")[2] for imported in imports})
+                    or (distance == 1 and file.startswith(folder))
+                )
             ]
             order += sorted(hit, key=lambda file: len(self.files[file]))
             near = {importer for module in near for importer in self.used_by[module]}
