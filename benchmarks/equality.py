@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 TINY = "--particles 4 --generations 3 --workers 1 --trust-log"
-REAL = {"kitti-09-26-0101": "30", "colorado-1": "40"}  # drive: s on its clock at which it is cut
+REAL = {"kitti-09-26-0101": "30", "colorado-1": "110"}  # drive: s on its clock at which it is cut
 OPTIMIZERS = ("pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol")
 SIMULATED = ("drives/urban-clear-00", "drives/urban-clear-01")
 

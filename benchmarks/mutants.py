@@ -9,7 +9,9 @@ that function. In other code a function is looked for by its module, then by its
 place of a mutant whose function is gone another one of the same package is drawn.
 
 A test file is run for a mutant if it imports the mutated module or the function (distance 0), or imports a module that
-imports it or is in the folder of tests of the module's package (1), or is one import farther (2). Nearer and quicker files come first, until `BUDGET` seconds by an unchanged run are full.
+imports it or is in the folder of tests of the module's package (1), or is one import farther (2). Nearer
+and quicker files come first, until `BUDGET` seconds by an unchanged run are full.
+
 Each mutant runs in a scratch copy of the checkout with the checkout's own Python. A timeout counts as killed, as a test
 would have been; it is recorded as such.
 """
