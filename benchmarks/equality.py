@@ -27,6 +27,7 @@ import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -195,7 +196,8 @@ def flattened(value: Any, key: str = "") -> Iterator[tuple[str, float | str]]:
             for i, inner in enumerate(value.astype(float).ravel()):
                 yield f"{key}[{i}]", float(inner)
         elif value.dtype.kind == "U" and value.size == 1 and str(value).startswith(("{", "[")):
-            yield from flattened(json.loads(str(value)), key)
+            with suppress(json.JSONDecodeError):  # else a text that is no JSON
+                yield from flattened(json.loads(str(value)), key)
     elif isinstance(value, (int, float)):
         yield key, float(value)
 
