@@ -8,7 +8,7 @@
 # make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30
 # make docs      build the site into docs/_build: open docs/_build/html/index.html
 # make pictures  make the site's pictures anew: the demo's, and those of measured figures
-# make dist      build wheel and sdist into dist/; kernels for this Python, or for those in SIGMASWARM_KERNELS=a:b
+# make dist      build wheel and sdist into dist/
 # make dist-check  try the wheel on each Python that is found, each in an empty environment
 # make notebook  execute examples/paper.ipynb and keep its outputs in it
 
@@ -63,7 +63,7 @@ pictures: $(VENV)/installed
 
 dist: $(VENV)/release-installed
 	rm -rf dist
-	SIGMASWARM_KERNELS=$${SIGMASWARM_KERNELS-$(abspath $(BIN)/python)} $(BIN)/python -m build --outdir dist
+	$(BIN)/python -m build --outdir dist
 
 dist-check: dist
 	$(PYTHON) tests/installed.py dist

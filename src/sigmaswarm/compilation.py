@@ -28,7 +28,6 @@ from numba.core.ccallback import CFunc
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from sigmaswarm import shipped
 from sigmaswarm.errors import SigmaswarmWarning
 
 _log = logging.getLogger(__name__)
@@ -159,18 +158,14 @@ class _Checked(CompileResultCacheImpl):
     """Machine code with its checksum: a flipped bit in it would crash, or compute something else."""
 
     def reduce(self, cres: Any) -> Any:
-        return _sealed(super().reduce(cres))
+        kept = dumps(super().reduce(cres))
+        return hashlib.sha256(kept).digest(), kept
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         digest, kept = payload
         if hashlib.sha256(kept).digest() != digest:
             raise ValueError("the machine code is garbled")
         return super().rebuild(target_context, pickle.loads(kept))
-
-
-def _sealed(reduced: tuple[Any, ...]) -> tuple[bytes, bytes]:
-    kept = dumps(reduced)
-    return hashlib.sha256(kept).digest(), kept
 
 
 class _Cache(FunctionCache):
@@ -184,28 +179,11 @@ class _Cache(FunctionCache):
         found = None
         with suppress(Exception):  # what unpickling garbage raises can be anything
             found = super().load_overload(sig, target_context)
-        with suppress(Exception):
-            if found is None and self._bring(sig, target_context.codegen()):
-                found = super().load_overload(sig, target_context)
         if found is None:
             _tell_once(str(_folder()[0]))
             if self.recipe:
                 _write(self.recipe, self.compiled)
         return found
-
-    def _bring(self, sig: Any, codegen: Any) -> bool:
-        """Put what came with the wheel among what is kept; False if nothing did."""
-        kept = shipped.brought(shipped.key_of(self.name, sig, codegen), codegen)
-        if kept is not None:
-            self._impl.locator.ensure_cache_path()
-            self._cache_file.save(self._index_key(sig, codegen), _sealed(kept))
-        return kept is not None
-
-    @property
-    def name(self) -> str:
-        """Of the function among all of this package."""
-        own = self._py_func
-        return f"{own.__module__}.{own.__qualname__} {self.recipe.key if self.recipe else ''}"
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         if self.recipe:
