@@ -191,7 +191,7 @@ def test_what_only_looks_like_ours_stays(tmp_path: Path):
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
 def test_what_somebody_else_left_stays(tmp_path: Path):
-    (tmp_path / HIDDEN).touch()
+    (tmp_path / HIDDEN).mkdir()
     os.chown(tmp_path / HIDDEN, 12345, 12345)
     write_whole(tmp_path / "y.csv", "")
     assert names(tmp_path) == [HIDDEN, "y.csv"]
