@@ -11,11 +11,11 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.attitude import quaternions, rotations
-from sigmaswarm.exports.maps import MAPS, Origin
+from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
 from sigmaswarm.files import whole_file
 from sigmaswarm.filters.run import Estimate
-from sigmaswarm.geodesy import enu_to_geodetic
+from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
 
 def write_estimate(
