@@ -82,8 +82,12 @@ class Need(NamedTuple):
 
 def straight(length: float) -> Need:
     """Need a straight stretch of a length, m, and the run-out."""
+
+    def fits(path: Path2D) -> bool:
+        return path.bend < STRAIGHT
+
     length += RUN_OUT
-    return Need(f"straight stretch of {length:.0f} m", length, True, lambda path: path.bend < STRAIGHT)
+    return Need(f"straight stretch of {length:.0f} m", length, True, fits)
 
 
 def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
