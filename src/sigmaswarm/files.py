@@ -1,9 +1,9 @@
 """Write files and folders whole or not at all.
 
-New content is written into a hidden, locked folder next to its destination, flushed to the disk and then renamed. So no
-reader, kill, full disk or second run leaves a part of it under the final name, and the old content stays until then. A
-rename replaces a symbolic link and never follows it. The next run that writes into the same folder removes what killed
-runs left there. A lock ends with its process, so a lock file that was left blocks nothing.
+New content is written under a hidden name next to its destination, flushed to the disk and then renamed. So no reader,
+kill, full disk or second run leaves a part of it under the final name, and the old content stays until then. A rename
+replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is writing. The
+next run that writes into the same folder removes what killed runs left there: a lock ends with its process.
 """
 
 import io
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
     from numpy.typing import NDArray
 
-_HIDDEN = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}")
+_LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -143,10 +143,11 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
     InputError
         If the folder can't be written, or another process has made it in the meantime; the message names it.
     """
-    with _staging(path) as new:
-        hidden = new.parents[1]
-        old = hidden / "old" / path.name
+    with _staging(path) as hidden:
+        new, old = hidden / "new" / path.name, hidden / "old" / path.name
         try:
+            hidden.mkdir()
+            new.parent.mkdir()
             yield new
             _flush(new)
             if replace and path.exists():
@@ -190,29 +191,28 @@ class _Part(io.FileIO):
 
 @contextmanager
 def _staging(path: Path) -> Generator[Path]:
-    """Yield a free path of the same name in a hidden, locked folder next to ``path``; remove that folder at the end."""
+    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end."""
     _sweep(path.parent.resolve())
-    hidden, lock = _hidden_folder(path)
+    stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
+    hidden = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
+    file = hidden.with_name(f"{hidden.name}.lock")
+    lock = _lock(file)
     try:
-        yield hidden / "new" / path.name
+        yield hidden
     finally:
+        _remove(hidden)
         if lock is not None:
             lock.release()
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _remove(hidden: Path) -> None:
+    if hidden.is_dir() and not hidden.is_symlink():
         shutil.rmtree(hidden, ignore_errors=True)
-
-
-def _hidden_folder(path: Path) -> "tuple[Path, BaseFileLock | None]":
-    stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
-    while True:
-        hidden = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
-        try:
-            hidden.mkdir()
-            lock = _lock(hidden / "lock")
-            if hidden.exists():  # else another run swept it just before it was locked
-                (hidden / "new").mkdir()
-                return hidden, lock
-        except OSError as error:
-            raise _unwritable(path, error) from None
+    else:
+        with suppress(OSError):
+            hidden.unlink(missing_ok=True)
 
 
 def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
@@ -225,6 +225,8 @@ def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
     """
     from filelock import FileLock, Timeout  # not needed by commands that only read
 
+    if not file.parent.is_dir():  # which filelock would make
+        return None
     lock = FileLock(file, timeout=-1 if wait else 0, thread_local=False, fallback_to_soft=False)
     try:
         lock.acquire()
@@ -244,22 +246,24 @@ def _flush(folder: Path) -> None:
 
 @cache  # once per folder and process: each process removes its own
 def _sweep(folder: Path) -> None:
-    """Remove what killed runs left in a folder: hidden folders with our name and owner that no run has locked."""
+    """Remove what killed runs left in a folder: hidden names of ours whose lock file is ours and not locked."""
     with suppress(OSError):
-        for left in folder.iterdir():
-            if _HIDDEN.fullmatch(left.name) and left.is_dir() and not left.is_symlink():
+        for file in folder.iterdir():
+            if _LOCK.fullmatch(file.name):
                 with suppress(OSError):
-                    _sweep_one(left)
+                    _sweep_one(file)
 
 
-def _sweep_one(left: Path) -> None:
-    if hasattr(os, "getuid") and left.stat().st_uid != os.getuid():
+def _sweep_one(file: Path) -> None:
+    if hasattr(os, "getuid") and file.lstat().st_uid != os.getuid():
         return
-    lock = _lock(left / "lock", wait=False)
+    lock = _lock(file, wait=False)
     if lock is None:
         return
+    left = file.with_suffix("")
     for kept in (left / "old").glob("*"):  # killed between two renames: back to its place
         if not (left.parent / kept.name).exists():
             kept.rename(left.parent / kept.name)
-    shutil.rmtree(left, ignore_errors=True)
+    _remove(left)
     lock.release()
+    file.unlink(missing_ok=True)
