@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sigmaswarm.fleets.gathering import held_drives
 
 from compare_optimizers import colorado
 from sigmaswarm import Drive, SigmaswarmWarning, simulate
-from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem

@@ -33,13 +33,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from distributed.protocol.pickle import dumps
+from sigmaswarm.fleets.connection import Cluster, connected
+from sigmaswarm.fleets.fleet import Fleet
+from sigmaswarm.fleets.sources import At
 
 from asked_of_workers import costs, forget, timed
 from dask_processes import Processes
 from sigmaswarm import read_drive, simulate, tune, write_drive
-from sigmaswarm.fleets.connection import Cluster, connected
-from sigmaswarm.fleets.fleet import Fleet
-from sigmaswarm.fleets.sources import At
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 

@@ -1,37 +1,43 @@
-"""Reading a drive's folder. Every fault is one sentence: file, row, column, value, what is wrong, remedy."""
+"""Reading a drive from a folder or a URL. Every fault is one sentence: file, row, column, value, fault, remedy."""
 
-import tomllib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, cast
 
 from sigmaswarm.drives.checks import remarks_of, shortage_of
+from sigmaswarm.drives.description import Origin, frame_of, read_description
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
-from sigmaswarm.drives.sheet import CSV, FORMS, Sheet
+from sigmaswarm.drives.table_files import CSV, FORMS, TableFile
+from sigmaswarm.drives.urls import drive_urls, is_url, local_copy, without_secrets
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
-from sigmaswarm.wording import names_shown, quoted, shown
 
-Frame = Literal["enu", "wgs84"]
-Place = tuple[float, float, float]
+Location = str | Path
+"""A folder, or a URL that fsspec reads."""
 
-_POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 
 _IMU = ("t", "ax", "ay", "gz"), ("az", "gx", "gy")
 _GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS)}
 _ODOMETER = ("t", "speed"), ()
 _TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")
-"""The columns of each file: the required and the optional ones."""
+"""Required and optional columns of each file."""
 
-_NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
-    "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
-    "gps_std_m": ((0,), "1.5"),
-    "accel_noise_density": ((0,), "0.004"),
-    "gyro_noise_density": ((0,), "0.0001"),
-}
-"""Keys of drive.toml that filters look at: how many numbers (0: one, and no list), and an example."""
+
+def drive_locations(location: Location) -> list[Location]:
+    """Return a drive itself, or all drives in a folder or below a URL, sorted by name.
+
+    Raises
+    ------
+    DriveError
+        If a folder contains no drive, or a URL can't be listed.
+    """
+    return [*drive_urls(str(location))] if is_url(location) else [*drive_folders(Path(location))]
+
+
+def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
+    """Return the drives of several folders and URLs."""
+    return [drive for location in locations for drive in drive_locations(location)]
 
 
 def drive_folders(path: Path) -> list[Path]:
@@ -87,16 +93,32 @@ def read_drive(path: str | Path) -> Drive:
     DriveWarning
         Gaps, and values that look like other units or axes.
     """
-    from sigmaswarm.drives.places import read_place  # which needs this file
-
-    drive, warned = read_place(path)
+    drive, warned = read_with_warnings(path)
     for warning in warned:
         warnings.warn(warning, stacklevel=2)
     return drive
 
 
-def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
-    """``read_drive``, whose warnings are given back: muting them would mute those of all threads (and unmute them)."""
+def read_with_warnings(location: Location) -> tuple[Drive, list[SigmaswarmWarning]]:
+    """Read a drive and return its warnings: `warnings.catch_warnings` would act on all threads."""
+    if not is_url(location):
+        return _read_folder(Path(location))
+    url = str(location).rstrip("/")
+    with local_copy(url) as folder:
+
+        def with_url(message: object) -> str:
+            return str(message).replace(str(folder), without_secrets(url))
+
+        try:
+            drive, warned = _read_folder(folder)
+        except DriveError as error:
+            raise type(error)(with_url(error)) from None
+    for warning in warned:
+        warning.args = (with_url(warning),)
+    return drive, warned
+
+
+def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise DriveError(f"{folder} {what}; name a folder that holds imu.csv, gps.csv and drive.toml")
@@ -104,24 +126,24 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     if inside and not has_table(folder, "imu"):
         raise DriveError(f"{folder} is no drive but holds {len(inside)}; name one of them, say {min(inside)}")
     ignored: list[str] = []
-    about = _read_description(folder / "drive.toml")
+    about = read_description(folder / "drive.toml")
     name = about.pop("name", folder.resolve().name)
 
     files = {name: _table(folder, name) for name in ("imu", "gps", "truth", "odometer")}
-    imu = Sheet.read(files["imu"]).columns(*_IMU, ignored)
-    sheet = Sheet.read(files["gps"])
-    frame = _frame(about.pop("frame", None), files["gps"], sheet.cells.columns)
-    gps = sheet.columns(*_GPS[frame], ignored)
+    imu = TableFile.read(files["imu"]).columns(*_IMU, ignored)
+    table = TableFile.read(files["gps"])
+    frame = frame_of(about.pop("frame", None), files["gps"], table.cells.columns)
+    gps = table.columns(*_GPS[frame], ignored)
     origin = about.pop("origin", None)
     if frame == "wgs84":
-        origin = _place_on_plane(gps, origin)
+        origin = _add_plane_positions(gps, origin)
     truth = None
     if files["truth"].exists():
-        truth = _truth(Sheet.read(files["truth"]).columns(*_TRUTH, ignored), files["truth"])
+        truth = _truth(TableFile.read(files["truth"]).columns(*_TRUTH, ignored), files["truth"])
 
     odometer = None
     if files["odometer"].exists():
-        odometer = Odometer(**Sheet.read(files["odometer"]).columns(*_ODOMETER, ignored))
+        odometer = Odometer(**TableFile.read(files["odometer"]).columns(*_ODOMETER, ignored))
 
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
     if shortage := shortage_of(drive):
@@ -147,93 +169,7 @@ def _as_filed(said: str, files: dict[str, Path]) -> str:
     return said
 
 
-def _read_description(path: Path) -> dict[str, Any]:
-    """The keys of drive.toml; ``name`` and ``origin`` are checked, ``frame`` needs gps.csv and is not yet."""
-    if not path.is_file():
-        raise DriveError(
-            f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
-        )
-    try:
-        about = tomllib.loads(path.read_text("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
-        raise DriveError(
-            f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
-        ) from None
-    name = about.get("name", "unnamed")
-    require_name(name, path)
-    if "origin" in about:
-        about["origin"] = _origin(about["origin"], path)
-    for key, (lengths, example) in _NUMBERS.items():
-        if key in about:
-            _require_numbers(about[key], key, lengths, example, path)
-    return about
-
-
-def require_name(name: object, where: object) -> None:
-    """Refuse what can't name a drive, which also names files and folders; ``where`` it was given is told."""
-    if not isinstance(name, str) or not name.strip():
-        raise DriveError(
-            f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
-        )
-    surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes of a file's name that are no UTF-8
-    if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
-        raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
-
-
-def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
-    """Refuse a key of drive.toml that filters look at and can't use."""
-    numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    plain = all(type(v) in (int, float) and abs(v) < 1e300 for v in numbers)
-    length = len(numbers) if isinstance(value, list) else 0
-    said = f"{path}: {key} = {value_shown(value)}"
-    if not plain or length not in lengths or not numbers:
-        raise DriveError(f"{said} can't be used; write for example {key} = {example}")
-    if lengths == (0,) and not numbers[0] > 0:
-        raise DriveError(f"{said} must be positive; leave it out where it is not known")
-
-
-def value_shown(value: object) -> str:
-    """A key's value as a message shows it; a whole number of 5000 digits has no text."""
-    try:
-        return shown(repr(value))
-    except (ValueError, RecursionError):
-        return "what stands there"
-
-
-def _origin(value: Any, path: Path) -> Place:
-    """A stated origin as latitude (deg), longitude (deg), altitude (m)."""
-    if isinstance(value, list) and [type(v) in (int, float) for v in cast("list[Any]", value)] == [True] * 3:
-        latitude, longitude, altitude = cast("list[float]", value)
-        if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
-            return float(latitude), float(longitude), float(altitude)
-    raise DriveError(
-        f"{path}: origin = {value_shown(value)} is not a place; "
-        "write origin = [latitude deg, longitude deg, altitude m]"
-    )
-
-
-def _frame(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
-    """The frame of the fixes, as stated or else as the columns of their file say; both must agree."""
-    description = gps.parent / "drive.toml"
-    if stated not in (None, *_POSITIONS):
-        raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')
-    present = [frame for frame, pair in _POSITIONS.items() if set(pair) <= set(columns)]
-    if not present:
-        raise DriveError(
-            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
-            f"{names_shown(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
-        )
-    frame = cast("Frame", stated or present[0])
-    if frame not in present:
-        x, y = _POSITIONS[frame]
-        raise DriveError(
-            f'{description}: frame = "{frame}", but {gps.name} lacks columns {x}, {y}; '
-            f'write frame = "{present[0]}", as its columns say'
-        )
-    return frame
-
-
-def _place_on_plane(gps: dict[str, Array], origin: Place | None) -> Place:
+def _add_plane_positions(gps: dict[str, Array], origin: Origin | None) -> Origin:
     """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0

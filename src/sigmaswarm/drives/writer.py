@@ -11,16 +11,14 @@ import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.reader import read_with_warnings
-from sigmaswarm.drives.sheet import FORMS
+from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 from sigmaswarm.forking import require_threads
 
 Form = Literal["csv", "parquet"]
-FILES = frozenset(
-    {"drive.toml", *(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)}
-)
-"""All that a drive's folder may hold for ``write_drive`` to replace it."""
+FILES = frozenset({"drive.toml", *TABLES})
+"""``write_drive`` replaces a folder only if it contains nothing else."""
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:

@@ -7,11 +7,12 @@ from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.groups import Sets
@@ -19,7 +20,6 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
 from sigmaswarm.filters.student import INNOVATION_DOF
-from sigmaswarm.fleets.held import Held, Here
 from sigmaswarm.scoring.jobs import Job, jobs_for
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
@@ -71,41 +71,6 @@ class Passes:
     forecasts: bool = False
     outage_seed: int = 0
     as_recorded: bool = False
-
-
-class Replays(Protocol):
-    """Drives made ready, wherever they are held, to be replayed by any number of parameter sets."""
-
-    @property
-    def held(self) -> Held:
-        """The drives."""
-        ...
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
-        ...
-
-    def subset(self, drives: Sequence[int]) -> "Replays":
-        """Those of some of the drives, by index."""
-        ...
-
-    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Scores of all sets on all drives; the result has the same bits wherever the drives are held."""
-        ...
-
-    def measured(
-        self,
-        take: Callable[[Scores], Array],
-        parameter_sets: Sequence[FilterParameters],
-        executor: Executor | None = None,
-    ) -> Array:
-        """What a function of a module takes of the scores, number by number, shape (n_sets, n_drives)."""
-        ...
-
-    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """What a function of a module says of each drive, which it shares with what is replayed."""
-        ...
 
 
 class Replayer:
@@ -162,9 +127,9 @@ class Replayer:
         return whole
 
     @property
-    def held(self) -> Here:
+    def dataset(self) -> LocalDataset:
         """The drives."""
-        return Here(self.drives)
+        return LocalDataset(self.drives)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without making anything ready again."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
+from sigmaswarm.datasets.dataset import Dataset, datasets_of
 from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.overlap import SEEN_FILE, SavedLandmarks, overlap_of, save_landmarks
@@ -19,8 +20,6 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.fleets.gathering import held_drives
-from sigmaswarm.fleets.held import Held
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import PLAIN, objective_for, with_filter
@@ -38,7 +37,7 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-    from sigmaswarm.drives.places import Place
+    from sigmaswarm.drives.reader import Location
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 C = TypeVar("C", bound=SearchConfig)
@@ -47,9 +46,9 @@ P = TypeVar("P")
 
 @overload
 def tune(
-    drives: "Sequence[Drive | Place] | Drive | Place | Held",
+    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     *,
-    validation: "Sequence[Drive | Place] | Drive | Place | Held" = ...,
+    validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = ...,
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
@@ -72,9 +71,9 @@ def tune(
     **config: Unpack[SearchOptions],
 ) -> Tuning[dict[str, float]]: ...
 def tune(
-    drives: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held",
+    drives: "Sequence[Drive | Location] | Sequence[Log] | Drive | Location | Log | Dataset",
     *,
-    validation: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held" = (),
+    validation: "Sequence[Drive | Location] | Sequence[Log] | Drive | Location | Log | Dataset" = (),
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
@@ -130,7 +129,7 @@ def tune(
             )
         problem, others, settings = _own_problem(listed(drives), listed(validation), asked)
     else:
-        data, others = held_drives(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
+        data, others = datasets_of(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
         problem, settings = _car_problem(data, others, asked)
     held_back = problem.on(others) if len(others) else None
     if held_back:
@@ -195,9 +194,9 @@ def _own_problem(
     return ModelProblem(data, model, settings), others, settings
 
 
-def _car_problem(data: Held, others: Held, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
+def _car_problem(data: Dataset, others: Dataset, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
     """What is minimized for a car's filter, on drives."""
-    everywhere = [*data.of_each(equipment), *others.of_each(equipment)]
+    everywhere = [*data.map(equipment), *others.map(equipment)]
     asked, _ = with_filter(config, everywhere)
     settings = _settled(validated_config(TuneConfig, asked), everywhere)
     problem = car_problem(data, settings)
