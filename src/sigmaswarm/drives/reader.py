@@ -17,11 +17,14 @@ Location = str | Path
 
 _GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 
-_IMU = ("t", "ax", "ay", "gz"), ("az", "gx", "gy")
-_GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS)}
-_ODOMETER = ("t", "speed"), ()
-_TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")
-"""Required and optional columns of each file."""
+COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "imu": (("t", "ax", "ay", "gz"), ("az", "gx", "gy")),
+    "enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)),
+    "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS),
+    "odometer": (("t", "speed"), ()),
+    "truth": (("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")),
+}
+"""The required and the optional columns of each table; those of gps by its frame."""
 
 
 def drive_locations(location: Location) -> list[Location]:
@@ -130,20 +133,20 @@ def _read_folder(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     name = about.pop("name", folder.resolve().name)
 
     files = {name: _table(folder, name) for name in ("imu", "gps", "truth", "odometer")}
-    imu = TableFile.read(files["imu"]).columns(*_IMU, ignored)
+    imu = TableFile.read(files["imu"]).columns(*COLUMNS["imu"], ignored)
     table = TableFile.read(files["gps"])
     frame = frame_of(about.pop("frame", None), files["gps"], table.cells.columns)
-    gps = table.columns(*_GPS[frame], ignored)
+    gps = table.columns(*COLUMNS[frame], ignored)
     origin = about.pop("origin", None)
     if frame == "wgs84":
-        origin = _add_plane_positions(gps, origin)
+        origin = place_on_plane(gps, origin)
     truth = None
     if files["truth"].exists():
-        truth = _truth(TableFile.read(files["truth"]).columns(*_TRUTH, ignored), files["truth"])
+        truth = _truth(TableFile.read(files["truth"]).columns(*COLUMNS["truth"], ignored), files["truth"])
 
     odometer = None
     if files["odometer"].exists():
-        odometer = Odometer(**TableFile.read(files["odometer"]).columns(*_ODOMETER, ignored))
+        odometer = Odometer(**TableFile.read(files["odometer"]).columns(*COLUMNS["odometer"], ignored))
 
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
     if shortage := shortage_of(drive):
@@ -169,7 +172,7 @@ def _as_filed(said: str, files: dict[str, Path]) -> str:
     return said
 
 
-def _add_plane_positions(gps: dict[str, Array], origin: Origin | None) -> Origin:
+def place_on_plane(gps: dict[str, Array], origin: Origin | None) -> Origin:
     """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0
