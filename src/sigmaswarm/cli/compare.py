@@ -65,14 +65,14 @@ def compare(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, read_datasets, stdout
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import with_filter
 
     chosen = {"optimizers": optimizers, "scales": scales}
     with cluster_at(cluster) as client:
         read, held_out = read_datasets(drives, validation or [], cluster=client)
-        said = with_filter({**options}, [*read.map(equipment), *held_out.map(equipment)])[1]
+        said = with_filter({**options}, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
         with progress_bar("comparing", "tunings, remaining") as show:
             comparison = sigmaswarm.compare(
                 read,

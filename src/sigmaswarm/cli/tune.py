@@ -85,7 +85,7 @@ def tune(
         stdout,
         tuning_progress,
     )
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
@@ -95,7 +95,7 @@ def tune(
         read, held_back = read_datasets(
             drives, validation or [], cluster=client, trusted=trust_log, gaps=True
         )
-        everywhere = [*read.map(equipment), *held_back.map(equipment)]
+        everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
         chosen = "" if paper else with_filter({**options}, everywhere)[1]
         with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
             tuning = sigmaswarm.tune(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Passes, Replayer
@@ -85,7 +85,7 @@ def run_batch(
     sets = _sets_given(parameter_sets)
     _check_executor(executor)
     goal = objective_named(objective)
-    check_drives(dataset.map(equipment), goal)
+    check_drives(dataset.map(sensors_of), goal)
     replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     if executor is None:
         with ThreadPoolExecutor() as pool:
@@ -112,11 +112,11 @@ def _check_executor(given: Any) -> None:
         )
 
 
-def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> None:
+def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
     """Raise `InputError` where the objective can't be computed on the drives."""
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
-    missing = [drive.name for drive in map(equipment, drives) if not drive.truth]
+    missing = [drive.name for drive in map(sensors_of, drives) if not drive.truth]
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "

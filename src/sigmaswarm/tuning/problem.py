@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
-from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
@@ -164,9 +164,9 @@ class CarProblem:
         return self.replays.dataset.map(fix_noise)
 
     @cached_property
-    def equipment(self) -> list[Equipment]:
+    def sensors(self) -> list[Sensors]:
         """What each drive has."""
-        return self.replays.dataset.map(equipment)
+        return self.replays.dataset.map(sensors_of)
 
     def doubts(self, point: Array) -> list[str]:
         """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
@@ -175,7 +175,7 @@ class CarProblem:
         weighs = parameters.accuracy_scale is not None
         found = [*lost, *(said_of_accuracy(parameters, self.replays.dataset.map(stated)) if weighs else [])]
         found += said_of_scale(self.objective.name, parameters, self.replays)
-        known = all(drive.truth for drive in self.equipment)
+        known = all(drive.truth for drive in self.sensors)
         if not (
             known and self.objective.needs_truth
         ):  # a look at the fixes' noise takes as long as reading a drive
@@ -200,7 +200,7 @@ class CarProblem:
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
+        known = zip(self.sensors, self._receiver_std, self._fix_noise, r, costs, strict=True)
         held = (
             said_of_prior(one.name, std, noise, near) for one, std, noise, near, cost in known if cost > HELD
         )
@@ -286,7 +286,7 @@ def car_problem(
             "innovation-nll or innovation-t"
         )
     dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
-    have = dataset.map(equipment)
+    have = dataset.map(sensors_of)
     check_drives(have, objective)
     _check_columns(have, config)
     replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
@@ -300,12 +300,12 @@ def car_space(config: TuneConfig, interval: float) -> SearchSpace:
     return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
 
 
-def usual_interval(drives: Sequence[Drive | Equipment]) -> float:
+def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
     """The drives' usual time between two IMU samples, s."""
-    return float(np.median([equipment(drive).interval for drive in drives]))
+    return float(np.median([sensors_of(drive).interval for drive in drives]))
 
 
-def _check_columns(drives: Sequence[Equipment], config: TuneConfig) -> None:
+def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
     silent = [drive.name for drive in drives if not drive.accuracy]
     if "accuracy" in config.use and silent:
         raise InputError(

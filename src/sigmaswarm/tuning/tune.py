@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 import numpy as np
 
 from sigmaswarm.datasets.dataset import Dataset, datasets_of
-from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.overlap import SEEN_FILE, SavedLandmarks, overlap_of, save_landmarks
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
@@ -196,7 +196,7 @@ def _own_problem(
 
 def _car_problem(data: Dataset, others: Dataset, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
     """What is minimized for a car's filter, on drives."""
-    everywhere = [*data.map(equipment), *others.map(equipment)]
+    everywhere = [*data.map(sensors_of), *others.map(sensors_of)]
     asked, _ = with_filter(config, everywhere)
     settings = _settled(validated_config(TuneConfig, asked), everywhere)
     problem = car_problem(data, settings)
@@ -211,7 +211,7 @@ def _car_problem(data: Dataset, others: Dataset, config: dict[str, Any]) -> tupl
     return problem, settings
 
 
-def _settled(config: C, data: Sequence[Equipment | Log]) -> C:
+def _settled(config: C, data: Sequence[Sensors | Log]) -> C:
     """The configuration with what its defaults stand for on this data."""
     model = config.model if isinstance(config, TuneConfig) else PLAIN
     return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, model)}))

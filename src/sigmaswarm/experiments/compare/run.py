@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from sigmaswarm.datasets.dataset import datasets_of
-from sigmaswarm.doctor.suited import equipment
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.compare.contenders import Contender, budget, contenders
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
@@ -100,7 +100,7 @@ def compare(
         if name in config:
             raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
     training, held_out = datasets_of(drives, validation, cluster=cluster)
-    trained, tested = training.map(equipment), held_out.map(equipment)
+    trained, tested = training.map(sensors_of), held_out.map(sensors_of)
     everywhere = [*trained, *tested]
     asked_filter, _ = with_filter({**config}, everywhere)
     objective = objective_for(everywhere, config.get("objective", "auto"), asked_filter["model"])
@@ -155,7 +155,7 @@ def _asked(
 
 def _searched(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
     """What each contender minimizes: on drives that all of them share, in the box of its own scale."""
-    interval = usual_interval(problem.equipment)
+    interval = usual_interval(problem.sensors)
     spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
     return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 

@@ -15,12 +15,12 @@ from sigmaswarm.datasets.cluster import Cluster
 from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
 from sigmaswarm.datasets.worker import Source
-from sigmaswarm.doctor.suited import Equipment, equipment
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.reader import all_drive_locations, read_drive
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
@@ -53,7 +53,7 @@ class Design:
 
     Attributes
     ----------
-    drives : tuple of Drive or Equipment
+    drives : tuple of Drive or Sensors
         Each with truth and a name of its own; of those that a cluster's workers hold, what they have.
     conditions : tuple of (maneuver, environment)
         Of each drive.
@@ -66,7 +66,7 @@ class Design:
         No trial trains on any of them: all are held back.
     """
 
-    drives: tuple[Drive | Equipment, ...]
+    drives: tuple[Drive | Sensors, ...]
     conditions: tuple[tuple[str, str], ...]
     strata: tuple[str, ...]
     config: StudyConfig
@@ -206,12 +206,12 @@ def make_design(
         If the drives are too few, lack truth, or can't be read or made.
     """
     remote: RemoteDataset | None = None
-    drives: list[Drive] | list[Equipment]
+    drives: list[Drive] | list[Sensors]
     if cluster is not None:
         remote, warned = remote_dataset(Cluster(cluster), _sources(config))
         for warning in warned:
             warnings.warn(warning, stacklevel=2)
-        drives = remote.map(equipment)
+        drives = remote.map(sensors_of)
     elif config.drives:
         drives = [read_drive(place) for place in all_drive_locations(config.drives)]
     else:
@@ -274,7 +274,7 @@ def condition_of(drive: Drive) -> tuple[str, str]:
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
-def require_scored(drives: Sequence[Drive | Equipment]) -> None:
+def require_scored(drives: Sequence[Drive | Sensors]) -> None:
     """Refuse drives without truth, and two of one name."""
     names: set[str] = set()
     for drive in drives:

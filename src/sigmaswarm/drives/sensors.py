@@ -1,4 +1,4 @@
-"""Which filter suits some logs, by what they have: the one rule behind `tune`'s default and all that names it."""
+"""The sensors of a log, and the filter that suits them: the rule behind the default of `tune`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.drives.noise import has_white_errors
 
 VARIES = 1.5
-"""95% quantile of the stated deviations over the 5% quantile, from which on they tell good fixes from bad ones."""
+"""Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
 STARTED = 20.0
-"""m from the first fix: the car is under way."""
+"""m from the first fix, from which on the car counts as moving."""
 NEAR_GRAVITY = 0.3
-"""Share of gravity by which az may be off in the median, to be taken for the vertical axis in m/s2."""
+"""Largest deviation of the median of az from gravity, as a share of it."""
 
 
 @dataclass(frozen=True)
-class Suited:
+class SuggestedFilter:
     """A filter for some logs.
 
     Attributes
@@ -26,9 +26,9 @@ class Suited:
     model : str
         A name of `filters.names.ModelName`.
     use : tuple of str
-        What it uses beside the fixes' positions, as ``--use`` takes them.
+        The measurements it uses apart from positions: values of ``--use``.
     because : str
-        What the logs have that speaks for it.
+        The sensors that suggest it.
     """
 
     model: str
@@ -37,33 +37,33 @@ class Suited:
 
     @property
     def options(self) -> str:
-        """As they are typed."""
+        """The options of the command line."""
         return f"--model {self.model} --use {' '.join(self.use)}"
 
 
 @dataclass(frozen=True)
-class Equipment:
-    """What a log has: all that decides which filters and objectives it allows.
+class Sensors:
+    """The sensors of a log, and all else on which the choice of a filter and an objective depends.
 
     Attributes
     ----------
     name : str
     truth : bool
-        Whether it is there, with at least one row.
+        True if there is at least one row.
     interval : float
-        s, the usual one between two IMU samples.
+        Median time between two IMU samples, s.
     axes : tuple of str
-        Of the IMU, those that are there.
+        The axes of the IMU.
     attitude : bool
         See `has_attitude`.
     odometer, accuracy, velocity : bool
-        Whether it has the wheels' speed, and the receiver's stated deviations, and its speed and course.
+        Whether the log has wheel speed, the receiver's deviations, and its speed and course.
     spread : (float, float) or None
         See `stated_spread`.
     white : bool
-        See `sigmaswarm.drives.noise.has_white_errors`.
+        See `has_white_errors`.
     driven : float
-        s that the log goes on after it has moved 20 m.
+        Time from 20 m of distance to the end of the log, s.
     """
 
     name: str
@@ -79,12 +79,12 @@ class Equipment:
     driven: float
 
 
-def equipment(drive: Drive | Equipment) -> Equipment:
-    """What a drive has; itself where that is known already."""
-    if isinstance(drive, Equipment):
+def sensors_of(drive: Drive | Sensors) -> Sensors:
+    """Describe the sensors of a drive; a description is returned as it is."""
+    if isinstance(drive, Sensors):
         return drive
     gps, imu = drive.gps, drive.imu
-    return Equipment(
+    return Sensors(
         name=drive.name,
         truth=bool(drive.truth),
         interval=drive.nominal_interval,
@@ -104,22 +104,22 @@ def _driven(gps: Gps) -> float:
     return float(gps.time[-1] - away[0]) if len(away) else 0.0
 
 
-def suited(drives: Sequence[Drive | Equipment]) -> Suited:
-    """The filter for cars that suits logs by what all of them have; nothing is run, and no score is looked at.
+def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
+    """Choose the filter for cars by the sensors that all logs have; no filter runs.
 
-    - **tilted12** where every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and
-      braking do not pass for motion. **planar8** for the others.
-    - **lateral** and **standstill** always: they hold the heading, which fixes alone leave free.
-    - **odometer** where every log has one.
-    - **accuracy** where every receiver states its deviation, and what they state varies.
-    - **robust** always: it costs next to nothing where no fix lies far off, and is needed where some do.
+    - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
+      are not taken for motion. Otherwise **planar8**.
+    - **lateral** and **standstill** always: they hold the heading, which position fixes leave free.
+    - **odometer** if every log has one.
+    - **accuracy** if every receiver states its deviation, and it varies.
+    - **robust** always: it costs little without outliers, and is needed with some.
 
-    Not taken are the gate (tuned on one receiver it turns good fixes of another away), the receiver's velocity (no log
-    with truth was at hand that has it) and latency. Models are not chosen by scores: held-out likelihood and forecasts
-    chose 18 to 24% worse than the best in the mean, and 61 to 122% at worst; one good model for all was 4 to 12%
-    worse. The figures stand in docs/results.md, "What tune takes by itself".
+    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity (no log
+    with truth had it) and latency. Models are not chosen by scores: held-out likelihood and forecasts chose 18 to 24%
+    worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to 12% worse. The figures are
+    in docs/results.md, "What tune takes by itself".
     """
-    found = [equipment(drive) for drive in drives]
+    found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)
     wheels = bool(found) and all(one.odometer for one in found)
     spreads = [one.spread for one in found if one.spread]
@@ -133,11 +133,11 @@ def suited(drives: Sequence[Drive | Equipment]) -> Suited:
     if stated:
         low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
         reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
-    return Suited("tilted12" if six else "planar8", (*use, "robust"), ", ".join(reasons))
+    return SuggestedFilter("tilted12" if six else "planar8", (*use, "robust"), ", ".join(reasons))
 
 
 def has_attitude(drive: Drive) -> bool:
-    """Whether the log tells roll and pitch: az, gx and gy are there, gravity is on az, and gx and gy are alive."""
+    """Return whether roll and pitch are observable: az, gx and gy exist, az shows gravity, and gx and gy vary."""
     az, gx, gy = drive.imu.az, drive.imu.gx, drive.imu.gy
     if az is None or gx is None or gy is None:
         return False
@@ -146,7 +146,7 @@ def has_attitude(drive: Drive) -> bool:
 
 
 def stated_spread(drive: Drive) -> tuple[float, float] | None:
-    """Quantiles of the stated deviations, 5% and 95%, m, where they tell good fixes from bad ones."""
+    """Return the 5% and 95% quantiles of the stated deviations, m; None if they hardly vary."""
     std_x, std_y = drive.gps.std_x, drive.gps.std_y
     if std_x is None or std_y is None:
         return None
