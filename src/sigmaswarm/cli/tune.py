@@ -86,6 +86,7 @@ def tune(
         tuning_progress,
     )
     from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
@@ -97,7 +98,7 @@ def tune(
         )
         everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
         chosen = "" if paper else with_filter({**options}, everywhere)[1]
-        with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
+        with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
             tuning = sigmaswarm.tune(
                 read,
                 validation=held_back,

@@ -20,10 +20,9 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
 from sigmaswarm.filters.student import INNOVATION_DOF
-from sigmaswarm.scoring.jobs import Job, jobs_for
+from sigmaswarm.scoring.jobs import Job, cores, jobs_for, run_jobs
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
-from sigmaswarm.scoring.workers import cores, in_turn
 
 T = TypeVar("T")
 
@@ -201,7 +200,7 @@ class Replayer:
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Every pass by every set, in pieces so that all workers have something to do."""
-        workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
+        workers = cores() if executor else 1
         sets = Sets(parameter_sets)
         shared_as = len(parameter_sets), sets.groups[0][1].like.model, workers
         jobs = self._jobs.get(shared_as)
@@ -211,13 +210,13 @@ class Replayer:
         for _, group in sets.groups:
             group.keep_starts(self.initial)
         # The longest first, so that no worker is left with one at the end.
-        order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
+        order = sorted(range(len(jobs)), key=lambda k: jobs[k].work, reverse=True)
         longest_first = [jobs[k] for k in order]
         asked = [
             (self._passes[job.name][job.replays.start : job.replays.stop], packs[job.sets])
             for job in longest_first
         ]
-        sums = dict(zip(order, in_turn(run_packed, asked, executor, workers), strict=True))
+        sums = dict(zip(order, run_jobs(run_packed, asked, executor), strict=True))
         done = {name: list[Sums]() for name in self._passes}
         for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
             done[name].append(joined([sums[k] for k in part], axis=1))

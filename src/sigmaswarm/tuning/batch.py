@@ -15,6 +15,7 @@ from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.scoring.batch import Passes, Replayer
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.remote import Replays, replays_on
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
@@ -88,7 +89,7 @@ def run_batch(
     check_drives(dataset.map(sensors_of), goal)
     replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     if executor is None:
-        with ThreadPoolExecutor() as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             scores = replayer.scores(sets, pool)
     else:
         scores = replayer.scores(sets, executor)

@@ -20,6 +20,7 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import PLAIN, objective_for, with_filter
@@ -144,7 +145,7 @@ def tune(
                 names = tuple((entry["name"], entry["sha256"]) for entry in problem.data)
                 save_landmarks(problem.seen, folder.path / SEEN_FILE, names)
                 seen = SavedLandmarks(folder.path / SEEN_FILE, names)
-        pool = executor or stack.enter_context(ThreadPoolExecutor())
+        pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
         tuning = tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
     if isinstance(problem.seen, tuple):
         return tuning

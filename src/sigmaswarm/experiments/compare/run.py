@@ -27,7 +27,7 @@ from sigmaswarm.experiments.compare.contenders import Contender, budget, contend
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.files import held_folder, write_whole
-from sigmaswarm.scoring.workers import cores
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
