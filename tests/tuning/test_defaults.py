@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.drives.drive import Drive, Odometer
-from sigmaswarm.drives.noise import has_white_errors
 from sigmaswarm.drives.reader import read_drive
-from sigmaswarm.drives.sensors import suggest_filter
+from sigmaswarm.drives.sensors import has_white_errors, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind

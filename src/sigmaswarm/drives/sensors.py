@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive, Gps
-from sigmaswarm.drives.noise import has_white_errors
 
 VARIES = 1.5
 """Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
@@ -15,6 +16,12 @@ STARTED = 20.0
 """m from the first fix, from which on the car counts as moving."""
 NEAR_GRAVITY = 0.3
 """Largest deviation of the median of az from gravity, as a share of it."""
+
+WHITE = 0.4
+"""Least share of white noise in the error of fixes, for `has_white_errors`: 1 for KITTI and colorado, 0.25 for a u-blox
+M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
+UNSTATED_GPS_STD = 2.1
+"""m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
 
 
 @dataclass(frozen=True)
@@ -152,3 +159,45 @@ def stated_spread(drive: Drive) -> tuple[float, float] | None:
         return None
     low, high = np.quantile(np.concatenate([std_x, std_y]), [0.05, 0.95])
     return (float(low), float(high)) if high > VARIES * low else None
+
+
+def stated_std(drive: Drive) -> tuple[float, float] | None:
+    """Return the standard deviation east and north that the receiver states, m; None if the log has none.
+
+    It is the median over the fixes if each has one, and otherwise ``gps_std_m`` of drive.toml.
+    """
+    gps = drive.gps
+    if gps.std_x is not None and gps.std_y is not None:
+        return float(np.median(gps.std_x)), float(np.median(gps.std_y))
+    std = drive.metadata.get("gps_std_m")
+    return None if std is None else (float(std), float(std))
+
+
+def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
+    """Estimate the white noise of fixes, m per axis; 0 for fewer than four.
+
+    The estimate is robust. It uses third differences, which remove the motion, and lasting errors with it.
+
+    Parameters
+    ----------
+    position : ndarray of complex, shape (n,)
+        East + i north, m, of fixes at even times.
+    """
+    third = np.diff(position, n=3)
+    spread = np.concatenate([third.real, third.imag])
+    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+
+
+def has_white_errors(drive: Drive) -> bool:
+    """Return whether most of the error of the fixes is white, as far as the log shows.
+
+    If a receiver smooths, or its errors last, neighboring fixes differ by far less than their error.
+    """
+    gps = drive.gps
+    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
+    return shown > WHITE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+
+
+def motion_in_noise(interval: float) -> float:
+    """Return the contribution of the motion to `white_noise`, m, in a city, for fixes ``interval`` s apart."""
+    return 0.02 + 0.15 * interval**2
