@@ -57,7 +57,7 @@ ACCURACY_FLOOR = 0.1**2
 def datasheet(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """What a careful engineer writes from the data sheets of a drive's sensors, without any tuning.
 
-    The receiver's is `drives.noise.stated_std`; the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and
+    The receiver's is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and
     ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. What has no data sheet is in `BY_HAND`.
 
     Parameters
