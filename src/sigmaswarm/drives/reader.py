@@ -44,9 +44,9 @@ def all_drive_locations(locations: Iterable[Location]) -> list[Location]:
 
 
 def drive_folders(path: Path) -> list[Path]:
-    """A drive folder itself, or all drive folders inside a folder, in the order of their names."""
+    """Return a drive folder itself, or all drive folders inside a folder, sorted by name."""
     if not path.is_dir() or has_table(path, "imu") or has_table(path, "gps"):
-        return [path]  # read_drive says what is wrong with it, if anything
+        return [path]  # read_drive reports its faults
     inside = sorted(folder for folder in path.iterdir() if has_table(folder, "imu"))
     if not inside:
         raise DriveError(f"{path}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml")
@@ -54,12 +54,12 @@ def drive_folders(path: Path) -> list[Path]:
 
 
 def has_table(folder: Path, name: str) -> bool:
-    """Whether a folder holds a drive's table, ``imu`` for example, in any form."""
+    """Return whether a folder contains a table, such as ``imu``, in any format."""
     return any((folder / f"{name}{form}").exists() for form in FORMS)
 
 
 def _table(folder: Path, name: str) -> Path:
-    """The file of a drive's table; the CSV file where there is none."""
+    """Return the file of a table; that of CSV if there is none."""
     there = [folder / f"{name}{form}" for form in FORMS if (folder / f"{name}{form}").exists()]
     if len(there) > 1:
         raise DriveError(f"{folder} holds both {there[0].name} and {there[1].name}; delete one of them")
@@ -74,8 +74,8 @@ def read_drive(path: str | Path) -> Drive:
     Parameters
     ----------
     path : str or Path
-        The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Where drive.toml gives no ``name``, the
-        folder's name serves; where it gives no ``frame``, the columns of gps.csv decide.
+        The folder, or a URL that fsspec reads: s3, gs, abfs, sftp, https ... Without a ``name`` in drive.toml, the name
+        is that of the folder; without a ``frame``, the columns of gps.csv decide.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def _truth(columns: dict[str, Array], path: Path) -> Truth:
 
 
 def _as_filed(said: str, files: dict[str, Path]) -> str:
-    """A sentence on a drive's tables with the names that they have in its folder."""
+    """Replace the names of tables in a message by those of the files."""
     for name, file in files.items():
         said = said.replace(f"{name}{CSV}", file.name)
     return said
