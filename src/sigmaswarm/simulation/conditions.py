@@ -1,4 +1,4 @@
-"""All conditions times all runs, in threads: the compiled car leaves the interpreter free."""
+"""Simulate all conditions and runs, in threads: the compiled car runs without the interpreter's lock."""
 
 import os
 from collections import deque
@@ -52,28 +52,28 @@ def simulate_many(
     runs : int
         Drives of each condition.
     executor : concurrent.futures.Executor, optional
-        Where to work; a pool of threads of its own by default.
+        Runs the simulations; a pool of threads by default.
     workers : int, optional
-        Threads of that pool; as many as the machine has cores by default.
+        Threads of that pool; one per core by default.
     use : callable, optional
-        Called with each drive where it was made, for example to write it; its result is yielded instead of
-        the drive.
+        Called with each drive in its thread, for example to write it; its result is yielded instead of the
+        drive.
     ahead : int
-        Drives that may be made before they are asked for: at least as many as work is done side by side.
+        Largest number of drives simulated in advance: at least the number of workers.
     leave_out : container of str
-        Names of drives not to make, such as those that an interrupted call has left.
+        Names of drives to skip, such as those of an interrupted call.
     **options
-        As for `simulate`; a duration holds for "urban" alone.
+        As for `simulate`; a duration applies to "urban" alone.
 
     Yields
     ------
-    Drive, or what `use` made of it
-        In the order maneuver, environment, run, whatever the number of workers; as soon as each is ready.
+    Drive, or the result of `use`
+        In the order maneuver, environment, run, whatever the number of workers, as soon as each is ready.
 
     Raises
     ------
     InputError
-        As from `simulate`, before any drive is made.
+        As from `simulate`, before the first drive.
     """
     duration = options.pop("duration", None)
     _check(maneuvers, environments, runs, duration)
@@ -114,7 +114,7 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive
 
 
 def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
-    """Refuse what only a later drive would stumble over; all else is wrong in the first one too."""
+    """Raise InputError for names that only a later drive would use; the first drive checks everything else."""
     for maneuver in maneuvers:
         find_maneuver(maneuver)
     for environment in environments:
@@ -127,7 +127,7 @@ def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, dur
 def _in_order(
     pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int
 ) -> Iterator[Any]:
-    """Results in the order of the names, with at most `ahead` drives waiting, so that memory stays small."""
+    """Yield results in the order of the names, with at most `ahead` drives waiting, which bounds memory."""
     waiting: deque[Future[Any]] = deque()
     for name in names:
         waiting.append(pool.submit(work, *name))
