@@ -14,7 +14,7 @@ import numpy as np
 
 from defaults import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, evaluate
-from sigmaswarm.doctor.suited import suited
+from sigmaswarm.drives.sensors import suggest_filter
 from sigmaswarm.scoring.drifts import UNTUNED
 from sigmaswarm.tuning.space import search_space
 
@@ -36,7 +36,7 @@ def main() -> None:
         if ">" in name or "outliers" in name:  # a stranger's drives: what was tuned plays no part here
             continue
         training, test = parts()
-        taken = suited([*training, *test])
+        taken = suggest_filter([*training, *test])
         found = evaluate(test, some_filter(taken.model, taken.use))
         cells = (found.mean(UNTUNED, m) for m in MEASURES)
         told = " | ".join("-" if v is None else f"{v:.2f}" for v in cells)

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.doctor.suited import suited
 from sigmaswarm.drives.drive import Drive, Odometer
-from sigmaswarm.drives.noise import has_white_errors
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.sensors import has_white_errors, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind
@@ -48,7 +47,7 @@ def wheeled(drive: Drive) -> Drive:
 
 
 def chosen(*drives: Drive) -> tuple[str, tuple[str, ...]]:
-    found = suited(drives)
+    found = suggest_filter(drives)
     return found.model, found.use
 
 
@@ -67,7 +66,7 @@ def test_the_rule_is_what_the_log_has():
 )
 def test_six_columns_are_not_always_six_axes(up: float, turning: float):
     assert chosen(six(PLAIN, up, turning))[0] == "planar8"
-    assert suited([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
+    assert suggest_filter([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
 
 
 def test_of_several_drives_what_all_have_counts():
@@ -81,7 +80,7 @@ def test_of_several_drives_what_all_have_counts():
 
 def test_it_looks_neither_at_truth_nor_at_errors():
     noisy = replace(PLAIN, truth=None, gps=replace(PLAIN.gps, x=PLAIN.gps.x + 30.0 * np.arange(FIXES)))
-    assert suited([noisy]) == suited([PLAIN])
+    assert suggest_filter([noisy]) == suggest_filter([PLAIN])
 
 
 def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = None) -> Drive:
@@ -201,7 +200,7 @@ def test_tune_takes_it_and_its_result_says_what_it_was():
 def test_real_logs(name: str, options: str):
     from sigmaswarm import read_drive
 
-    assert suited([read_drive(DRIVES / name)]).options == options
+    assert suggest_filter([read_drive(DRIVES / name)]).options == options
 
 
 # --- the covariance's scale -----------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig

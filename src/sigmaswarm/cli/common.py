@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
-    from sigmaswarm.drives.places import Place
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
-    from sigmaswarm.fleets.held import Held
     from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_known(place: "Place") -> "Drive":
+def read_known(place: "Location") -> "Drive":
     """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
-    from sigmaswarm.drives.places import read_place
+    from sigmaswarm.drives.reader import read_with_warnings
 
-    drive, warned = read_place(place)
+    drive, warned = read_with_warnings(place)
     warn_of_reading(warned, gaps=False)
     return drive
 
@@ -40,11 +40,11 @@ def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> Non
             warnings.warn(warning, stacklevel=3)
 
 
-def read_drives(places: "Sequence[Place]") -> "list[Drive]":
+def read_drives(places: "Sequence[Location]") -> "list[Drive]":
     """Read drives that are known; a folder of drive folders stands for all of them."""
-    from sigmaswarm.drives.places import listed_places
+    from sigmaswarm.drives.reader import all_drive_locations
 
-    return [read_known(place) for place in listed_places(places)]
+    return [read_known(place) for place in all_drive_locations(places)]
 
 
 @contextmanager
@@ -53,39 +53,39 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
     if address is None:
         yield None
         return
-    from sigmaswarm.fleets.connection import connected
+    from sigmaswarm.datasets.cluster import connected
 
     with connected(address) as client:
         yield client
 
 
-def held_drives(
-    *groups: "Sequence[Place]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
-) -> "list[Held]":
-    """Groups of drives, read where they are held: by a cluster's workers, or here.
+def read_datasets(
+    *groups: "Sequence[Location]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
+) -> "list[Dataset]":
+    """Read groups of drives, here or on the workers of a cluster.
 
-    Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
+    Warn of serious faults unless the drives are ``trusted``, and of gaps if ``gaps``.
     """
     from sigmaswarm.cli.findings import warn_of_serious
-    from sigmaswarm.drives.places import listed_places, read_place
-    from sigmaswarm.fleets.connection import Cluster
-    from sigmaswarm.fleets.fleet import Fleet, fleet_groups
-    from sigmaswarm.fleets.held import Here
+    from sigmaswarm.datasets.cluster import Cluster
+    from sigmaswarm.datasets.dataset import LocalDataset
+    from sigmaswarm.datasets.remote import remote_datasets
+    from sigmaswarm.drives.reader import all_drive_locations, read_with_warnings
 
-    listed = [listed_places(places) for places in groups]
+    locations = [all_drive_locations(group) for group in groups]
     if cluster is None:
-        read = [[read_place(place) for place in places] for places in listed]
-        held: list[Held] = [Here([drive for drive, _ in group]) for group in read]
+        read = [[read_with_warnings(location) for location in group] for group in locations]
+        datasets: list[Dataset] = [LocalDataset([drive for drive, _ in group]) for group in read]
         warned = [warning for group in read for _, more in group for warning in more]
     else:
         with progress_bar("reading", "drives, remaining") as show:
-            held = [*fleet_groups(Cluster(cluster), listed, progress=show)]
-        warned = [warning for fleet in held if isinstance(fleet, Fleet) for warning in fleet.warned]
+            remote, warned = remote_datasets(Cluster(cluster), locations, progress=show)
+        datasets = [*remote]
     warn_of_reading(warned, gaps=gaps)
     if not trusted:
-        for drives, places in zip(held, listed, strict=True):
-            warn_of_serious(drives, places)
-    return held
+        for drives, group in zip(datasets, locations, strict=True):
+            warn_of_serious(drives, group)
+    return datasets
 
 
 def tuned_as_recorded(tuning: Path) -> bool:

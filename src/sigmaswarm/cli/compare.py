@@ -64,15 +64,15 @@ def compare(
         Print the table for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, held_drives, print_json, progress_bar, stdout
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, read_datasets, stdout
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import with_filter
 
     chosen = {"optimizers": optimizers, "scales": scales}
     with cluster_at(cluster) as client:
-        read, held_out = held_drives(drives, validation or [], cluster=client)
-        said = with_filter({**options}, [*read.of_each(equipment), *held_out.of_each(equipment)])[1]
+        read, held_out = read_datasets(drives, validation or [], cluster=client)
+        said = with_filter({**options}, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
         with progress_bar("comparing", "tunings, remaining") as show:
             comparison = sigmaswarm.compare(
                 read,

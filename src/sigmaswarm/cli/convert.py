@@ -33,7 +33,9 @@ def convert(
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.drives.places import TABLES, is_url, listed_places
+    from sigmaswarm.drives.reader import all_drive_locations
+    from sigmaswarm.drives.table_files import TABLES
+    from sigmaswarm.drives.urls import is_url
     from sigmaswarm.errors import InputError
 
     if len(drives) < 2:
@@ -44,7 +46,7 @@ def convert(
     out, written = Path(last), dict[str, Path]()
     if any((out / table).exists() for table in TABLES):
         raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
-    for place in listed_places(given):
+    for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:
             raise InputError(

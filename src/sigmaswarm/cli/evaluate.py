@@ -77,10 +77,10 @@ def evaluate(
     import sigmaswarm
     from sigmaswarm.cli.common import (
         cluster_at,
-        held_drives,
         print_evaluation,
         print_json,
         print_remarks,
+        read_datasets,
         stdout,
         tuned_as_recorded,
     )
@@ -100,7 +100,7 @@ def evaluate(
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     with cluster_at(cluster) as client:
-        (read,) = held_drives(drives, cluster=client, trusted=trust_log)
+        (read,) = read_datasets(drives, cluster=client, trusted=trust_log)
         result = sigmaswarm.evaluate(
             read,
             parameters,

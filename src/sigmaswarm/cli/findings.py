@@ -11,9 +11,9 @@ from sigmaswarm.cli.common import stdout
 from sigmaswarm.wording import counted
 
 if TYPE_CHECKING:
+    from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.doctor.findings import Diagnosis, Finding
-    from sigmaswarm.drives.places import Place
-    from sigmaswarm.fleets.held import Held
+    from sigmaswarm.drives.reader import Location
 
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -35,12 +35,12 @@ def print_diagnosis(diagnosis: "Diagnosis") -> None:
     console.print()
 
 
-def warn_of_serious(drives: "Held", places: "Sequence[Place]") -> None:
+def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
     """Say in a line of each drive what the doctor finds serious: a filter would learn it."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
-    for diagnosis, folder in zip(drives.of_each(diagnose), places, strict=True):
+    for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
@@ -50,7 +50,7 @@ def warn_of_serious(drives: "Held", places: "Sequence[Place]") -> None:
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
-def mending(diagnosis: "Diagnosis", folder: "Place") -> tuple[str, Path | None]:
+def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
     """The command for a drive with serious findings, and the mended copy that it makes.
 
     Where none of them can be mended, the command that says what to do about them, and None.

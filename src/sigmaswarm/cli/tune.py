@@ -79,23 +79,26 @@ def tune(
     import sigmaswarm
     from sigmaswarm.cli.common import (
         cluster_at,
-        held_drives,
         print_json,
         print_remarks,
+        read_datasets,
         stdout,
         tuning_progress,
     )
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
     from sigmaswarm.wording import counted
 
     with cluster_at(cluster) as client:
-        read, held_back = held_drives(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
-        everywhere = [*read.of_each(equipment), *held_back.of_each(equipment)]
+        read, held_back = read_datasets(
+            drives, validation or [], cluster=client, trusted=trust_log, gaps=True
+        )
+        everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
         chosen = "" if paper else with_filter({**options}, everywhere)[1]
-        with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
+        with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
             tuning = sigmaswarm.tune(
                 read,
                 validation=held_back,
@@ -109,8 +112,8 @@ def tune(
         shown = partial(
             first_look, parameters=tuning.parameters, as_recorded=tuning.config.model_dump()["as_recorded"]
         )
-        (look,) = read.subset([0]).of_each(shown)
-        (part,) = read.subset([0]).of_each(_is_part)
+        (look,) = read.subset([0]).map(shown)
+        (part,) = read.subset([0]).map(_is_part)
     from sigmaswarm.reports.tuning import save_tuning_figures  # what draws takes memory beside a long drive
 
     pictures = save_tuning_figures(tuning, look.picture, out)
@@ -179,11 +182,12 @@ def _usual_next(out: Path) -> str:
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
     """What to do next with one log: cut it in two, for of other drives nothing is known yet."""
-    from sigmaswarm.drives.places import drive_places, is_url
+    from sigmaswarm.drives.reader import drive_folders
+    from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
         return [_usual_next(out)]
-    folder = Path(drive_places(given)[0])  # what was named may hold the drive
+    (folder, *_) = drive_folders(Path(given))  # the path may be that of its parent
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
         return [

@@ -18,7 +18,7 @@ from sigmaswarm.doctor.fixes import Complex, Course
 from sigmaswarm.doctor.windows import Regression, regress, windows_of
 from sigmaswarm.doctor.yaw_fit import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
 """s: long enough to see accelerations, short enough for tilt and slope to stay."""

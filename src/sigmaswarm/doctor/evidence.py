@@ -11,7 +11,7 @@ from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
-from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.drives.sensors import white_noise
 
 FEWEST = 20
 """Fixes; with fewer, only what needs no motion is checked."""

@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -55,7 +55,7 @@ ACCURACY_FLOOR = 0.1**2
 def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
     """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's accuracy is `drives.noise.stated_std`; the IMU's densities are ``accel_noise_density``
+    The receiver's accuracy is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density``
     (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. Values without a data sheet are in
     `BY_HAND`.
 

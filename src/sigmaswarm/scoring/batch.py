@@ -6,11 +6,12 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.kernel_array import KernelArray, Sums
@@ -19,11 +20,9 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_array
 from sigmaswarm.filters.student import INNOVATION_DOF
 from sigmaswarm.filters.table import tables_of
-from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.jobs import Job, jobs_for
+from sigmaswarm.scoring.jobs import Job, cores, jobs_for, run_jobs
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
-from sigmaswarm.scoring.workers import cores, in_turn
 
 T = TypeVar("T")
 
@@ -71,41 +70,6 @@ class Passes:
     forecasts: bool = False
     outage_seed: int = 0
     as_recorded: bool = False
-
-
-class Replays(Protocol):
-    """Drives of a dataset, local or remote, prepared to be replayed by any number of parameter sets."""
-
-    @property
-    def held(self) -> Held:
-        """The drives."""
-        ...
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
-        ...
-
-    def subset(self, drives: Sequence[int]) -> "Replays":
-        """Those of some of the drives, by index."""
-        ...
-
-    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Scores of all sets on all drives; the bits do not depend on where the drives are."""
-        ...
-
-    def measured(
-        self,
-        take: Callable[[Scores], Array],
-        parameter_sets: Sequence[FilterParameters],
-        executor: Executor | None = None,
-    ) -> Array:
-        """Apply a function of a module to the scores, number by number, shape (n_sets, n_drives)."""
-        ...
-
-    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """Apply a function of a module to each prepared drive."""
-        ...
 
 
 class Replayer:
@@ -162,9 +126,9 @@ class Replayer:
         return whole
 
     @property
-    def held(self) -> Here:
+    def dataset(self) -> LocalDataset:
         """The drives."""
-        return Here(self.drives)
+        return LocalDataset(self.drives)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
         """A replayer of some of the drives, by index, without preparing anything again."""
@@ -236,7 +200,7 @@ class Replayer:
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
         """Run every pass by every set, in jobs that keep all workers busy."""
-        workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
+        workers = cores() if executor else 1
         work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
         for places, table in tables_of(parameter_sets):
             array = KernelArray(table)
@@ -246,12 +210,12 @@ class Replayer:
                 for job in self._jobs_for(len(table), array.model, workers)
             ]
         # The longest first, so that no worker is left with one at the end.
-        work.sort(key=lambda item: item[0].seconds, reverse=True)
+        work.sort(key=lambda item: item[0].work, reverse=True)
         tasks = [
             (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
         ]
         sums = {name: Sums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
-        for (job, places, _), part in zip(work, in_turn(run_array, tasks, executor, workers), strict=True):
+        for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
             sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
         return sums
 

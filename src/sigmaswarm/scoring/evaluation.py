@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
+from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
@@ -23,7 +24,6 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from distributed import Client
 
-    from sigmaswarm.drives.places import Place
-    from sigmaswarm.fleets.held import Held
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.drives.reader import Location
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +274,7 @@ class Evaluation:
 
 
 def evaluate(
-    drives: "Sequence[Drive | Place] | Drive | Place | Held",
+    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     parameters: FilterParameters,
     *,
     against: FilterParameters | None = None,
@@ -328,8 +328,8 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    (held,) = held_drives(drives, cluster=cluster)
-    if not len(held):
+    (dataset,) = datasets_of(drives, cluster=cluster)
+    if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
     own = {} if against is None else {OWN: against}
     also: dict[str, Callable[[Replay], Run]] = {}
@@ -349,7 +349,7 @@ def evaluate(
         also=also,
     )
     found: dict[str, Evaluated] = {}
-    for drive, each, marks in held.one_by_one(one):
+    for drive, each, marks in dataset.imap(one):
         name = _unique(drive, found)
         known = None if seen is None or marks is None else known_overlap(marks, seen)
         found[name] = replace(each if name == drive else each.called(name), seen=known)

@@ -4,8 +4,8 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from sigmaswarm.doctor.suited import Equipment, equipment, suited
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.sensors import Sensors, sensors_of, suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.models import MODELS
@@ -26,18 +26,18 @@ OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
 """The same for models of the user's own, which have these two only."""
 
 
-def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Equipment]) -> tuple[dict[str, Any], str]:
-    """The options of a tuning with a model and what it uses, and what was chosen and why, in a line.
+def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
+    """Add the default model and measurements to the options of a tuning, and describe the choice in a line.
 
-    What the user gave stays. Where neither ``model`` nor ``use`` is given, both are those of `suited`. With ``use``
-    alone the model is, and with ``model`` alone what it uses; but planar5, the paper's, then uses nothing. What does
-    not go with the ``kind`` that is asked for, or with the objective, is left out.
+    Options of the user stay. Without ``model`` and ``use``, both are those of `suggest_filter`; with one of them, only
+    the other is. planar5, the paper's, uses nothing unless ``use`` is given. What the ``kind`` or the objective of the
+    user excludes is left out.
 
     Parameters
     ----------
     asked : dict
         `TuneOptions` that the user gave.
-    drives : sequence of Drive or Equipment
+    drives : sequence of Drive or Sensors
         All that the filter has to run on.
 
     Returns
@@ -48,7 +48,7 @@ def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Equipment]) -> t
     """
     if "model" in asked and "use" in asked:
         return asked, ""
-    found = suited(drives)
+    found = suggest_filter(drives)
     model = asked.get("model") or _with_kind(found.model, asked.get("kind"))
     if "use" in asked:
         return {**asked, "model": model}, f"{_called(model, asked['use'])}, as asked: {found.because}"
@@ -79,13 +79,13 @@ def _goes(option: str, asked: dict[str, Any], model: str) -> bool:
     return kind is None or clash(kind, [option]) is None
 
 
-def objective_for(data: Sequence[Drive | Equipment | Log], asked: str, model: str = PLAIN) -> str:
+def objective_for(data: Sequence[Drive | Sensors | Log], asked: str, model: str = PLAIN) -> str:
     """The objective that is asked for; for ``auto`` the one that suits the data and the filter's model."""
     if asked != "auto":
         return asked
     logs = any(isinstance(one, Log) for one in data)
     with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
-    cars = [equipment(one) for one in data if not isinstance(one, Log)]
+    cars = [sensors_of(one) for one in data if not isinstance(one, Log)]
     tilts = model in MODELS and MODELS[model].tilts
     if not logs and tilts and _allows_forecasts(cars):
         without = WITH_FORECASTS
@@ -99,6 +99,6 @@ def objective_for(data: Sequence[Drive | Equipment | Log], asked: str, model: st
     return without if blind else with_truth
 
 
-def _allows_forecasts(found: Sequence[Equipment]) -> bool:
+def _allows_forecasts(found: Sequence[Sensors]) -> bool:
     """Whether most drives have fixes whose errors are white, and each is long enough to hide some."""
     return 2 * sum(one.white for one in found) > len(found) and all(one.driven > ROOM for one in found)

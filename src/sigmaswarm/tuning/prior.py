@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.table import ParameterTable
 

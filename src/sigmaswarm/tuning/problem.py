@@ -9,16 +9,17 @@ from typing import Any, Protocol, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
-from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.batch import Replays, Scores
+from sigmaswarm.scoring.batch import Scores
+from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
@@ -137,17 +138,17 @@ class CarProblem:
     @cached_property
     def _receiver_std(self) -> Array:
         """Standard deviation of each drive's receiver, shape (m, 2), m."""
-        return np.array(self.replays.held.of_each(receiver_std))
+        return np.array(self.replays.dataset.map(receiver_std))
 
     @property
     def seen(self) -> Sequence[Landmarks]:
         """Landmarks of each drive; of a remote dataset they are fetched when used, to save memory."""
-        held = self.replays.held
-        return self._landmarks if isinstance(held, Here) else LandmarksOf(held)
+        dataset = self.replays.dataset
+        return self._landmarks if isinstance(dataset, LocalDataset) else LandmarksOf(dataset)
 
     @cached_property
     def _landmarks(self) -> tuple[Landmarks, ...]:
-        return tuple(self.replays.held.of_each(landmarks))
+        return tuple(self.replays.dataset.map(landmarks))
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -160,21 +161,21 @@ class CarProblem:
 
     @cached_property
     def _fix_noise(self) -> list[FixNoise]:
-        return self.replays.held.of_each(fix_noise)
+        return self.replays.dataset.map(fix_noise)
 
     @cached_property
-    def equipment(self) -> list[Equipment]:
-        """Equipment of each drive."""
-        return self.replays.held.of_each(equipment)
+    def sensors(self) -> list[Sensors]:
+        """Sensors of each drive."""
+        return self.replays.dataset.map(sensors_of)
 
     def warnings(self, point: Array) -> list[str]:
         """Warn of divergence, of parameters without effect, and, where truth was not used, of an implausible R."""
         parameters = self.parameters(point)
         lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None
-        found = [*lost, *(said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else [])]
+        found = [*lost, *(said_of_accuracy(parameters, self.replays.dataset.map(stated)) if weighs else [])]
         found += said_of_scale(self.objective.name, parameters, self.replays)
-        known = all(drive.truth for drive in self.equipment)
+        known = all(drive.truth for drive in self.sensors)
         if not (
             known and self.objective.needs_truth
         ):  # a look at the fixes' noise takes as long as reading a drive
@@ -187,7 +188,7 @@ class CarProblem:
         said = said_of_lost(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
         if said or self.objective.needs_outages:
             return said
-        some = replays.subset(range(min(len(replays.held), NAMED)))
+        some = replays.subset(range(min(len(replays.dataset), NAMED)))
         if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
             return []
         return said_of_drifts(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
@@ -199,7 +200,7 @@ class CarProblem:
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
+        known = zip(self.sensors, self._receiver_std, self._fix_noise, r, costs, strict=True)
         found = (
             said_of_prior(one.name, std, noise, near)
             for one, std, noise, near, cost in known
@@ -209,7 +210,7 @@ class CarProblem:
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.replays.held)), executor))
+        return self.mean(self.each(points, range(len(self.replays.dataset)), executor))
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
@@ -233,19 +234,19 @@ class CarProblem:
         """Relative increase of costs: 0.01 is 1%."""
         return self.objective.rise(costs, best)
 
-    def on(self, data: Sequence[Drive] | Held) -> "CarProblem":
+    def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarksOf(Sequence[Landmarks]):
-    """Landmarks of the drives of a remote dataset."""
+    """The landmarks of a remote dataset, computed when they are needed."""
 
-    held: Held
+    dataset: Dataset
 
     def __len__(self) -> int:
-        return len(self.held)
+        return len(self.dataset)
 
     @overload
     def __getitem__(self, k: int) -> Landmarks: ...
@@ -254,11 +255,11 @@ class LandmarksOf(Sequence[Landmarks]):
     def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
         places = range(len(self))[k]
         if isinstance(places, int):
-            return self.held.subset([places]).of_each(landmarks)[0]
-        return self.held.subset(places).of_each(landmarks)
+            return self.dataset.subset([places]).map(landmarks)[0]
+        return self.dataset.subset(places).map(landmarks)
 
     def __iter__(self) -> Iterator[Landmarks]:
-        return self.held.one_by_one(landmarks)
+        return self.dataset.imap(landmarks)
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
@@ -267,7 +268,7 @@ def costs_of_each(objective: str, scores: Scores) -> Array:
 
 
 def car_problem(
-    drives: Sequence[Drive] | Held, config: TuneConfig, space: SearchSpace | None = None
+    drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
     """Make the problem of tuning a filter for cars on drives, local or remote.
 
@@ -286,12 +287,12 @@ def car_problem(
             f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
             "innovation-nll or innovation-t"
         )
-    held = Here(drives) if isinstance(drives, Sequence) else drives
-    have = held.of_each(equipment)
+    dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
+    have = dataset.map(sensors_of)
     check_drives(have, objective)
     _check_columns(have, config)
-    replays = replays_for(objective, held, config.outage_seed, as_recorded=config.as_recorded)
-    data = held.of_each(described)
+    replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
+    data = dataset.map(described)
     run_kernel(config.model)  # written out here, before threads start that would all wait for it
     return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
 
@@ -301,12 +302,12 @@ def car_space(config: TuneConfig, interval: float) -> SearchSpace:
     return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
 
 
-def usual_interval(drives: Sequence[Drive | Equipment]) -> float:
+def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
     """The drives' usual time between two IMU samples, s."""
-    return float(np.median([equipment(drive).interval for drive in drives]))
+    return float(np.median([sensors_of(drive).interval for drive in drives]))
 
 
-def _check_columns(drives: Sequence[Equipment], config: TuneConfig) -> None:
+def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
     silent = [drive.name for drive in drives if not drive.accuracy]
     if "accuracy" in config.use and silent:
         raise InputError(

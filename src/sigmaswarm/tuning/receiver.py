@@ -8,7 +8,7 @@ import numpy as np
 from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters

@@ -8,7 +8,7 @@ points' spread, and with it the mean, follows the scale. What the factor does to
 """
 
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.scoring.batch import Replays
+from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.wording import to_do
 
 SCALE_FREE = ("truth-rmse", "truth-pose")

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.dataset import Dataset, datasets_of
 from sigmaswarm.drives.drive import Drive, listed
 from sigmaswarm.drives.overlap import SEEN_FILE, SavedLandmarks, overlap_of, save_landmarks
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.files import held_folder
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.fleets.gathering import held_drives
-from sigmaswarm.fleets.held import Held
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import ModelProblem
 from sigmaswarm.tuning.defaults import PLAIN, objective_for, with_filter
@@ -38,7 +38,7 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-    from sigmaswarm.drives.places import Place
+    from sigmaswarm.drives.reader import Location
 
 TAKES = "tune takes Drives, or Logs together with model=Model(...)"
 C = TypeVar("C", bound=SearchConfig)
@@ -47,9 +47,9 @@ P = TypeVar("P")
 
 @overload
 def tune(
-    drives: "Sequence[Drive | Place] | Drive | Place | Held",
+    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     *,
-    validation: "Sequence[Drive | Place] | Drive | Place | Held" = ...,
+    validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = ...,
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
@@ -72,9 +72,9 @@ def tune(
     **config: Unpack[SearchOptions],
 ) -> Tuning[dict[str, float]]: ...
 def tune(
-    drives: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held",
+    drives: "Sequence[Drive | Location] | Sequence[Log] | Drive | Location | Log | Dataset",
     *,
-    validation: "Sequence[Drive | Place] | Sequence[Log] | Drive | Place | Log | Held" = (),
+    validation: "Sequence[Drive | Location] | Sequence[Log] | Drive | Location | Log | Dataset" = (),
     out: str | Path | None = None,
     resume: bool = False,
     paper: bool = False,
@@ -130,7 +130,7 @@ def tune(
             )
         problem, others, settings = _own_problem(listed(drives), listed(validation), asked)
     else:
-        data, others = held_drives(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
+        data, others = datasets_of(drives, validation, cluster=cluster, executor=executor, takes=TAKES)
         problem, settings = _car_problem(data, others, asked)
     held_back = problem.on(others) if len(others) else None
     if held_back:
@@ -145,7 +145,7 @@ def tune(
                 names = tuple((entry["name"], entry["sha256"]) for entry in problem.data)
                 save_landmarks(problem.seen, folder.path / SEEN_FILE, names)
                 seen = SavedLandmarks(folder.path / SEEN_FILE, names)
-        pool = executor or stack.enter_context(ThreadPoolExecutor())
+        pool = executor or stack.enter_context(ThreadPoolExecutor(cores()))
         tuning = tune_problem(problem, settings, pool, held_back=held_back, folder=folder, progress=progress)
     if isinstance(problem.seen, tuple):
         return tuning
@@ -195,9 +195,9 @@ def _own_problem(
     return ModelProblem(data, model, settings), others, settings
 
 
-def _car_problem(data: Held, others: Held, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
+def _car_problem(data: Dataset, others: Dataset, config: dict[str, Any]) -> tuple[CarProblem, TuneConfig]:
     """What is minimized for a car's filter, on drives."""
-    everywhere = [*data.of_each(equipment), *others.of_each(equipment)]
+    everywhere = [*data.map(sensors_of), *others.map(sensors_of)]
     asked, _ = with_filter(config, everywhere)
     settings = _settled(validated_config(TuneConfig, asked), everywhere)
     problem = car_problem(data, settings)
@@ -212,7 +212,7 @@ def _car_problem(data: Held, others: Held, config: dict[str, Any]) -> tuple[CarP
     return problem, settings
 
 
-def _settled(config: C, data: Sequence[Equipment | Log]) -> C:
+def _settled(config: C, data: Sequence[Sensors | Log]) -> C:
     """The configuration with what its defaults stand for on this data."""
     model = config.model if isinstance(config, TuneConfig) else PLAIN
     return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, model)}))

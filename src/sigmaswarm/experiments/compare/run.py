@@ -19,15 +19,15 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from sigmaswarm.doctor.suited import equipment
+from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.sensors import sensors_of
 from sigmaswarm.errors import InputError, SigmaswarmWarning
 from sigmaswarm.experiments.compare.contenders import Contender, budget, contenders
 from sigmaswarm.experiments.compare.record import Comparison, Outcome
 from sigmaswarm.experiments.grid import Tell, run_grid
 from sigmaswarm.files import held_folder, write_whole
-from sigmaswarm.fleets.gathering import held_drives
-from sigmaswarm.scoring.workers import cores
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.options import SEEDS, CompareOptions
 from sigmaswarm.tuning.problem import CarProblem, car_problem, car_space, usual_interval
@@ -39,17 +39,17 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-    from sigmaswarm.drives.places import Place
-    from sigmaswarm.fleets.held import Held
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.drives.reader import Location
 
 
 def compare(
-    drives: "Sequence[Drive | Place] | Drive | Place | Held",
+    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     *,
     optimizers: Sequence[str] = ("pso", "ga", "ga-pso", "de", "cma-es", "random"),
     scales: Sequence[str] = ("log10",),
     seeds: int = SEEDS,
-    validation: "Sequence[Drive | Place] | Drive | Place | Held" = (),
+    validation: "Sequence[Drive | Location] | Drive | Location | Dataset" = (),
     out: str | Path | None = None,
     resume: bool = False,
     workers: int | None = None,
@@ -99,8 +99,8 @@ def compare(
     for name in ("prior", "margin"):
         if name in config:
             raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
-    training, held_out = held_drives(drives, validation, cluster=cluster)
-    trained, tested = training.of_each(equipment), held_out.of_each(equipment)
+    training, held_out = datasets_of(drives, validation, cluster=cluster)
+    trained, tested = training.map(sensors_of), held_out.map(sensors_of)
     everywhere = [*trained, *tested]
     asked_filter, _ = with_filter({**config}, everywhere)
     objective = objective_for(everywhere, config.get("objective", "auto"), asked_filter["model"])
@@ -155,7 +155,7 @@ def _asked(
 
 def _searched(problem: CarProblem, rivals: Sequence[Contender]) -> dict[Contender, CarProblem]:
     """What each contender minimizes: on drives that all of them share, in the box of its own scale."""
-    interval = usual_interval(problem.equipment)
+    interval = usual_interval(problem.sensors)
     spaces = {rival.scale: car_space(rival.config, interval) for rival in rivals}
     return {rival: replace(problem, config=rival.config, space=spaces[rival.scale]) for rival in rivals}
 

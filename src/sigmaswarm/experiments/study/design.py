@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.cluster import Cluster
+from sigmaswarm.datasets.dataset import Dataset, LocalDataset
+from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
+from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
-from sigmaswarm.drives.places import listed_places
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.reader import all_drive_locations, read_drive
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
@@ -31,13 +34,9 @@ from sigmaswarm.experiments.study.config import (
     ProtocolName,
     StudyConfig,
 )
-from sigmaswarm.fleets.connection import Cluster
-from sigmaswarm.fleets.fleet import Fleet, sources_of, told_of_each
-from sigmaswarm.fleets.held import Here
-from sigmaswarm.fleets.sources import Source
-from sigmaswarm.scoring.batch import Passes, Replayer, Replays
-from sigmaswarm.scoring.fleet import FleetReplays, of_each_prepared
-from sigmaswarm.simulation.conditions import Simulated, simulate_many
+from sigmaswarm.scoring.batch import Passes, Replayer
+from sigmaswarm.scoring.remote import RemoteReplayer, Replays, map_prepared
+from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.racing import MANY
@@ -54,24 +53,24 @@ class Design:
 
     Attributes
     ----------
-    drives : tuple of Drive or Equipment
+    drives : tuple of Drive or Sensors
         Each with truth and a name of its own; of those that a cluster's workers hold, what they have.
     conditions : tuple of (maneuver, environment)
         Of each drive.
     strata : tuple of str
         Of each drive: the group within which it is split.
     config : StudyConfig
-    fleet : Fleet or None
-        The workers' drives.
+    remote : RemoteDataset or None
+        The drives of a cluster's workers.
     apart : bool
         No trial trains on any of them: all are held back.
     """
 
-    drives: tuple[Drive | Equipment, ...]
+    drives: tuple[Drive | Sensors, ...]
     conditions: tuple[tuple[str, str], ...]
     strata: tuple[str, ...]
     config: StudyConfig
-    fleet: Fleet | None = None
+    remote: RemoteDataset | None = None
     apart: bool = False
 
     @property
@@ -89,18 +88,17 @@ class Design:
     def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
         """What a function of a module says of drives made ready, by index, or of all: where they are held."""
         chosen = range(len(self.drives)) if drives is None else drives
-        if self.fleet is None:
+        if self.remote is None:
             return [function(self.prepared[i]) for i in chosen]
-        return told_of_each(self.fleet.subset(chosen).ask(of_each_prepared, function, True))
+        return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
 
     def replays(self, *, outages: bool) -> Replays:
         """All drives, to be replayed where they are held."""
         seed = self.config.seed
-        if self.fleet is None:
+        if self.remote is None:
             return Replayer(self.prepared, outages=outages, outage_seed=seed)
-        return FleetReplays(
-            self.fleet, Passes(outages=outages, outage_seed=seed, as_recorded=True), _as_it_is
-        )
+        passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
+        return RemoteReplayer(self.remote, passes, _no_check)
 
     def tune_config(self, method: str, protocol: str) -> TuneConfig:
         """What one of the tuned methods is asked for under a protocol."""
@@ -207,15 +205,15 @@ def make_design(
     InputError
         If the drives are too few, lack truth, or can't be read or made.
     """
-    fleet: Fleet | None = None
-    drives: list[Drive] | list[Equipment]
+    remote: RemoteDataset | None = None
+    drives: list[Drive] | list[Sensors]
     if cluster is not None:
-        fleet = Fleet.read(Cluster(cluster), _sources(config))
-        for warning in fleet.warned:
+        remote, warned = remote_dataset(Cluster(cluster), _sources(config))
+        for warning in warned:
             warnings.warn(warning, stacklevel=2)
-        drives = fleet.of_each(equipment)
+        drives = remote.map(sensors_of)
     elif config.drives:
-        drives = [read_drive(place) for place in listed_places(config.drives)]
+        drives = [read_drive(place) for place in all_drive_locations(config.drives)]
     else:
         drives = list(
             simulate_many(
@@ -231,28 +229,28 @@ def make_design(
     require_scored(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")
-    held = Here([d for d in drives if isinstance(d, Drive)]) if fleet is None else fleet
+    dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # of those that are simulated no two are the same
-        require_apart(held.of_each(landmarks))
-    conditions = tuple(held.of_each(condition_of))
+        require_apart(dataset.map(landmarks))
+    conditions = tuple(dataset.map(condition_of))
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
     # Where a condition has one drive only, conditions can't be split by themselves.
-    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, fleet)
+    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
 
 def _sources(config: StudyConfig) -> list[Source]:
     """Where a cluster's workers get the drives."""
     if config.drives:
-        return sources_of(listed_places(config.drives))
+        return [source_of(location) for location in all_drive_locations(config.drives)]
     names = ((m, e, run) for m in config.maneuvers for e in config.environments for run in range(config.runs))
-    return [Simulated(*name, config.simulated) for name in names]
+    return [simulated_source(*name, **config.simulated) for name in names]
 
 
-def _as_it_is(_: Replayer) -> None:
-    """Whatever was made ready serves a study."""
+def _no_check(_: Replayer) -> None:
+    """Accept all drives."""
 
 
 def _identity(ready: PreparedDrive) -> tuple[str, str]:
@@ -276,7 +274,7 @@ def condition_of(drive: Drive) -> tuple[str, str]:
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
-def require_scored(drives: Sequence[Drive | Equipment]) -> None:
+def require_scored(drives: Sequence[Drive | Sensors]) -> None:
     """Refuse drives without truth, and two of one name."""
     names: set[str] = set()
     for drive in drives:

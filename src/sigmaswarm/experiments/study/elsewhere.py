@@ -5,8 +5,7 @@ from typing import Any
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.overlap import landmarks
-from sigmaswarm.drives.places import listed_places
-from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.reader import all_drive_locations, read_drive
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import Design, condition_of, require_apart, require_scored
 from sigmaswarm.simulation.conditions import simulate_many
@@ -30,7 +29,7 @@ def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[st
     if not c.rivals or (c.drives and not c.elsewhere):
         return {}
     if c.elsewhere:
-        drives = [read_drive(place) for place in listed_places(c.elsewhere)]
+        drives = [read_drive(place) for place in all_drive_locations(c.elsewhere)]
         own = tuple(drive for drive in home.drives if isinstance(drive, Drive))
         require_apart([landmarks(drive) for drive in (*own, *drives)])
         return {"as given": _apart(drives, c)}

@@ -49,8 +49,8 @@ from sigmaswarm.experiments.study.tracks import follow
 from sigmaswarm.files import held_folder, make_folder, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.scoring.jobs import cores
 from sigmaswarm.scoring.tracks import Picture, save_tracks
-from sigmaswarm.scoring.workers import cores
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval

@@ -21,8 +21,9 @@ from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
-from sigmaswarm.scoring.batch import Replayer, Replays, Scores
+from sigmaswarm.scoring.batch import Replayer, Scores
 from sigmaswarm.scoring.evaluation import score_imu_only
+from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.scoring.score import Score, score_raw_gps
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_windows
 

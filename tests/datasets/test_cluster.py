@@ -2,8 +2,8 @@
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -22,14 +22,14 @@ from sigmaswarm import (
     write_drive,
 )
 from sigmaswarm.cli import main
+from sigmaswarm.datasets.cluster import Cluster, ClusterError, connected
+from sigmaswarm.datasets.remote import Assignment, assigned, remote_dataset, source_of
+from sigmaswarm.datasets.worker import BASE_MEMORY, USABLE_MEMORY, CachedDrive, DriveCache
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.experiments.study.scores import score_all
-from sigmaswarm.fleets.connection import Cluster, ClusterError, Worker, connected
-from sigmaswarm.fleets.fleet import Fleet, _Host, _Yard, sources_of
-from sigmaswarm.fleets.sources import At
 from sigmaswarm.scoring.batch import Passes
-from sigmaswarm.scoring.fleet import replays_on
+from sigmaswarm.scoring.remote import replays_on
 from sigmaswarm.simulation.conditions import simulated_on
 from sigmaswarm.tuning.batch import require_fit
 from support import assert_same
@@ -134,18 +134,19 @@ def test_a_killed_worker_changes_no_bit_and_the_next_one_takes_over(folders, on_
 
 
 def test_a_newcomer_takes_its_share(processes, client, folders):
-    fleet = Fleet.read(Cluster(client), map(At, folders))
-    replays = replays_on(fleet, Passes(), partial(require_fit, objective="truth-rmse", seed=0))
+    dataset, _ = remote_dataset(Cluster(client), map(source_of, folders))
+    replays = replays_on(dataset, Passes(), partial(require_fit, objective="truth-rmse", seed=0))
     before = replays.scores([FILTER]).position_rmse
     name = processes.add()
     try:
         client.wait_for_workers(3, timeout=60)
-        fleet.yard._looked = -np.inf
+        dataset.assignment._polled = -np.inf
         assert (replays.scores([FILTER]).position_rmse == before).all()
-        held = {host.worker.name: len(host.held) for host in fleet.yard.hosts.values()}
-        assert set(held) == {"worker-0", "worker-1", name}
-        assert min(held.values()) == 1
-        assert sum(held.values()) == 4
+        drives = Counter(dataset.assignment.owners)
+        assert set(drives) == set(dataset.assignment.workers)
+        assert sorted(drives.values()) == [1, 1, 2]
+        while client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)):
+            time.sleep(0.05)  # a scheduler warns of results that are lost with a worker
     finally:
         processes.kill(name)
 
@@ -173,7 +174,7 @@ def test_compare_and_simulate_are_those_of_threads(client, folders):
 
 @pytest.mark.filterwarnings("ignore:Cyclopts application")
 def test_the_command_tells_a_cluster_that_is_not_there_in_one_line(folders, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sigmaswarm.fleets.connection.CONNECT", 1.0)
+    monkeypatch.setattr("sigmaswarm.datasets.cluster.CONNECT_TIMEOUT", 1.0)
     there = ["--out", str(tmp_path / "out"), "--cluster", "tcp://127.0.0.1:1"]
     monkeypatch.setattr("sys.argv", ["sigmaswarm", "tune", str(folders[0]), *there])
     with pytest.raises(SystemExit) as ended:
@@ -196,13 +197,37 @@ def test_all_drives_that_cannot_be_read_are_named_first(client, folders, tmp_pat
     assert not (tmp_path / "out").exists()
 
 
-def test_drives_that_do_not_fit_say_how_much_is_needed(client, folders, monkeypatch):
-    monkeypatch.setattr(At, "size", lambda self: 3e9)
-    monkeypatch.setattr("sigmaswarm.fleets.connection._room", lambda limit: 1e9)
-    with pytest.raises(
-        ClusterError, match=r"the drives need about 6 GB of .* memory, and 2 of them have 2 GB"
-    ):
-        tune(folders[:2], cluster=client, **SMALL)
+def test_a_worker_drops_what_was_used_last_and_reads_it_again(folders):
+    sources = {str(k): source_of(folder) for k, folder in enumerate(folders)}
+    one = CachedDrive(read_drive(folders[0]), []).size
+    cache = DriveCache("tcp://here:1", 1, 3.5 * one)
+    keys = dict.fromkeys(sources)
+    assert cache.get(keys) is None
+    first = cache.get({k: sources[k] for k in "012"})
+    assert cache.get(dict.fromkeys("12")) == first[1:]
+    assert cache.get({"3": sources["3"]})
+    assert cache.get({"0": None}) is None  # the oldest
+    assert cache.get({"1": None, "3": None})[0] is first[1]
+    with pytest.raises(ClusterError, match=r"here:1: its 4 drives need about .* GB of memory, and it has"):
+        cache.get(sources)
+
+
+def test_160_drives_of_ten_minutes_fit_two_workers_of_4_gb():
+    long = CachedDrive(simulate("urban", duration=600.0), []).size
+    assert BASE_MEMORY + 80 * long < USABLE_MEMORY * 4e9  # 23 MB each were measured
+
+
+def test_drives_are_shared_by_size_and_threads_and_few_move():
+    sizes = [3.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    two = assigned(sizes, {"a": 1, "b": 1}, [""] * 6)
+    load = [sum(s for s, w in zip(sizes, two, strict=True) if w == name) for name in "ab"]
+    assert load == [4.0, 4.0]
+    assert assigned(sizes, {"a": 1, "b": 1}, two) == two
+    without = assigned(sizes, {"b": 1}, two)
+    assert without == ["b"] * 6
+    three = assigned([1.0] * 8, {"a": 1, "b": 1, "c": 2}, ["a", "b"] * 4)
+    assert Counter(three) == {"a": 2, "b": 2, "c": 4}
+    assert sum(now != before for now, before in zip(three, ["a", "b"] * 4, strict=True)) == 4
 
 
 def test_a_worker_with_another_version_is_refused(processes, folders):
@@ -229,7 +254,7 @@ def test_a_worker_with_another_version_is_refused(processes, folders):
     ],
 )
 def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
-    monkeypatch.setattr("sigmaswarm.fleets.connection.CONNECT", 1.0)
+    monkeypatch.setattr("sigmaswarm.datasets.cluster.CONNECT_TIMEOUT", 1.0)
     with pytest.raises((InputError, ClusterError)) as caught, connected(address):
         pass
     assert str(caught.value).startswith(f"--cluster {address}: ")
@@ -252,33 +277,27 @@ def test_workers_that_all_go_at_once_are_waited_for():
         pass
 
     class Scheduler:
-        address, asked = "tcp://here:1", 0
+        address, answers = "tcp://here:1", iter([{f"tcp://worker:{k}": 1 for k in range(20)}, {}])
 
         def workers(self):
-            self.asked += 1
-            if self.asked > 1:
+            if (found := next(self.answers, None)) is None:
                 raise Gone
+            return found
+
+        def version_errors(self, addresses):
             return {}
 
-        def unlike(self, addresses):
-            return {}
-
-        client = type("Client", (), {"as_current": lambda self: nullcontext()})()
-
-    yard = _Yard(Scheduler(), [], None)
-    yard.told[0] = None
-    for k in range(20):
-        worker = Worker(f"tcp://worker:{k}", f"worker-{k}", 1, 1e9)
-        yard.hosts[worker.address] = _Host(worker, None, None)
+    assignment = Assignment(Scheduler(), [])
+    assignment.poll()
     with pytest.raises(Gone), pytest.warns(match="no worker is left at tcp://here:1: waiting"):
-        yard._look()
+        assignment.poll()
 
 
 def test_a_path_goes_out_whole(folders, monkeypatch):
     monkeypatch.chdir(folders[0].parent)
-    (source,) = sources_of([folders[0].name])
+    source = source_of(folders[0].name)
     monkeypatch.chdir("/")
-    assert source.read()[0].name == read_drive(folders[0]).name
+    assert source()[0].name == read_drive(folders[0]).name
 
 
 def test_a_cluster_and_an_executor_are_too_many(client, folders):
@@ -294,6 +313,6 @@ def test_nothing_was_warned_of(processes):
 
 
 def test_what_workers_cannot_import_is_one_line(client, folders):
-    fleet = Fleet.read(Cluster(client), map(At, folders[:1]))
-    with pytest.raises(ClusterError, match=r"^worker tcp://.* can't be asked .*ModuleNotFoundError"):
-        fleet.of_each(tree)  # of a module that no worker has
+    dataset, _ = remote_dataset(Cluster(client), [source_of(folders[0])])
+    with pytest.raises(ClusterError, match=r"^worker tcp://.* can't run the task .*ModuleNotFoundError"):
+        dataset.map(tree)  # of a module that no worker has

@@ -1,4 +1,4 @@
-"""A Dask cluster: reached by an address, its workers checked, and what goes wrong with it told in one line."""
+"""A Dask cluster: its address, its workers and their versions, and its errors, each in one line."""
 
 import asyncio
 import json
@@ -16,35 +16,19 @@ from sigmaswarm.versions import versions
 if TYPE_CHECKING:
     from distributed import Client
 
-PATIENCE = 30.0
+ANSWER_TIMEOUT = 30.0
 """s that a scheduler may take to answer."""
-REACH = 2.0
-"""s that a worker may take to answer directly."""
-CONNECT = 10.0
+CONNECT_TIMEOUT = 10.0
 """s that it may take to be reached."""
-FREE = 0.8
-"""Share of a worker's memory that drives may fill: Dask pauses a worker there, and ends it at 0.95."""
-BASE = 350e6
-"""Bytes of a worker that holds nothing: the interpreter, Numba, polars."""
 
 
 class ClusterError(SigmaswarmError):
-    """A cluster that can't be reached, or can't do the work; told in one line."""
-
-
-@dataclass(frozen=True)
-class Worker:
-    """What the scheduler says of a worker: address, name, threads, and the bytes that it has for drives."""
-
-    address: str
-    name: str
-    threads: int
-    room: float
+    """A cluster can't be reached, or can't do the work."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """A Dask client, and what this library asks of it.
+    """A Dask client, and the requests of this library to its cluster.
 
     Parameters
     ----------
@@ -59,28 +43,42 @@ class Cluster:
 
     @property
     def address(self) -> str:
-        """The scheduler's."""
+        """The address of the scheduler."""
         scheduler: Any = self.client.scheduler
         return str(scheduler.address if scheduler is not None else "?")
 
-    def workers(self) -> dict[str, Worker]:
-        """Those that are there now, by address.
+    def workers(self) -> dict[str, int]:
+        """Return the present workers: the number of threads of each, by address.
 
         Raises
         ------
         ClusterError
-            If the scheduler is gone.
+            If the scheduler does not answer.
         """
-        found = self._identity()["workers"]
-        return {
-            address: Worker(address, str(about["name"]), int(about["nthreads"]), _room(about["memory_limit"]))
-            for address, about in found.items()
-        }
+        if self.client.status != "running":
+            raise self.lost_scheduler()
 
-    def unlike(self, addresses: list[str]) -> dict[str, ClusterError]:
-        """Workers on which the same numbers need not have the same bits, and what to say of each."""
+        async def identity() -> dict[str, Any]:
+            scheduler: Any = self.client.scheduler
+            return await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_TIMEOUT)
+
+        try:
+            found = cast("dict[str, Any]", self.client.sync(identity))["workers"]
+        except Exception:  # communication errors, timeouts, a client that was closed meanwhile
+            raise self.lost_scheduler() from None
+        return {address: int(worker["nthreads"]) for address, worker in found.items()}
+
+    def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
+        """Return an error for each worker whose versions may give other bits."""
+        try:
+            answers = cast(
+                "dict[str, Any]",
+                self.client.run(versions, workers=addresses, on_error="return") if addresses else {},
+            )
+        except OSError:
+            raise self.lost_scheduler() from None
         own, found = versions(), dict[str, ClusterError]()
-        for address, theirs in sorted(self._run(versions, addresses).items() if addresses else ()):
+        for address, theirs in sorted(answers.items()):
             if not isinstance(theirs, Mapping):
                 found[address] = ClusterError(
                     f"worker {address}: sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
@@ -95,85 +93,42 @@ class Cluster:
                     break
         return found
 
-    def reaches(self, worker: str) -> bool:
-        """Whether a worker answers without the scheduler in between, which many networks do not allow."""
-
-        async def ask() -> None:
-            rpc: Any = self.client.rpc(worker)
-            await asyncio.wait_for(rpc.identity(), REACH)
-
-        try:
-            self.client.sync(ask)
-        except Exception:  # comm errors, timeouts
-            return False
-        return True
-
-    def check(self) -> None:
-        """Refuse to begin where a worker has other versions, for what goes without a `Fleet`.
-
-        Raises
-        ------
-        ClusterError
-            Naming the first of them.
-        """
-        for error in self.unlike(list(self.workers())).values():
+    def require_same_versions(self) -> None:
+        """Raise the first of `version_errors`, if any."""
+        for error in self.version_errors(list(self.workers())).values():
             raise error
 
-    def gone(self) -> ClusterError:
-        """What to say where the scheduler does not answer."""
+    def lost_scheduler(self) -> ClusterError:
+        """Return the error for a scheduler that does not answer."""
         return ClusterError(
-            f"the scheduler at {self.address} is gone; what was told so far is saved where there is an --out: go on "
-            "with --resume and another cluster"
+            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: go on with "
+            "--resume and another cluster"
         )
-
-    def _identity(self) -> dict[str, Any]:
-        if self.client.status != "running":
-            raise self.gone()
-
-        async def ask() -> dict[str, Any]:
-            scheduler: Any = self.client.scheduler
-            return await asyncio.wait_for(scheduler.identity(n_workers=-1), PATIENCE)
-
-        try:
-            return cast("dict[str, Any]", self.client.sync(ask))
-        except Exception:  # comm errors, timeouts, a client that was closed meanwhile
-            raise self.gone() from None
-
-    def _run(self, function: Any, addresses: list[str] | None) -> dict[str, Any]:
-        try:
-            return cast("dict[str, Any]", self.client.run(function, workers=addresses, on_error="return"))
-        except OSError:
-            raise self.gone() from None
-
-
-def _room(limit: float | None) -> float:
-    """What drives may take of a worker's memory; a limit of 0 is none."""
-    return FREE * limit - BASE if limit else float("inf")
 
 
 @contextmanager
 def connected(address: str) -> Generator["Client"]:
-    """A client of the cluster at an address; what was started for it ends with the block.
+    """Connect to the cluster at an address until the block ends.
 
     Parameters
     ----------
     address : str
-        ``tcp://host:8786`` (or tls, ws ...), the path of a scheduler file, or ``local:4`` for so many processes of one
-        thread on this machine.
+        ``tcp://host:8786`` (or ws ...), the path of a scheduler file, or ``local:4`` for 4 processes of one thread on
+        this machine.
 
     Raises
     ------
     InputError
-        If dask is not installed, or the address is none.
+        If dask is not installed, or the address is invalid.
     ClusterError
-        If nobody answers there.
+        If no scheduler answers there.
     """
     try:
         import distributed
     except ImportError:
         raise InputError(f"--cluster {address} needs Dask; run: pip install 'sigmaswarm[cluster]'") from None
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what goes wrong is told in one line, here
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are reported here, in one line
     kind, _, count = address.partition(":")
     if kind == "local":
         if not count.isdecimal() or int(count) < 1:
@@ -195,7 +150,7 @@ def connected(address: str) -> Generator["Client"]:
             "Python, and give it as cluster="
         )
     try:
-        client = distributed.Client(**where, timeout=CONNECT, set_as_default=False, name="sigmaswarm")
+        client = distributed.Client(**where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm")
     except Exception as error:  # of sockets, addresses, protocols
         said = " ".join(str(error).split())[:150]
         raise ClusterError(
@@ -209,7 +164,7 @@ def connected(address: str) -> Generator["Client"]:
 
 
 def _address_in(file: Path) -> str:
-    """What a scheduler file says."""
+    """Read the address from a scheduler file."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["address"])
     except (OSError, ValueError, KeyError, TypeError):
@@ -220,13 +175,13 @@ def _address_in(file: Path) -> str:
 
 @contextmanager
 def _local(count: int) -> Generator["Client"]:
-    """Processes on this machine."""
+    """Start processes on this machine."""
     from tempfile import TemporaryDirectory
 
     import distributed
 
     with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
-        local: Any = distributed.LocalCluster  # whose types know of no cluster without a dashboard
+        local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
         cluster = local(
             n_workers=count,
             threads_per_worker=1,
@@ -246,5 +201,5 @@ def _local(count: int) -> Generator["Client"]:
 def _closed(client: "Client") -> None:
     try:
         client.close(timeout=5)
-    except Exception:  # of a cluster that is gone, which was told
+    except Exception:  # the cluster is gone, which was reported
         logging.getLogger(__name__).debug("the client did not close", exc_info=True)

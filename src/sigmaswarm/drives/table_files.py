@@ -1,4 +1,4 @@
-"""One table of a drive, CSV or Parquet: its cells, then as numbers, and where exactly something is wrong."""
+"""One table of a drive, CSV or Parquet: its cells, their numbers, and the place of each fault."""
 
 import csv
 import mmap
@@ -30,23 +30,24 @@ RANGES: dict[str, tuple[float, float, str]] = {
 """Lowest and highest value allowed in a column, and the remedy."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
-"""What the tables of a drive's folder may be written in."""
+"""File formats of a drive's tables."""
+TABLES = tuple(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)
 
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
-"""What polars raises on damaged tables: on some bytes its own assertions fail."""
+"""Errors of polars on damaged tables; some bytes fail its own assertions."""
 
 
 def one_file(path: Path) -> dict[str, Any]:
-    """Arguments for polars' readers that name this one file: neither a pattern, run[1], nor a home, ~."""
+    """Return arguments for polars' readers that read a file by its name: run[1] is no pattern, ~ no home."""
     return {"source": path.absolute(), "glob": False}
 
 
 @dataclass(frozen=True)
-class Sheet:
-    """A table's cells, and what each row (n,) is called: the line of a CSV file, the place in a Parquet file, from 1.
+class TableFile:
+    """The cells of a table, and the number of each row (n,): the line of a CSV file, the row of a Parquet file, from 1.
 
-    Cells of a CSV file are numbers where all of them can be read as such, which takes a fifth of the memory; otherwise
-    text (None where empty), which tells what is wrong. Those of a Parquet file are what the file says they are.
+    Cells of a CSV file are numbers if all of them are finite numbers, which takes a fifth of the memory, and otherwise
+    text (None if empty), from which messages quote. Those of a Parquet file have the types of the file.
     """
 
     path: Path
@@ -54,7 +55,7 @@ class Sheet:
     lines: NDArray[np.int64]
 
     @classmethod
-    def read(cls, path: Path) -> "Sheet":
+    def read(cls, path: Path) -> "TableFile":
         """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
         if not path.is_file():
             raise DriveError(
@@ -67,7 +68,7 @@ class Sheet:
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
     @classmethod
-    def _text(cls, path: Path) -> "Sheet":
+    def _text(cls, path: Path) -> "TableFile":
         try:
             cells = pl.read_csv(**one_file(path), infer_schema=False)
         except pl.exceptions.NoDataError:
