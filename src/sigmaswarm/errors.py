@@ -1,5 +1,6 @@
 """What can go wrong, each as one sentence that says where and what to do."""
 
+import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -60,3 +61,8 @@ class DriveWarning(SigmaswarmWarning):
     def __init__(self, said: str, code: str = "") -> None:
         super().__init__(said)
         self.code = code
+
+
+def warn_deprecated(old: str, new: str) -> None:
+    """Warn that a name is deprecated and will be removed in 0.5.0."""
+    warnings.warn(f"{old} is deprecated, use {new}", SigmaswarmWarning, stacklevel=4)

@@ -78,13 +78,13 @@ class Box:
         return np.zeros(len(self.names), dtype=np.bool_)
 
     @property
-    def doubts(self) -> Array:
-        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
+    def inflation(self) -> Array:
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
         return np.zeros(len(self.names))
 
     @property
     def least(self) -> Array:
-        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
         return self.low
 
     def values(self, points: Array) -> Array:

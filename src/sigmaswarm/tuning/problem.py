@@ -22,7 +22,7 @@ from sigmaswarm.scoring.batch import Replays, Scores
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import (
+from sigmaswarm.tuning.diagnostics import (
     FEW,
     NAMED,
     drifts_of,
@@ -30,6 +30,7 @@ from sigmaswarm.tuning.lost import (
     restarts_of,
     said_of_drifts,
     said_of_lost,
+    said_of_scale,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
@@ -41,7 +42,6 @@ from sigmaswarm.tuning.receiver import (
     said_of_prior,
     stated,
 )
-from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -96,8 +96,8 @@ class Problem(Landscape, Protocol[P]):
         """The objective at a point without what only guards the search: for other data."""
         ...
 
-    def doubts(self, point: Array) -> list[str]:
-        """What the data say against the filter at a point, which the objective does not see, in sentences."""
+    def warnings(self, point: Array) -> list[str]:
+        """List faults of the filter at a point that the objective does not see, as sentences."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -167,8 +167,8 @@ class CarProblem:
         """What each drive has."""
         return self.replays.held.of_each(equipment)
 
-    def doubts(self, point: Array) -> list[str]:
-        """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
+    def warnings(self, point: Array) -> list[str]:
+        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
         parameters = self.parameters(point)
         lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None

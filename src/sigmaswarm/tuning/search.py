@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Landscape
 from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
-from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
+from sigmaswarm.tuning.store import ResultFolder, finished_trial, load_checkpoint, save_checkpoint, unreadable
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,15 @@ class Trial:
     steps: NDArray[np.int64]
     evaluations: int
     failures: int
+
+
+def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
+    """Read the trials in the folder of a finished tuning; empty if one is missing."""
+    found = [finished_trial(folder, number) for number in range(count)]
+    return tuple(
+        Trial(cost=result["cost"], **history, **result["counts"])
+        for result, history in (done for done in found if done)
+    ) if all(found) else ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ class Dimension:
     """One parameter that is searched: where it goes in FilterParameters, and its range.
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten. ``doubt``: how many
-    decades a margin raises it by where it raises what is doubted most by one; ``least``: below which it leaves none.
+    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade of
+    its factor; ``least``: the lower limit that it applies.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Dimension:
     lowest: float
     highest: float
     spread: bool = True
-    doubt: float = 0.0
+    inflation: float = 0.0
     least: float = -math.inf
 
 
@@ -78,7 +78,7 @@ LEAST = {
     "gyro_bias_std": 2e-4,
 }
 """Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
-and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.margin`."""
+and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.inflation`."""
 USUAL_INTERVAL = 0.01
 """s: the IMU of a drive that is not known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
@@ -116,13 +116,13 @@ class SearchSpace(Box):
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
-    def doubts(self) -> Array:
-        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
-        return np.array([d.doubt for d in self.dimensions])
+    def inflation(self) -> Array:
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
+        return np.array([d.inflation for d in self.dimensions])
 
     @property
     def least(self) -> Array:
-        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def decode(self, points: Array) -> ParameterTable:
@@ -145,6 +145,16 @@ class SearchSpace(Box):
         """A filter in the box."""
         values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
         return FilterParameters(**self.fixed, **values)
+
+
+def values_of(parameters: FilterParameters, use: Sequence[Option]) -> dict[str, float]:
+    """Return the value of every search parameter of a filter."""
+    space = search_space(parameters.model, "linear", parameters.nominal_interval, kind=parameters.kind, use=use)
+    values = dict[str, float]()
+    for i, dimension in enumerate(space.dimensions):
+        value, places = getattr(parameters, dimension.field), space._places[dimension.field]
+        values[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+    return values
 
 
 def search_space(
@@ -207,9 +217,9 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        box, doubt = (scale * lowest, scale * highest), _doubt(alike[0], described)
+        box, inflation = (scale * lowest, scale * highest), _inflation(alike[0], described)
         least = scale * LEAST.get(name, 0.0) if described.tilts else -math.inf
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, doubt=doubt, least=least)
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
@@ -223,8 +233,8 @@ def _dimensions(
             yield from OPTION_DIMENSIONS[option]
 
 
-def _doubt(state: State, model: CarModel) -> float:
-    """Of a state's noise: see `tuning.margin`, which says what was measured."""
+def _inflation(state: State, model: CarModel) -> float:
+    """Decades for a state's noise; `tuning.inflation` states the measurements behind them."""
     if not model.tilts or state.bias_of:
         return 1.0
     return 0.0 if state.unit == "rad" else 0.5

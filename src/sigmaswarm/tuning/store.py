@@ -47,6 +47,23 @@ def unreadable(checkpoint: Path) -> InputError:
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
 
 
+def finished_trial(path: Path, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Read the result and the history of a finished trial from a tuning's folder; None where there is none.
+
+    Raises
+    ------
+    InputError
+        If the trial is there but can't be read.
+    """
+    folder = path / f"trial-{trial:03d}"
+    if not folder.exists():
+        return None
+    try:
+        return json.loads((folder / "result.json").read_text()), read_arrays(folder / "history.npz")
+    except Exception:  # as of a damaged checkpoint
+        raise InputError(f"{folder}: not a readable result; delete the folder to redo this trial") from None
+
+
 def _short(key: str, config: dict[str, Any]) -> str:
     value = config.get(key)
     if key == "data" and isinstance(value, list):
@@ -112,19 +129,10 @@ class ResultFolder:
 
     def finished(self, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Result and history of a trial that is done, else None."""
-        folder = self.path / f"trial-{trial:03d}"
-        if not folder.exists():
-            return None
-        self.checkpoint(trial).unlink(
-            missing_ok=True
-        )  # of a run killed between keeping the one and dropping the other
-        try:
-            history = read_arrays(folder / "history.npz")
-            return json.loads((folder / "result.json").read_text()), history
-        except Exception:  # as of a damaged checkpoint
-            raise InputError(
-                f"{folder}: not a readable result; delete the folder to redo this trial"
-            ) from None
+        done = finished_trial(self.path, trial)
+        if done:  # a run killed between saving the result and deleting the checkpoint left both
+            self.checkpoint(trial).unlink(missing_ok=True)
+        return done
 
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
         """Keep a trial's result, then drop its checkpoint."""
