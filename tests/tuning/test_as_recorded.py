@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+from sigmaswarm.tuning.paper import PAPER
+
 from filter_cases import parameters, rough
 from sigmaswarm import evaluate, run_filter
 from sigmaswarm.drives.prepared import PreparedDrive
@@ -9,7 +11,6 @@ from sigmaswarm.experiments.study.config import TUNED_METHODS, StudyConfig
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.tuning.batch import run_batch
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.paper import PAPER
 from sigmaswarm.tuning.problem import car_problem
 
 

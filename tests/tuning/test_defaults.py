@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sigmaswarm.tuning.paper import papers_config
+from sigmaswarm.tuning.scale import said_of_scale
 
 from sigmaswarm.doctor.suited import suited
 from sigmaswarm.drives.drive import Drive, Odometer
@@ -19,8 +21,6 @@ from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.paper import papers_config
-from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sigmaswarm.tuning.lost import drifts_of, may_drift_far, said_of_drifts, said_of_lost
 
 from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import drifts_of, may_drift_far, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 

@@ -5,11 +5,11 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from sigmaswarm.tuning.margin import STEP, with_margin
 
 from sigmaswarm import run_batch, simulate, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.tuning.margin import STEP, with_margin
 from sigmaswarm.tuning.space import search_space
 
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")

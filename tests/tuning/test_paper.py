@@ -1,9 +1,9 @@
 """The paper's setting, and what contradicts it."""
 
 import pytest
+from sigmaswarm.tuning.paper import papers_config
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.paper import papers_config
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 

@@ -12,8 +12,8 @@ from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.prior import prior_costs, receiver_std
 from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.prior import prior_costs, receiver_std
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")

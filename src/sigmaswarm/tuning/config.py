@@ -51,7 +51,8 @@ class SearchConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     objective: str = "auto"
-    """What to minimize, one objective or a weighted sum; chosen by the drives by default. See docs/objectives.md."""
+    """What to minimize: truth-rmse, truth-pose, innovation-nll, innovation-t, forecast-t, outage-rmse, nis, nees,
+    gps-rmse, or a weighted sum."""
     scale: Scale = "log10"
     """Scale on which variances are searched; the paper uses linear."""
     particles: int = Field(default=30, ge=2)
@@ -106,9 +107,9 @@ class TuneConfig(SearchConfig):
     """Options of a tuning of a built-in model, after `defaults.with_filter` has chosen model and use."""
 
     model: ModelName = "planar5"
-    """Process model: planar5 (the paper's), planar8 (with IMU biases), tilted12 (also roll, pitch); chosen by the logs."""
+    """Process model: planar5 (the paper's), planar8 (IMU biases), tilted12 (roll and pitch too); chosen by the logs."""
     kind: FilterKind = "ukf"
-    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking or fuzzy; depends on the model by default."""
+    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy; the first that the model has."""
     use: tuple[Option, ...] = ()
     """Measurements and constraints besides position fixes; chosen by the logs by default. See docs/models.md."""
     outage_seed: int = Field(default=0, ge=0)
@@ -118,7 +119,8 @@ class TuneConfig(SearchConfig):
     prior: float | None = Field(default=None, ge=0, le=100)
     """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, else 0."""
     inflation: float | None = Field(default=None, ge=0, le=1)
-    """Relative cost increase spent on inflating process noise; 0 disables it. Default without truth: 0.05, tilted12 0.02."""
+    """Relative cost increase allowed for inflating process noise; 0 disables it. Default without truth 0.05,
+    for tilted12 0.02."""
 
     @model_validator(mode="before")
     @classmethod
@@ -139,7 +141,9 @@ class TuneConfig(SearchConfig):
     @model_validator(mode="after")
     def _inflation_needs_logarithms(self) -> Self:
         if self.inflation and self.scale != "log10":
-            raise ValueError("inflation multiplies all process noise by one factor, which needs scale = log10")
+            raise ValueError(
+                "inflation multiplies all process noise by one factor, which needs scale = log10"
+            )
         return self
 
 

@@ -1,13 +1,13 @@
 """Faults of a tuned filter that its objective hardly sees.
 
 Divergence and drift: during a tuning a filter is not reset where it diverges, so its cost there is that of a wrong
-track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix say little about the
-next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts a
-kilometer.
+track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix say little about
+the next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts
+a kilometer.
 
-Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so its
-estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes the
-filter consistent. It holds for planar8 and tilted12 as far as their gains do not depend on the scale: a gate and
+Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
+its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
+the filter consistent. It holds for planar8 and tilted12 as far as their gains do not depend on the scale: a gate and
 Student's t do, and so do the start and the gaps of a drive. Within planar5's bounds the heading may be uncertain by
 degrees, where the sigma points' spread, and with it the mean, follows the scale. The factor's effect on the position is
 therefore measured.

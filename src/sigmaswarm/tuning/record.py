@@ -41,9 +41,7 @@ class ResultRecord(BaseModel):
     )
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
-    warnings: list[str] = Field(
-        default_factory=list, validation_alias=AliasChoices("warnings", "doubts")
-    )
+    warnings: list[str] = Field(default_factory=list, validation_alias=AliasChoices("warnings", "doubts"))
     """The remarks that come from the data."""
     best_trial: int = 0
     trial_costs: list[float] = Field(default_factory=list)

@@ -49,13 +49,13 @@ def remarks_on(tuning: "Tuning[Any]") -> list[str]:
             "cost"
         )
     if NOISE_SCALE in t.unidentified and t.config.objective not in SCALE_FREE:
-        why = (
-            "it does not determine how large all noises are together, so the covariances can't be trusted"
-        )
+        why = "it does not determine how large all noises are together, so the covariances can't be trusted"
         remarks.append(to_do("add innovation-nll or nis to the objective", why))
     if _heading_is_loose(t):
         remedy = "for a car leave --model and --use out, which then suit the logs, or tune with truth-pose"
-        why = "fixes alone determine the heading poorly: it may be off by tens of degrees with a good position"
+        why = (
+            "fixes alone determine the heading poorly: it may be off by tens of degrees with a good position"
+        )
         remarks.append(to_do(remedy, why))
     better = min(t.sensitivities, key=lambda s: s.lowest_rise, default=None)
     if better is not None and better.lowest_rise < -RISE and t.inflation_factor == 1.0:

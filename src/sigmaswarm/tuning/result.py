@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
-import numpy as np
 import tomli_w
 from typing_extensions import TypeVar
 
@@ -253,7 +252,9 @@ class Tuning(Generic[P]):
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
             seen=tuple(seen_by(file)),
             warnings=tuple(result.warnings),
-            sensitivities=_sensitivities(record, values_of(parameters, config.use) if isinstance(config, TuneConfig) else parameters),
+            sensitivities=_sensitivities(
+                record, values_of(parameters, config.use) if isinstance(config, TuneConfig) else parameters
+            ),
             validation=_validation(result),
             inflation_factor=result.inflation_factor,
         )

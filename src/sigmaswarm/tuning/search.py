@@ -61,10 +61,14 @@ class Trial:
 def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
     """Read the trials in the folder of a finished tuning; empty if one is missing."""
     found = [finished_trial(folder, number) for number in range(count)]
-    return tuple(
-        Trial(cost=result["cost"], **history, **result["counts"])
-        for result, history in (done for done in found if done)
-    ) if all(found) else ()
+    return (
+        tuple(
+            Trial(cost=result["cost"], **history, **result["counts"])
+            for result, history in (done for done in found if done)
+        )
+        if all(found)
+        else ()
+    )
 
 
 @dataclass(frozen=True, eq=False)

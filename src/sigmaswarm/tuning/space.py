@@ -28,8 +28,8 @@ class Dimension:
     """One parameter that is searched: where it goes in FilterParameters, and its range.
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade of
-    its factor; ``least``: the lower limit that it applies.
+    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
+    of its factor; ``least``: the lower limit that it applies.
     """
 
     name: str
@@ -149,7 +149,9 @@ class SearchSpace(Box):
 
 def values_of(parameters: FilterParameters, use: Sequence[Option]) -> dict[str, float]:
     """Return the value of every search parameter of a filter."""
-    space = search_space(parameters.model, "linear", parameters.nominal_interval, kind=parameters.kind, use=use)
+    space = search_space(
+        parameters.model, "linear", parameters.nominal_interval, kind=parameters.kind, use=use
+    )
     values = dict[str, float]()
     for i, dimension in enumerate(space.dimensions):
         value, places = getattr(parameters, dimension.field), space._places[dimension.field]

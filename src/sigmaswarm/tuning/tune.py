@@ -212,7 +212,7 @@ def _car_problem(data: Held, others: Held, options: dict[str, Any]) -> tuple[Car
     if problem.objective.warning:
         warnings.warn(problem.objective.warning, SigmaswarmWarning, stacklevel=3)
     if "robust" in config.use and "innovation-nll" in config.objective:
-        message = "innovation-nll counts outliers in full, whatever the filter makes of them; for robust use innovation-t"
+        message = "innovation-nll counts outliers in full, robust or not; for robust use innovation-t"
         warnings.warn(message, SigmaswarmWarning, stacklevel=3)
     return problem, config
 
