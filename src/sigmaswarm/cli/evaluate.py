@@ -115,7 +115,7 @@ def evaluate(
         return
     print_evaluation(result)
     if (tuned := load_record(TuningRecord, file).result) is not None:
-        print_remarks(tuned.doubts)
+        print_remarks(tuned.warnings)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"

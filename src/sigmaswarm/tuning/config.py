@@ -29,6 +29,7 @@ SYNONYMS = {
     **dict.fromkeys(("algorithm", "method", "solver"), "optimizer"),
     **dict.fromkeys(("early_stopping", "n_iter_no_change"), "patience"),
     **dict.fromkeys(("n_jobs", "jobs", "threads", "n_workers"), "workers"),
+    "workers": "executor",
     **dict.fromkeys(("filter", "filter_type"), "kind"),
     **dict.fromkeys(("output", "output_dir", "folder"), "out"),
 }
@@ -226,8 +227,9 @@ def suggested(name: str, known: Iterable[str]) -> str | None:
     """Return the option that a user probably meant, or None."""
     names = [*known]
     synonym = SYNONYMS.get(name.lower().replace("-", "_"))
-    if synonym in names:
-        return synonym
+    for candidate in (synonym, SYNONYMS.get(synonym or "")):
+        if candidate in names:
+            return candidate
     return next(iter(get_close_matches(name, names, n=1)), None)
 
 

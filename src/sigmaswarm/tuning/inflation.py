@@ -2,9 +2,9 @@
 
 A filter tuned on one drive trusts its model as far as that drive allows. On other roads, on a warmer day or with
 another IMU it is then overconfident and rejects good fixes. Statisticians take the simplest model within one standard
-error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3); likewise, of all filters whose
-cost is nearly the best, the one with the largest process noise is taken. Longer drives leave less open, so the allowed
-cost increase shrinks with their length; drives shorter than `REFERENCE_DURATION` get no more.
+error of the best (L. Breiman et al., Classification and Regression Trees, 1984, section 3.4.3); likewise, of all
+filters whose cost is nearly the best, the one with the largest process noise is taken. Longer drives leave less open,
+so the allowed cost increase shrinks with their length; drives shorter than `REFERENCE_DURATION` get no more.
 
 A planar model inflates all process noise by one factor, since the velocity's noise stands for roads that tilt. A model
 with roll and pitch inflates the random walks of the IMU's biases, which it otherwise takes for constant, by the factor,

@@ -23,8 +23,8 @@ INFLATED = (
     "drifts somewhat farther over outages; --inflation 0 turns it off"
 )
 OF_THESE_SENSORS = (
-    "tuned with truth it belongs to the receiver and the IMU of these drives: on others its error may be far larger "
-    "than that of the fixes. For those tune without truth (--objective innovation-t)"
+    "tuned with truth it belongs to the receiver and the IMU of these drives: on others it may be far less accurate "
+    "than their fixes. For those tune without truth (--objective innovation-t)"
 )
 MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
 LARGE_GAP = 0.2

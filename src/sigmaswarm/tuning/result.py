@@ -22,7 +22,7 @@ from sigmaswarm.tuning.record import FILE, ResultRecord, TuningRecord, seen_by
 from sigmaswarm.tuning.remarks import remarks_on
 from sigmaswarm.tuning.search import Trial, saved_trials
 from sigmaswarm.tuning.sensitivity import RISE, Sensitivity
-from sigmaswarm.tuning.space import values_of
+from sigmaswarm.tuning.space import search_space
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import counted
 
@@ -237,6 +237,10 @@ class Tuning(Generic[P]):
         config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
         parameters: Any = record.filter if own else FilterParameters.load(file)
         result = record.result
+        values = record.filter
+        if isinstance(config, TuneConfig):
+            space = search_space(config.model, config.scale, kind=config.kind, use=config.use)
+            values = space.values_of(parameters)
         return Tuning(
             parameters=parameters,
             cost=result.cost,
@@ -252,9 +256,7 @@ class Tuning(Generic[P]):
             data=[drive.model_dump(exclude_unset=True) for drive in record.data],
             seen=tuple(seen_by(file)),
             warnings=tuple(result.warnings),
-            sensitivities=_sensitivities(
-                record, values_of(parameters, config.use) if isinstance(config, TuneConfig) else parameters
-            ),
+            sensitivities=_sensitivities(record, values),
             validation=_validation(result),
             inflation_factor=result.inflation_factor,
         )
@@ -266,7 +268,7 @@ def _filter_name(config: SearchConfig) -> str:
     return f"{config.model} ({config.kind}) with {', '.join(config.use) or 'position fixes alone'}"
 
 
-def _sensitivities(record: TuningRecord, values: Mapping[str, float]) -> tuple[Sensitivity, ...]:
+def _sensitivities(record: TuningRecord, values: Mapping[str, Any]) -> tuple[Sensitivity, ...]:
     changes = record.result.lower_cost_at if record.result else {}
     return tuple(
         Sensitivity(

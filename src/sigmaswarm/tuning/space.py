@@ -130,6 +130,14 @@ class SearchSpace(Box):
         values = self.values(points)
         return ParameterTable(self._any, {name: values[:, places] for name, places in self._places.items()})
 
+    def values_of(self, parameters: FilterParameters) -> dict[str, float]:
+        """Return the value of every dimension in a filter."""
+        found = dict[str, float]()
+        for i, dimension in enumerate(self.dimensions):
+            value, places = getattr(parameters, dimension.field), self._places[dimension.field]
+            found[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+        return found
+
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
         """The dimension that each field is, or those that its entries are."""
@@ -145,18 +153,6 @@ class SearchSpace(Box):
         """A filter in the box."""
         values = {name: self.lowest[places].tolist() for name, places in self._places.items()}
         return FilterParameters(**self.fixed, **values)
-
-
-def values_of(parameters: FilterParameters, use: Sequence[Option]) -> dict[str, float]:
-    """Return the value of every search parameter of a filter."""
-    space = search_space(
-        parameters.model, "linear", parameters.nominal_interval, kind=parameters.kind, use=use
-    )
-    values = dict[str, float]()
-    for i, dimension in enumerate(space.dimensions):
-        value, places = getattr(parameters, dimension.field), space._places[dimension.field]
-        values[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
-    return values
 
 
 def search_space(

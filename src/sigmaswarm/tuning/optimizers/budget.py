@@ -97,8 +97,9 @@ class Budgeted:
         return self.spent < self.budget
 
     def _local_search(self) -> NelderMead:
-        start = {"start": self.global_best, "start_cost": self.global_cost, "size": self.polish_size}
-        return NelderMead(self.low, self.high, 1, self.rng, **start)
+        start, cost = self.global_best, self.global_cost
+        size = self.polish_size
+        return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost, size=size)
 
     def state(self) -> dict[str, Any]:
         """Return all that `restore` needs to continue bit for bit."""
