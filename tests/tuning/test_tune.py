@@ -294,11 +294,12 @@ def test_a_tuning_of_0_3_0_is_read(tmp_path: Path):
     tuning = tune(DRIVES, **SMALL, inflation=0.1, objective="innovation-t")
     tuning.save(tmp_path / "t.toml")
     text = (tmp_path / "t.toml").read_text()
-    for new, old in {
+    renamed = {
         "\ninflation =": "\nmargin =",
         "inflation_factor": "margin_raised_by",
         "\nwarnings": "\ndoubts",
-    }.items():
+    }
+    for new, old in renamed.items():
         assert new in text
         text = text.replace(new, old)
     (tmp_path / "t.toml").write_text(text)

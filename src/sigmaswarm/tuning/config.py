@@ -10,7 +10,6 @@ from typing import Annotated, Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
 
 from sigmaswarm.errors import InputError, first_mistake, warn_deprecated
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind, ModelName
 from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Option, Scale, require_packages
 
@@ -134,6 +133,8 @@ class TuneConfig(SearchConfig):
     @classmethod
     def _default_kind(cls, options: Any) -> Any:
         """Fill in the first filter type that the model supports."""
+        from sigmaswarm.filters.models import MODELS  # heavy, and not needed for the command line's help
+
         if not isinstance(options, Mapping):
             return options
         model = MODELS.get(options.get("model", "planar5"))  # pyright: ignore

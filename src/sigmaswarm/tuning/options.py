@@ -6,13 +6,10 @@ TypedDict only, so names and types stand here a second time; a test compares the
 
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import Any, Literal, TypedDict
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.names import FilterKind, ModelName
-
-if TYPE_CHECKING:
-    from sigmaswarm.tuning.optimizers.asktell import Optimizer
 
 Scale = Literal["log10", "linear"]
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol"]
@@ -57,7 +54,7 @@ class SearchOptions(SharedOptions, total=False):
     """Options of a search."""
 
     scale: Scale
-    optimizer: "OptimizerName | Callable[..., Optimizer]"
+    optimizer: OptimizerName | Callable[..., Any]
     seed: int
 
 

@@ -50,7 +50,7 @@ class ResultRecord(BaseModel):
     filter_steps: int = 0
     filter_steps_without_racing: int = 0
     lower_cost_at: dict[str, float] = Field(default_factory=dict)
-    """Parameters whose move alone lowers the cost by more than 1%, and the relative change."""
+    """Parameters whose move alone lowers the cost, and the relative change."""
 
 
 class TuningRecord(BaseModel):

@@ -21,7 +21,7 @@ from sigmaswarm.tuning.objectives import objective_named
 from sigmaswarm.tuning.record import FILE, ResultRecord, TuningRecord, seen_by
 from sigmaswarm.tuning.remarks import remarks_on
 from sigmaswarm.tuning.search import Trial, saved_trials
-from sigmaswarm.tuning.sensitivity import RISE, Sensitivity
+from sigmaswarm.tuning.sensitivity import Sensitivity
 from sigmaswarm.tuning.space import search_space
 from sigmaswarm.versions import versions
 from sigmaswarm.wording import counted
@@ -140,7 +140,7 @@ class Tuning(Generic[P]):
             s.name: [s.lowest if s.lowest is not None else "-", s.highest if s.highest is not None else "-"]
             for s in self.sensitivities
         }
-        lower = {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < -RISE}
+        lower = {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0}
         return {
             **self._filter(),
             "result": {
