@@ -17,6 +17,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
+from sigmaswarm.tuning.config import RENAMED
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -73,6 +74,14 @@ def _short(key: str, config: dict[str, Any]) -> str:
     return f"{key} = {value}"
 
 
+def _with_current_names(config: Any) -> Any:
+    """Rename the options of 0.3.0 in a saved configuration."""
+    if not isinstance(config, dict):
+        return config
+    items: Any = config.items()  # pyright: ignore
+    return {RENAMED.get(key, key): _with_current_names(value) for key, value in items}
+
+
 class ResultFolder:
     """The folder in which a tuning keeps its results.
 
@@ -107,7 +116,7 @@ class ResultFolder:
                 "or choose another --out"
             )
         try:
-            saved = dict(json.loads(config_file.read_text()))
+            saved = _with_current_names(dict(json.loads(config_file.read_text())))
         except (ValueError, TypeError):
             raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
         wanted = json.loads(json.dumps(config))

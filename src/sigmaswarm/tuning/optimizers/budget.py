@@ -122,8 +122,10 @@ class Budgeted:
             return own and own | {"rng": state["rng"]}
 
         self.spent, self.budget = int(state["spent"]), int(state["budget"])
-        self.global_best = np.array(state["global_best"], dtype=np.float64)
-        self.global_cost = float(state["global_cost"])
+        # checkpoints of 0.3.0 have them in the parts alone
+        where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
+        self.global_best = np.array(state[f"{where}global_best"], dtype=np.float64)
+        self.global_cost = float(state[f"{where}global_cost"])
         self.first.restore(part("first"))
         self.local = None
         if local := part("local"):
