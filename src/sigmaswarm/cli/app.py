@@ -49,16 +49,16 @@ Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out
 No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
     help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
-    default_parameter=Parameter(negative=(), consume_multiple=1),
     suppress_keyboard_interrupt=False,
 )
+PLAIN = Parameter(negative=(), consume_multiple=1)
 for command in (
     doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
     record_carla, plot, demo, import_,
 ):  # fmt: skip
     name = command.__name__.strip("_").replace("_", "-")
     more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if has_more(command) else None
-    app.command(command, name=name, help_epilogue=more)
+    app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
 
 
 def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:

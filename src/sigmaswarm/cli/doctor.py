@@ -12,9 +12,7 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    drives: Annotated[
-        list[Path], Parameter(name="DRIVE", help="Drive folders, or folders of drive folders.")
-    ],
+    drives: Annotated[list[Path], Parameter(name="DRIVE")],
     /,
     *,
     fix: Path | None = None,
@@ -34,6 +32,8 @@ def doctor(
 
     Parameters
     ----------
+    drives
+        Drive folders, or folders of drive folders.
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     """

@@ -2,7 +2,9 @@
 
 import inspect
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -11,6 +13,17 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 HELP_ALL = "--help-all"
+_full = ContextVar("full help", default=False)
+
+
+@contextmanager
+def full_help() -> Generator[None]:
+    """Show all options in the help of commands until the block ends."""
+    token = _full.set(True)
+    try:
+        yield
+    finally:
+        _full.reset(token)
 
 
 class _MoreOptions(Group):
@@ -18,7 +31,7 @@ class _MoreOptions(Group):
 
     @property
     def show(self) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return HELP_ALL in sys.argv
+        return _full.get() or HELP_ALL in sys.argv
 
 
 MORE = Parameter(group=_MoreOptions("More options"))
