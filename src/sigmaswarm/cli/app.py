@@ -10,7 +10,7 @@ from typing import Any, Literal, NoReturn
 from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
 import sigmaswarm
-from sigmaswarm.cli import memory, terminal
+from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.convert import convert
 from sigmaswarm.cli.demo import demo
@@ -94,8 +94,6 @@ def main() -> NoReturn:
     )  # it reports its cache folder when there is no home
     terminal.prepare()
     terminal.tell_of_compiling()
-    memory.give_back_at_once()
-    memory.look_seldom_for_cycles()
     code = _run()
     try:
         if sys.stdout is not None:
