@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 
 import sigmaswarm as library
+from sigmaswarm.cli.app import app
 from sigmaswarm.drives.drive import Imu
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
@@ -44,6 +45,27 @@ def test_each_command_s_help_has_an_example_and_json(sigmaswarm, command: str):
     assert ended.code == 0
     assert f"sigmaswarm {command} " in ended.out
     assert "--json" in ended.out
+
+
+@pytest.mark.parametrize("command", ["tune", "import"])
+def test_help_shows_twelve_options_and_help_all_the_rest(sigmaswarm, command: str):
+    options = re.compile(r"^│ .{3}(--[a-z-]+)|^│ (--[a-z-]+)", re.MULTILINE)
+    short, whole = (sigmaswarm(command, flag).out for flag in ("--help", "--help-all"))
+    shown, every = ({"".join(found) for found in options.findall(text)} for text in (short, whole))
+    known = {a.name for a in app[command].assemble_argument_collection() if a.name.startswith("--")}
+    assert len(shown) <= 12
+    assert shown < every == known
+    assert f"sigmaswarm {command} --help-all shows all options." in short
+
+
+@pytest.mark.parametrize(
+    "command", ["tune", "import", "compare", "simulate", "evaluate", "doctor", "export", "split"]
+)
+def test_options_are_explained_in_twenty_words(command: str):
+    for argument in app[command].assemble_argument_collection(parse_docstring=True):
+        assert 0 < len((argument.parameter.help or "").split()) <= 20, argument.name
+    summary = app[command].help.splitlines()[0]
+    assert re.fullmatch(r"[A-Z][^:;]*\.", summary), summary
 
 
 def test_version(sigmaswarm):
@@ -482,7 +504,7 @@ def test_tune_says_which_filter_it_takes_and_why(sigmaswarm, here: Path):
     because = "an IMU without az, gx and gy"
     assert said.splitlines()[0] == f"model:    planar8 with lateral, standstill, robust: {because}"
     said = sigmaswarm("tune", "plain", "--out", "u", "--use", "lateral", *QUICK).out
-    assert said.splitlines()[0] == f"model:    planar8 with lateral, as asked: {because}"
+    assert said.splitlines()[0] == f"model:    planar8 with lateral, as given: {because}"
     ended = sigmaswarm("tune", "plain", "--out", "v", "--model", "planar8", "--use-nothing", *QUICK)
     assert "model:" not in ended.out  # the user has said it all
     assert tomllib.loads(Path("v/tuning.toml").read_text())["config"]["use"] == []

@@ -21,15 +21,15 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.reports.draw.html import page as html_page
 from sigmaswarm.reports.evaluation import copy_tuning
-from sigmaswarm.reports.pages.commands import STATED, tune_command
+from sigmaswarm.reports.pages.commands import DEFAULTS, STATED, tune_command
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.tuning import save_tuning_figures
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, METHODS
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.options import DEFAULTS
-from sigmaswarm.tuning.tune import tune, with_guards
+from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 NASTY = '<img src=x onerror="alert(1)"></script><script>alert(2)</script> & \'Fri"day\''
@@ -322,9 +322,9 @@ OTHER_THAN_USUAL = {
     "objective": "truth-pose", "worst": 0.5, "particles": 7, "generations": 9, "trials": 2, "polish": 50,
     "racing": True, "inertia": 0.6, "cognitive": 1.7, "social": 1.6, "zero_velocity_at_bounds": True, "patience": 7,
     "scale": "linear", "optimizer": "pso", "seed": 3, "model": "planar8", "kind": "ekf", "use": ["lateral", "gate"],
-    "outage_seed": 4, "as_recorded": True, "prior": 0.5, "margin": 0.2,
+    "outage_seed": 4, "as_recorded": True, "prior": 0.5, "inflation": 0.2,
 }  # fmt: skip
-USUAL = {**DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "margin": 0.0}
+USUAL = {**DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "inflation": 0.0}
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -339,22 +339,22 @@ def test_a_command_names_an_option_that_is_not_at_its_default(name: str):
     [
         ({}, {}),
         ({"prior": 0.0}, {"prior"}),
-        ({"margin": 0.0}, {"margin"}),
-        ({"prior": 1.0, "margin": 0.05}, {}),
+        ({"inflation": 0.0}, {"inflation"}),
+        ({"prior": 1.0, "inflation": 0.05}, {}),
         ({"scale": "linear"}, {}),
         ({"objective": "truth-rmse"}, {}),
-        ({"objective": "truth-rmse", "prior": 1.0, "margin": 0.05}, {"prior", "margin"}),
+        ({"objective": "truth-rmse", "prior": 1.0, "inflation": 0.05}, {"prior", "inflation"}),
     ],
 )
 def test_a_command_names_guards_where_tune_would_settle_for_others(asked: dict, named: set[str]):
     config = with_guards(TuneConfig.model_validate({"objective": "innovation-nll", **asked}))
     said = parsed(tune_command(config.model_dump(), ["a"], [])[0])
-    assert said.keys() & {"prior", "margin"} == set(named)
+    assert said.keys() & {"prior", "inflation"} == set(named)
     assert with_guards(TuneConfig.model_validate(said)) == config
-    without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "margin")}
+    without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "inflation")}
     said = parsed(tune_command(without, ["a"], [])[0])  # of a version that had neither
     again = with_guards(TuneConfig.model_validate(said)).model_dump()
-    assert (again["prior"], again["margin"]) == (0.0, 0.0)
+    assert (again["prior"], again["inflation"]) == (0.0, 0.0)
 
 
 def test_no_command_can_repeat_a_model_of_the_user_s_own():

@@ -8,8 +8,7 @@ from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.config import TUNED_METHODS, StudyConfig
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.paper import PAPER
+from sigmaswarm.tuning.config import PAPER, TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
 

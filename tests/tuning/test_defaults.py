@@ -17,9 +17,9 @@ from sigmaswarm.filters.names import FilterKind
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.paper import papers_config
-from sigmaswarm.tuning.scale import said_of_scale
+from sigmaswarm.tuning.diagnostics import said_of_scale
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared
@@ -95,7 +95,7 @@ def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = 
 
 def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too():
     long = make_drive(duration=60.0)
-    auto = partial(objective_for, asked="auto", model="tilted12")
+    auto = partial(objective_for, objective="auto", model="tilted12")
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
     white, copying = noisy(long, 1.0), noisy(long, 0.05, "copying")
     assert auto([white]) == forecasts
@@ -140,18 +140,18 @@ def test_what_the_user_gives_stays():
     given, said = with_filter({"use": ("gate",)}, [six(PLAIN)])
     assert (given, said) == (
         {"use": ("gate",), "model": "tilted12"},
-        "tilted12 with gate, as asked: six IMU axes",
+        "tilted12 with gate, as given: six IMU axes",
     )
     given, said = with_filter({"model": "planar8"}, [six(PLAIN)])
     assert given == {"model": "planar8", "use": CAR}
     assert said == (
-        "planar8 with lateral, standstill, robust, as asked: tilted12 is what suits the logs: six IMU axes"
+        "planar8 with lateral, standstill, robust, as given: tilted12 suits the logs: six IMU axes"
     )
     assert with_filter({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
     given, said = with_filter({"model": "planar5"}, [PLAIN])  # as the paper has it
     assert given["use"] == ()
-    assert said.startswith("planar5 with position fixes alone, as asked: the paper's;")
-    assert with_filter(papers_config({}), [six(PLAIN)]) == (papers_config({}), "")
+    assert said.startswith("planar5 with position fixes alone, as given: the paper's model;")
+    assert with_filter(paper_options({}), [six(PLAIN)]) == (paper_options({}), "")
 
 
 @given(

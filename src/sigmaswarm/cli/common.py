@@ -1,9 +1,9 @@
-"""What several commands share: reading drives, tables, progress, JSON."""
+"""Reading drives and printing results, for several commands."""
 
 import json
 import math
 import warnings
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -15,17 +15,15 @@ from sigmaswarm.wording import TO_DO
 if TYPE_CHECKING:
     from distributed import Client
     from rich.console import Console
-    from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
     from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
-    from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
 def read_known(place: "Location") -> "Drive":
-    """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
+    """Read a drive that was imported, checked or tuned on before, without warning of its gaps again."""
     from sigmaswarm.drives.reader import read_with_warnings
 
     drive, warned = read_with_warnings(place)
@@ -34,14 +32,14 @@ def read_known(place: "Location") -> "Drive":
 
 
 def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Tell what was found while a drive was read; ``gaps``: those, too."""
+    """Print the warnings of reading a drive, those about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)
 
 
 def read_drives(places: "Sequence[Location]") -> "list[Drive]":
-    """Read drives that are known; a folder of drive folders stands for all of them."""
+    """Read drives as `read_known` does; a folder of drive folders stands for all of them."""
     from sigmaswarm.drives.reader import all_drive_locations
 
     return [read_known(place) for place in all_drive_locations(places)]
@@ -49,7 +47,7 @@ def read_drives(places: "Sequence[Location]") -> "list[Drive]":
 
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
-    """A client of the cluster at an address, until the block ends; None where none is named."""
+    """Connect to the cluster at an address until the block ends; None without an address."""
     if address is None:
         yield None
         return
@@ -62,11 +60,12 @@ def cluster_at(address: str | None) -> "Generator[Client | None]":
 def read_datasets(
     *groups: "Sequence[Location]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
 ) -> "list[Dataset]":
-    """Read groups of drives, here or on the workers of a cluster.
+    """Read groups of drives on a cluster's workers or in this process.
 
-    Warn of serious faults unless the drives are ``trusted``, and of gaps if ``gaps``.
+    Drives that are not ``trusted`` are checked for serious faults. ``gaps`` prints warnings about gaps.
     """
     from sigmaswarm.cli.findings import warn_of_serious
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.datasets.cluster import Cluster
     from sigmaswarm.datasets.dataset import LocalDataset
     from sigmaswarm.datasets.remote import remote_datasets
@@ -89,7 +88,7 @@ def read_datasets(
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
-    """Whether a filter was tuned with frozen fixes absorbed and gaps in the IMU taken for steps like others."""
+    """Read from a tuning if the filter was tuned without preprocessing."""
     import tomllib
 
     file = tuning / "tuning.toml" if tuning.is_dir() else tuning
@@ -97,7 +96,7 @@ def tuned_as_recorded(tuning: Path) -> bool:
 
 
 def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
-    """So many numbers of an option, written with commas."""
+    """Parse an option of ``count`` numbers separated by commas."""
     from sigmaswarm.errors import InputError
 
     try:
@@ -110,7 +109,7 @@ def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float,
 
 
 def stdout() -> "Console":
-    """Where results go."""
+    """Return the console for results."""
     from sigmaswarm.cli.terminal import console
 
     return console(soft_wrap=True)
@@ -121,86 +120,8 @@ def print_json(content: Any) -> None:
     print(json.dumps(finite(content), indent=2))
 
 
-@contextmanager
-def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
-    """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
-    counted = "generations, best cost {task.fields[cost]}, remaining"
-    with progress_bar(title, counted, "getting ready", cost="-") as show:
-        yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
-
-
-@contextmanager
-def progress_bar(
-    title: str, counted: str, waiting: str = "", **fields: Any
-) -> Generator[Callable[..., None]]:
-    """A bar on stderr, with the time that remains; yields the function that moves it: done, total, fields.
-
-    ``waiting`` says on a terminal what is going on until there is progress.
-    """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(counted),
-        TimeRemainingColumn(),
-    )
-    with _late_bar(columns, waiting) as bar:
-        task = bar.add_task(title, total=None, **fields)
-
-        def show(done: int, total: int, **changed: Any) -> None:
-            bar.start()
-            bar.update(task, total=total, completed=done, **changed)
-
-        yield show
-
-
-@contextmanager
-def percent_bar(title: str) -> Generator[Callable[[float], None]]:
-    """A bar on stderr, with the time that remains; yields the function that moves it: the share that is done."""
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with _late_bar(columns) as bar:
-        task = bar.add_task(title, total=1.0)
-
-        def show(done: float) -> None:
-            bar.start()
-            bar.update(task, completed=done)
-
-        yield show
-
-
-@contextmanager
-def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Generator[Progress]":
-    """A bar that shows nothing before there is progress: a mistake is to be told in one line."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    status = console.status(waiting) if waiting and console.is_terminal else None
-
-    class Late(Progress):
-        def start(self) -> None:
-            if status:
-                status.stop()
-            super().start()
-
-    bar = Late(*columns, console=console)
-    if status:
-        status.start()
-    try:
-        yield bar
-    finally:
-        if status:
-            status.stop()
-        if bar.live.is_started:
-            bar.stop()
-
-
 def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
-    """A tuning's, each in a line: those that ask for action begin with TO DO, the others are notes."""
+    """Print the remarks on a tuning, one per line; those that ask for action begin with TO DO."""
     for remark in remarks:
         stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
 

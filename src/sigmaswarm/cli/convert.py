@@ -5,16 +5,18 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 
 def convert(
     *drives: Annotated[str, Parameter(name="DRIVE... OUT")],
     to: Literal["parquet", "csv"] = "parquet",
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Write drives in another form: Parquet is smaller and far quicker to read, CSV is what people and others read.
+    """Convert drives between Parquet and CSV.
 
-    Both hold the same bits, and every command takes either. What sigmaswarm does not know, columns of other names, is
-    left behind, and said.
+    Parquet is smaller and much faster to read; both hold the same bits, and every command reads either. Columns that
+    sigmaswarm does not know are dropped with a warning.
 
     Examples:
 
@@ -25,11 +27,9 @@ def convert(
     Parameters
     ----------
     drives
-        Drive folders or URLs, or folders that hold drive folders; last the folder in which the drives are made.
+        Drive folders or URLs, or folders of drive folders; last, the folder for the converted drives.
     to
         parquet or csv.
-    json
-        Print what was written for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout

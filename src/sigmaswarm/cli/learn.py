@@ -58,7 +58,8 @@ def learn(
         Print learned.toml for machines.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
+    from sigmaswarm.cli.common import print_json, read_drives, stdout
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 

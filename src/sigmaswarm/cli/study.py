@@ -23,7 +23,7 @@ def study(
     generations: _Count = None,
     seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
     per_condition: _Flag = False,
-    racing: bool | None = None,
+    racing: Annotated[bool | None, Parameter(negative="--no-racing")] = None,
     rivals: _Flag = False,
     learn_minutes: Annotated[float | None, Parameter(validator=validators.Number(gte=2))] = None,
     elsewhere: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
@@ -95,7 +95,8 @@ def study(
     json
         Print results.json.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
+    from sigmaswarm.cli.common import cluster_at, print_json, stdout
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.experiments.study.config import read_config
     from sigmaswarm.experiments.study.run import run_study
     from sigmaswarm.reports.study import save_study, study_tables

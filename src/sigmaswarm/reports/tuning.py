@@ -19,7 +19,7 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
     ``track`` is of a training drive: `scoring.tracks.picture_of`.
     """
-    History.of(tuning).save(folder / HISTORY_FILE)
+    History.of(tuning.trials).save(folder / HISTORY_FILE)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
     return [
         save(convergence(tuning), folder / "convergence.png"),
@@ -29,5 +29,5 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
 def convergence(tuning: Tuning) -> Figure:
     """Best cost so far and median cost of the generations (the paper's Fig. 2)."""
-    chart = convergence_chart(History.of(tuning), tuning.best_trial, tuning.config.objective)
+    chart = convergence_chart(History.of(tuning.trials), tuning.best_trial, tuning.config.objective)
     return figure_of(chart, size=(6.4, 4.0))

@@ -84,7 +84,7 @@ class ModelProblem:
         return float(self.costs(point[np.newaxis], executor)[0])
 
     def warnings(self, point: Array) -> list[str]:
-        """None: what the data of a model of the user's own are is not known."""
+        """Return nothing: the meaning of the data of a user's own model is not known."""
         return []
 
     @property

@@ -23,7 +23,7 @@ from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import (
+from sigmaswarm.tuning.diagnostics import (
     FEW,
     NAMED,
     drifts_of,
@@ -31,6 +31,7 @@ from sigmaswarm.tuning.lost import (
     restarts_of,
     said_of_drifts,
     said_of_lost,
+    said_of_scale,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
@@ -42,7 +43,6 @@ from sigmaswarm.tuning.receiver import (
     said_of_prior,
     stated,
 )
-from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
@@ -98,7 +98,7 @@ class Problem(Landscape, Protocol[P]):
         ...
 
     def warnings(self, point: Array) -> list[str]:
-        """Sentences on the filter at a point: faults that the objective does not show."""
+        """List faults of the filter at a point that the objective does not see, as sentences."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
@@ -169,7 +169,7 @@ class CarProblem:
         return self.replays.dataset.map(sensors_of)
 
     def warnings(self, point: Array) -> list[str]:
-        """Warn of divergence, of parameters without effect, and, where truth was not used, of an implausible R."""
+        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
         parameters = self.parameters(point)
         lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None

@@ -27,8 +27,9 @@ OPTIONS: tuple[Option, ...] = get_args(Option)
 class Dimension:
     """One parameter that is searched: its field of FilterParameters, and its range.
 
-    ``entries``: number of a tuple's entries that it sets, in order; 0 where the field is a plain number. ``spread``: it
-    spans powers of ten. ``inflation``: decades by which a margin of 1 raises it; ``least``: lower limit with a margin.
+    ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
+    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
+    of its factor; ``least``: the lower limit that it applies.
     """
 
     name: str
@@ -76,8 +77,8 @@ LEAST = {
     "accel_bias_std": 0.005,
     "gyro_bias_std": 2e-4,
 }
-"""Lower limits of models with tilts: variances per second, rad2 and (rad/s)2, and standard deviations of the biases at
-the start, m/s2 and rad/s. No road and no IMU is known better before the drive: see `tuning.margin`."""
+"""Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
+and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.inflation`."""
 USUAL_INTERVAL = 0.01
 """s: IMU interval where no drive is known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
@@ -115,13 +116,13 @@ class SearchSpace(Box):
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
-    def inflations(self) -> Array:
-        """Decades by which a `margin` of 1 raises each dimension, shape (d,)."""
+    def inflation(self) -> Array:
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
         return np.array([d.inflation for d in self.dimensions])
 
     @property
     def least(self) -> Array:
-        """Lower limits with a `margin`, in search coordinates, shape (d,)."""
+        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def decode(self, points: Array) -> ParameterTable:
@@ -129,6 +130,14 @@ class SearchSpace(Box):
         values = self.values(points)
         columns = {name: values[:, places] for name, places in self._places.items()}
         return ParameterTable(self._any, columns, len(points))
+
+    def values_of(self, parameters: FilterParameters) -> dict[str, float]:
+        """Return the value of every dimension in a filter."""
+        found = dict[str, float]()
+        for i, dimension in enumerate(self.dimensions):
+            value, places = getattr(parameters, dimension.field), self._places[dimension.field]
+            found[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+        return found
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
@@ -224,7 +233,7 @@ def _dimensions(
 
 
 def _inflation(state: State, model: CarModel) -> float:
-    """Inflation of a state's noise: see `tuning.margin` for the measurements."""
+    """Decades for a state's noise; `tuning.inflation` states the measurements behind them."""
     if not model.tilts or state.bias_of:
         return 1.0
     return 0.0 if state.unit == "rad" else 0.5

@@ -96,7 +96,7 @@ def compare(
     for name in ("seed", "optimizer", "scale"):
         if name in config:
             raise InputError(f"{name}: is what is compared; use {name}s instead")
-    for name in ("prior", "margin"):
+    for name in ("prior", "inflation", "margin"):
         if name in config:
             raise InputError(f"{name}: guards a tuning; a comparison compares plain costs, so leave it out")
     training, held_out = datasets_of(drives, validation, cluster=cluster)
@@ -104,7 +104,7 @@ def compare(
     everywhere = [*trained, *tested]
     asked_filter, _ = with_filter({**config}, everywhere)
     objective = objective_for(everywhere, config.get("objective", "auto"), asked_filter["model"])
-    plain = {"prior": 0.0, "margin": 0.0}
+    plain = {"prior": 0.0, "inflation": 0.0}
     rivals = contenders(optimizers, scales, {**asked_filter, **plain, "objective": objective})
     problem = car_problem(training, rivals[0].config)
     beside = problem.on(held_out) if len(held_out) else None
@@ -186,7 +186,7 @@ class _Job:
             problem = self.problems[asked.rival]
             config = problem.config.model_copy(update={"seed": asked.seed})
             kept = tuning_folder(folder, problem, config, resume=True)
-            tuning = tune_problem(problem, config, folder=kept, progress=lambda _: tell(0), doubted=False)
+            tuning = tune_problem(problem, config, folder=kept, progress=lambda _: tell(0), diagnose=False)
             outcome = _outcome(tuning, self.held_out)
             if fresh:  # of a run that was interrupted only the last part is known
                 self._note(asked, time.thread_time() - start)

@@ -34,7 +34,7 @@ from sigmaswarm.scoring.remarks import (
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.tuning.record import FILE, TuningRecord
-from sigmaswarm.tuning.result import NOT_VALIDATED
+from sigmaswarm.tuning.remarks import NOT_VALIDATED
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, "imu_only", "raw_gps")

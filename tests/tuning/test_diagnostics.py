@@ -9,7 +9,7 @@ from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simula
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import drifts_of, may_drift_far, said_of_drifts, said_of_lost
+from sigmaswarm.tuning.diagnostics import drifts_of, may_drift_far, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.problem import car_problem
 from support import DRIVES, needs_shared
 
@@ -30,7 +30,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
             lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
         except SigmaswarmError:
             continue
-        said = [doubt for doubt in problem.warnings(point) if "the tuned filter diverged" in doubt]
+        said = [warning for warning in problem.warnings(point) if "the tuned filter diverged" in warning]
         assert bool(said) == any(lost.values())
         assert all(
             (f"diverged on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
@@ -41,7 +41,7 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
 
 def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
     good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
-    assert not [doubt for doubt in good.doubts if "DON'T" in doubt]
+    assert not [doubt for doubt in good.warnings if "DON'T" in doubt]
     found = [drifts_of(PreparedDrive(DRIVE), good.parameters)]
     assert said_of_drifts(found) == []
     q = list(good.parameters.process_noise)
