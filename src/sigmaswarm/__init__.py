@@ -45,10 +45,10 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
-    from sigmaswarm.experiments.compare.record import Comparison
-    from sigmaswarm.experiments.compare.run import compare
+    from sigmaswarm.experiments.compare import compare
+    from sigmaswarm.experiments.comparison import Comparison
     from sigmaswarm.experiments.study.config import StudyConfig
-    from sigmaswarm.experiments.study.run import Study, run_study
+    from sigmaswarm.experiments.study.study import Study, run_study
     from sigmaswarm.filters.custom.log import Log
     from sigmaswarm.filters.custom.model import Model, Tunable
     from sigmaswarm.filters.custom.run import ModelEstimate, run_model
@@ -91,10 +91,10 @@ _HOMES = {
         "SigmaswarmError",
         "SigmaswarmWarning",
     ),
-    "experiments.compare.record": ("Comparison",),
-    "experiments.compare.run": ("compare",),
+    "experiments.comparison": ("Comparison",),
+    "experiments.compare": ("compare",),
     "experiments.study.config": ("StudyConfig",),
-    "experiments.study.run": ("Study", "run_study"),
+    "experiments.study.study": ("Study", "run_study"),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
     "filters.custom.run": ("ModelEstimate", "run_model"),
@@ -108,8 +108,8 @@ _HOMES = {
     "filters.swarm.live": ("LiveSwarm",),
     "filters.swarm.run": ("run_swarm",),
     "references.reference": ("reference",),
-    "report.compare": ("comparison_table",),
-    "report.study": ("save_study", "study_figures", "study_tables"),
+    "reports.compare": ("comparison_table",),
+    "reports.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),

@@ -17,14 +17,12 @@ from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import StudyConfig, read_config
-from sigmaswarm.experiments.study.design import Task, make_design
-from sigmaswarm.experiments.study.elsewhere import designs_elsewhere
-from sigmaswarm.experiments.study.lessons import LEAST, lessons
-from sigmaswarm.experiments.study.networks import Training, trainings
-from sigmaswarm.experiments.study.rivals import _gains
-from sigmaswarm.experiments.study.run import Study, StudyProgress, run_study
-from sigmaswarm.experiments.study.scores import RIVAL_LABELS, ScoreTable
+from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
+from sigmaswarm.experiments.study.networks import LEAST, Training, lessons, trainings
+from sigmaswarm.experiments.study.results import _gains
+from sigmaswarm.experiments.study.scores import ScoreTable
+from sigmaswarm.experiments.study.study import Study, StudyProgress, run_study
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
@@ -276,7 +274,7 @@ def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
 def test_the_rivals_stand_in_the_tables(whole: Study):
     tables = {name: table.to_markdown() for name, table in study_tables(whole.results).items()}
     for name in ("table-2", "table-3", "rivals", "elsewhere-1", "elsewhere-2"):
-        for label in RIVAL_LABELS.values():
+        for label in (method.label for method in METHODS.values() if method.rival):
             assert f"| {label} (honest) |" in tables[name], (name, label)
     against = {c.against for c in whole.results.comparisons if c.protocol == "honest"}
     assert {*NETWORKS, "bo-ukf", "pso-fuzzy-ukf"} <= against

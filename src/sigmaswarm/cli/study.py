@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, validators
 
 if TYPE_CHECKING:
-    from sigmaswarm.experiments.study.run import Study
+    from sigmaswarm.experiments.study.study import Study
 
 _Flag = Annotated[bool, Parameter(negative=())]
 _Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
@@ -97,7 +97,7 @@ def study(
     """
     from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
     from sigmaswarm.experiments.study.config import read_config
-    from sigmaswarm.experiments.study.run import run_study
+    from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.study import save_study, study_tables
 
     named: dict[str, Any] = {

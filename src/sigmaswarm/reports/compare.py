@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sigmaswarm.experiments.compare.record import Comparison
+from sigmaswarm.experiments.comparison import Comparison
 from sigmaswarm.files import write_whole
 from sigmaswarm.reports.draw.png import figure_of, save
 from sigmaswarm.reports.draw.text import Printed

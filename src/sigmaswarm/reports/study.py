@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.study.config import MAIN
 from sigmaswarm.experiments.study.record import Results
-from sigmaswarm.experiments.study.run import Study
+from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.reports.draw.png import figure_of, save_both
 from sigmaswarm.reports.draw.text import Printed

@@ -4,7 +4,7 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.experiments.compare.record import COMPARED, FEWEST_SEEDS, Comparison
+from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.reports.style import DASHES, MANY
 from sigmaswarm.reports.views.charts import Axis, Band, Chart, Curve, Look, Mark, Points
 from sigmaswarm.reports.views.record import Cell, Column, Table

@@ -5,8 +5,7 @@ from math import inf, nan
 from typing import Literal
 
 from sigmaswarm.experiments.study.config import ALL, UNTUNED
-from sigmaswarm.experiments.study.record import Convergence, Interval, Results
-from sigmaswarm.experiments.study.spread import Spread
+from sigmaswarm.experiments.study.record import Convergence, Interval, Results, Spread
 from sigmaswarm.reports.style import GREEN, SLATE, STUDY_LOOKS
 from sigmaswarm.reports.views.charts import (
     Axis,

@@ -6,7 +6,7 @@ from functools import partial
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, MAIN, NETWORKS, SEARCHED_RIVALS, TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, MAIN, METHODS, UNTUNED
 from sigmaswarm.experiments.study.record import (
     PairedComparison,
     Results,
@@ -18,21 +18,12 @@ from sigmaswarm.reports.views.record import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
-ROWS: tuple[tuple[str, str, str | None], ...] = (
-    (UNTUNED, "imu-only", "imu-only"),
-    (UNTUNED, "raw-gps", None),
-    (UNTUNED, "ekf-defaults", "ekf"),
-    (UNTUNED, "ekf-datasheet", "ekf"),
-    (UNTUNED, "adaptive-ukf-defaults", "adaptive-ukf"),
-    (UNTUNED, "adaptive-ukf-datasheet", "adaptive-ukf"),
-    (UNTUNED, "ukf-defaults", "ukf"),
-    (UNTUNED, "ukf-datasheet", "ukf"),
-    (UNTUNED, "ukf-paper", None),
-    ("paper", MAIN, MAIN),
-    ("honest", MAIN, MAIN),
-    *(("honest", method, None) for method in (*TUNED_METHODS, *SEARCHED_RIVALS, *NETWORKS) if method != MAIN),
-)
-"""Protocol and method of each row that a study may have, and which of the paper's rows it stands beside."""
+ROWS = [
+    (protocol, method, row.paper)
+    for method, row in METHODS.items()
+    for protocol in row.protocols or (UNTUNED,)
+]
+"""Protocol and method of each row of a study, and the paper's row next to it."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
 """Names of the paper's rows in the timings of the live filters."""
 NEW_DRIVES = "95% for new drives"
