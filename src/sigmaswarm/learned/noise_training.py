@@ -3,9 +3,8 @@
 Drives are cut into segments, each begun where the plain filter was; no truth is looked at.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import Fit, exact, fit
+from sigmaswarm.learned.fitting import Lesson
 from sigmaswarm.learned.noise_filter import (
     N_COLUMNS,
     Settings,
@@ -26,11 +25,10 @@ from sigmaswarm.learned.noise_filter import (
     require_supported,
     run,
 )
-from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru
+from sigmaswarm.learned.noise_gru import FEATURES
 
 HELD_BACK = 0.25
 """Of each drive, its end, where no drives are given to hold back."""
-EPOCHS, BATCH, PATIENCE = 60, 8, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,32 +116,35 @@ def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
     return of
 
 
-def trained(
-    segments: Segments,
-    parameters: FilterParameters,
-    *,
-    units: int,
-    learning_rate: float,
-    seed: int,
-    epochs: int = EPOCHS,
-    checkpoint: Path | None = None,
-    progress: Callable[[int, float], None] | None = None,
-) -> tuple[NoiseGru, Fit]:
-    """A network that learned from segments of drives."""
-    start = new_weights(np.random.default_rng([seed, 2]), 3, FEATURES, units, 2)
-    with exact():
-        of = loss(parameters)
-    found = fit(
-        of,
-        start,
-        segments.part(held_back=False),
-        segments.part(held_back=True),
-        learning_rate=learning_rate,
-        epochs=epochs,
-        batch=BATCH,
-        patience=PATIENCE,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
-    )
-    return NoiseGru(found.weights), found
+class NoiseLearner:
+    """Trains `noise_gru`."""
+
+    epochs, batch, patience = 60, 8, 10
+    start: Mapping[str, float] = {"units": 8, "window": 20.0, "learning_rate": 2.0**-7}
+    box: Mapping[str, tuple[float, float]] = {"units": (1, 5), "window": (3, 5), "learning_rate": (-10, -4)}
+
+    def __init__(
+        self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
+    ) -> None:
+        del seed  # nothing is random
+        require_supported(parameters)
+        self._drives, self._validation, self._parameters = drives, validation, parameters
+
+    def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
+        """Prepare a training."""
+        window, held_back = settings["window"], False if self._validation else None
+        segments = segments_of(self._drives, self._parameters, window, held_back=held_back)
+        if self._validation:
+            more = segments_of(self._validation, self._parameters, window, held_back=True)
+            segments = joined([segments, more])
+        rng, units = np.random.default_rng([seed, 2]), int(settings["units"])
+        weights = new_weights(rng, 3, FEATURES, units, 2)
+        shown, test = segments.part(held_back=False), segments.part(held_back=True)
+        return Lesson(loss(self._parameters), weights, shown, test)
+
+    def finish(
+        self, settings: Mapping[str, float], weights: Mapping[str, Array]
+    ) -> tuple[Mapping[str, Array], dict[str, Any]]:
+        """Return the weights: the loss was a likelihood, so no calibration is due."""
+        del settings
+        return weights, {}

@@ -5,10 +5,9 @@ truth is looked at. What is held back ends the training in time, and loses its f
 again, to find how sure the network may be.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +17,13 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
-from sigmaswarm.learned.fitting import Fit, exact, fit
+from sigmaswarm.learned.fitting import Lesson
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, calibrated, said_of, untrained
 from sigmaswarm.learned.outages import Windows, all_windows, outage_windows
 from sigmaswarm.learned.relative import body_displacement
@@ -45,7 +45,6 @@ INFLATIONS, UNSURE = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)
 LAGS = (2, 4, 8, 12, 20, 40, 80, 120)
 """Of `EVERY`, over which errors are compared with each other."""
 FIXED = ("center", "spread", "usual", "scale", "kept", "lasts")
-EPOCHS, BATCH, PATIENCE = 120, 128, 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +146,7 @@ def examples_of(tracks: Sequence[Track], axes: Sequence[str], window: float) -> 
     return Examples(np.concatenate(features), np.concatenate(moved), np.concatenate(held))
 
 
-def loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
+def _loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
     """-ln N(moved; said, std^2) in units of the scale, mean over examples and both directions."""
     import jax.numpy as jnp
 
@@ -160,40 +159,55 @@ def loss(fixed: dict[str, Array]) -> Callable[[Any, tuple[Any, ...]], Any]:
     return of
 
 
-def trained(
-    examples: Examples,
-    axes: tuple[str, ...],
-    *,
-    window: float,
-    units: int,
-    learning_rate: float,
-    seed: int,
-    epochs: int = EPOCHS,
-    checkpoint: Path | None = None,
-    progress: Callable[[int, float], None] | None = None,
-) -> tuple[OutageLstm, Fit]:
-    """A network that learned from examples, not yet calibrated."""
-    rng = np.random.default_rng([seed, 1])
+def lesson(
+    examples: Examples, axes: tuple[str, ...], *, window: float, units: int, seed: int
+) -> tuple[OutageLstm, Lesson]:
+    """Prepare a new network and its training."""
     shown = examples.part(held_back=False)
-    start = untrained(rng, axes, window, units, *shown)
-    fixed = {name: start.weights[name] for name in FIXED}
-    moving = {name: w for name, w in start.weights.items() if name not in FIXED}
-    with exact():
-        of = loss(fixed)
-    found = fit(
-        of,
-        moving,
-        shown,
-        examples.part(held_back=True),
-        learning_rate=learning_rate,
-        epochs=epochs,
-        batch=BATCH,
-        patience=PATIENCE,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
-    )
-    return OutageLstm(axes, window, {**found.weights, **fixed}), found
+    network = untrained(np.random.default_rng([seed, 1]), axes, window, units, *shown)
+    fixed = {name: network.weights[name] for name in FIXED}
+    moving = {name: w for name, w in network.weights.items() if name not in FIXED}
+    return network, Lesson(_loss(fixed), moving, shown, examples.part(held_back=True), fixed)
+
+
+class OutageLearner:
+    """Trains `outage_lstm`."""
+
+    epochs, batch, patience = 120, 128, 15
+    start: Mapping[str, float] = {"units": 16, "window": 8.0, "learning_rate": 2.0**-7}
+    box: Mapping[str, tuple[float, float]] = {"units": (2, 6), "window": (1, 5), "learning_rate": (-10, -5)}
+
+    def __init__(
+        self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
+    ) -> None:
+        self._parameters, self._seed = parameters, seed
+        six = all(axis is not None for d in (*drives, *validation) for axis in (d.imu.az, d.imu.gx, d.imu.gy))
+        self._axes = ("ax", "ay", "gz", "az", "gx", "gy") if six else ("ax", "ay", "gz")
+        self._tracks = tracks_of(drives, parameters, held_back=False if validation else None)
+        self._tracks += tracks_of(validation, parameters, held_back=True)
+        self._examples: dict[float, Examples] = {}
+
+    def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
+        """Prepare a training."""
+        window = settings["window"]
+        if window not in self._examples:
+            self._examples = {window: examples_of(self._tracks, self._axes, window)}
+        examples = self._examples[window]
+        return lesson(examples, self._axes, window=window, units=int(settings["units"]), seed=seed)[1]
+
+    def finish(
+        self, settings: Mapping[str, float], weights: Mapping[str, Array]
+    ) -> tuple[Mapping[str, Array], dict[str, Any]]:
+        """Calibrate the network."""
+        network = with_lasting(OutageLstm(self._axes, settings["window"], weights), self._tracks)
+        cases = cases_of(self._tracks, self._seed)
+        if not cases:
+            raise InputError(
+                "the held-back driving is too short for outages of 10 s; give longer drives, or --validation"
+            )
+        found = calibrate(network, cases, self._parameters)
+        inflation = found.inflation if np.isfinite(found.inflation) else None
+        return found.weights, {"axes": list(self._axes), "inflation": inflation, "unsure": found.unsure}
 
 
 def with_lasting(network: OutageLstm, tracks: Sequence[Track]) -> OutageLstm:
