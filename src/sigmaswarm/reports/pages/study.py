@@ -7,13 +7,7 @@ from sigmaswarm.experiments.study.record import PairedComparison, Results, Study
 from sigmaswarm.reports.style import STUDY_LOOKS
 from sigmaswarm.reports.views.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.views.study_charts import convergence_chart, means_chart, spread_chart
-from sigmaswarm.reports.views.study_rivals import (
-    curve_charts,
-    curve_table,
-    elsewhere_table,
-    gains_table,
-    rivals_table,
-)
+from sigmaswarm.reports.views.study_rivals import curve_charts, rivals_tables
 from sigmaswarm.reports.views.study_tables import (
     DRIFT,
     ERRORS,
@@ -262,13 +256,7 @@ def _rivals(record: StudyRecord) -> tuple[Section, ...]:
     results = record.results
     if results.rivals is None:
         return ()
-    places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
-    tables = (
-        rivals_table(results, record.rival_times),
-        gains_table(results),
-        *(elsewhere_table(results, place) for place in places),
-        curve_table(results),
-    )
+    tables = tuple(rivals_tables(results, record.rival_times).values())
     text = (
         "Networks are trained in each trial, beside the filter that was tuned in it, on its training drives.",
     )
