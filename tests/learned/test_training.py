@@ -194,7 +194,7 @@ def test_the_outage_network_learns_how_fast_the_car_is():
     assert found.best < found.losses[0, 1]
     assert again.losses.tobytes() == found.losses.tobytes()
     network = replace(network, weights={**found.weights, **lesson.fixed})
-    moved, variance = network.told(examples.features)
+    moved, variance = network.displacements(examples.features)
     assert moved.shape == variance.shape == examples.moved.shape
     assert (variance > 0).all()
 

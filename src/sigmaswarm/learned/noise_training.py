@@ -1,6 +1,6 @@
-"""Training `noise-gru`: end to end, through the filter, on the likelihood of the fixes before each is absorbed.
+"""Train `noise-gru` end to end, through the filter, on the likelihood of the fixes before each update.
 
-Drives are cut into segments, each begun where the plain filter was; no truth is looked at.
+Drives are cut into segments, each of which starts from the state of the plain filter; truth is not used.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ from sigmaswarm.learned.noise_filter import (
 from sigmaswarm.learned.noise_gru import FEATURES
 
 HELD_BACK = 0.25
-"""Of each drive, its end, where no drives are given to hold back."""
+"""Share at the end of each drive, where no held-back drives are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Segments:
     Attributes
     ----------
     arrays : tuple of ndarray
-        Means (s, n) and covariances (s, n, n) to begin with, steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
+        Initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
     held_back : ndarray of bool, shape (s,)
     """
 
@@ -46,14 +46,14 @@ class Segments:
     held_back: NDArray[np.bool_]
 
     def part(self, *, held_back: bool) -> tuple[Array, ...]:
-        """Those that are held back, or the others."""
+        """Return those that are held back, or the others."""
         return tuple(array[self.held_back == held_back] for array in self.arrays)
 
 
 def segments_of(
     drives: Sequence[Drive], parameters: FilterParameters, length: float, *, held_back: bool | None
 ) -> Segments:
-    """Drives in segments of ``length`` s; ``held_back``: all of them, none, or (None) those at the end of each."""
+    """Cut drives into segments of ``length`` s; ``held_back``: all, none, or (None) those at the end of each."""
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
     parts: list[tuple[Array, ...]] = []
@@ -62,17 +62,17 @@ def segments_of(
         replay = replay_of(drive)
         settings = Settings.of(replay, twin)
         columns, ends = columns_of(replay, twin)
-        believed = Recording(replay, twin).whole()
-        last = float(believed.time[-1])
+        estimate = Recording(replay, twin).whole()
+        last = float(estimate.time[-1])
         since = last - HELD_BACK * (last - replay.initial.time)
         for start in np.arange(replay.initial.time, last - length, length):
-            sample = int(np.searchsorted(believed.time, start))
+            sample = int(np.searchsorted(estimate.time, start))
             first, stop = np.searchsorted(
-                ends, [believed.time[sample], believed.time[sample] + length], side="right"
+                ends, [estimate.time[sample], estimate.time[sample] + length], side="right"
             )
-            if not (believed.sound[sample] and columns[first:stop, 6].any()):
+            if not (estimate.sound[sample] and columns[first:stop, 6].any()):
                 continue
-            begin = believed.mean[sample], believed.covariance[sample]
+            begin = estimate.mean[sample], estimate.covariance[sample]
             parts.append((*begin, columns[first:stop], settings.q, settings.lever))
             held.append(bool(start + length > since) if held_back is None else held_back)
     if not parts:
@@ -83,7 +83,7 @@ def segments_of(
 
 
 def joined(parts: Sequence[Segments]) -> Segments:
-    """All as one."""
+    """Join segments."""
     most = max(part.arrays[2].shape[1] for part in parts)
 
     def column(i: int) -> Array:
@@ -99,7 +99,7 @@ def joined(parts: Sequence[Segments]) -> Segments:
 
 
 def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
-    """-ln of the likelihood of a fix, in nats, mean over the fixes of a batch of segments."""
+    """Return the loss: the negative log-likelihood, nats, mean over the fixes of a batch of segments."""
     import jax
     import jax.numpy as jnp
 
