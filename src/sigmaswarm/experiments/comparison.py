@@ -157,7 +157,7 @@ class Comparison:
 
     @cached_property
     def frame(self) -> pl.DataFrame:
-        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first one.
+        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
         ``p`` is of a two-sided Wilcoxon test over the seeds, corrected after Holm over all contenders of a measure.
         """
@@ -207,7 +207,7 @@ class Comparison:
     def curves(self) -> pl.DataFrame:
         """Median and quartiles over the seeds of the lowest cost so far, after 1%, 2%, ... of the budget's steps.
 
-        What is spent is counted in evaluations on all drives, so that raced ones count for what they take.
+        The budget is counted in evaluations on all drives; raced ones count by their filter steps.
         """
         grid = self.budget * np.arange(1, 101) / 100
         rows = list[dict[str, Any]]()
@@ -223,14 +223,14 @@ class Comparison:
         return pl.DataFrame(rows)
 
     def write(self, folder: Path) -> list[Path]:
-        """Write comparison.csv, runs.csv and curves.csv; their paths."""
+        """Write comparison.csv, runs.csv and curves.csv; return their paths."""
         frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
         for name, frame in frames.items():
             write_whole(folder / name, frame.write_csv())
         return [folder / name for name in frames]
 
     def _reached(self, run: Outcome, grid: Array) -> Array:
-        """The lowest cost of a run by the time that so much is spent; ``inf`` before its first generation is over."""
+        """Return the lowest cost of a run at each share of the budget; ``inf`` in the first generation."""
         spent = np.array(run.history_steps) / self.steps_per_set
         best = np.array([np.inf, *run.history_best])
         return best[np.searchsorted(spent, grid * (1 + 1e-12), side="right")]

@@ -33,14 +33,14 @@ AWAY = {
 }
 """The measures of drives elsewhere and of learning curves."""
 EFFORT = (
-    "Labelled: driving whose truth the tuning looked at. Learned: driving that a network learned from, without truth, "
-    "beside its filter. Numbers: how many tuning and training set. Drifts with the 95% interval for new drives "
-    "(bootstrap over drives and trials), of outages placed once in each drive; - where none of that length fits."
+    "Labelled: driving with truth that the tuning used. Learned: driving that a network learned from, without truth. "
+    "Numbers: free numbers of tuning and training. Drifts with the 95% interval for new drives (bootstrap over drives "
+    "and trials), of outages placed once in each drive; - where no drive has room for one."
 )
-KEPT = "Not told: what a network leaves as it is, as positions while fixes come."
+KEPT = "Measures that a network does not change, as positions with fixes, are omitted."
 TIMES = (
-    "Training in processor seconds a trial, a network's without its filter's; a sample: us of an IMU sample where the "
-    "filter runs over a whole drive, from Python."
+    "Training: processor time of a trial, a network's without its filter's. A sample: processor time of an IMU sample "
+    "when the filter runs over a whole drive, called from Python."
 )
 
 
@@ -78,7 +78,7 @@ def rivals_table(results: Results, times: Mapping[str, Mapping[str, float]]) -> 
         row += [took.get("training_s"), took.get("sample_us")] if times else []
         rows.append((*row, *(cell for m in LENGTHS for cell in mean_cells(results.summary(*variant, m)))))
     note = f"{EFFORT} {TIMES}" if times else f"{EFFORT} Times are in runtime-rivals.md."
-    return study_table("Rivals: what they take, and their drift over outages", columns, rows, results, note)
+    return study_table("Rivals: data, numbers, and drift over outages", columns, rows, results, note)
 
 
 def _gains_table(results: Results, rivals: RivalResults) -> Table:
@@ -103,8 +103,8 @@ def _elsewhere_table(results: Results, place: str) -> Table:
     ]
     drives = max((row.n_drives for row in own), default=0)
     note = (
-        "The filters and networks of all trials, as they were tuned and trained at home; 95% intervals for new drives "
-        f"(bootstrap over drives and trials). Drives: {drives}."
+        "The filters and networks of all trials, tuned and trained on the study's own drives; 95% intervals for new "
+        f"drives (bootstrap over drives and trials). Drives: {drives}."
     )
     return study_table(f"Elsewhere: {place}", columns, rows, results, note)
 
@@ -126,8 +126,8 @@ def _curve_table(results: Results, rivals: RivalResults) -> Table:
             row += [point.mean, point.interval] if point else [None, None]
         rows.append(tuple(row))
     note = (
-        "Of the first trial, on the drives that it held back; 0 minutes: its filter alone. 95% intervals by bootstrap "
-        "over drives, which says nothing of what another training would give."
+        "Of the first trial, on its held-out drives; 0 minutes: the filter alone. 95% intervals by bootstrap over "
+        "drives; they do not include the variation between trainings."
     )
     return study_table("Learning curves", columns, rows, results, note)
 

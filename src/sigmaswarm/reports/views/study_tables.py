@@ -25,17 +25,17 @@ ROWS = [
 ]
 """Protocol and method of each row of a study, and the paper's row next to it."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-"""Names of the paper's rows in the timings of the live filters."""
+"""The paper's rows of the timed filters."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value a drive, the mean over the trials that held it back, of drives on which neither ever failed; 95% "
+    "One value a drive, the mean over its trials, of drives on which neither failed; 95% "
     "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) says what optimizer and split leave open; it covers the mean of "
-    "new drives only about half of the time. The other two are made for those: in a study of full size the "
-    "bootstrap covers it 95% of the time (in small ones 85 to 95%), the corrected t as often or more, as it is too "
-    "wide where the optimizer's luck varies much."
+    "The interval over trials (as in the paper) is the uncertainty by optimizer and split; it covers the mean of new "
+    "drives only about half of the time. The other two are intervals for new drives: in a study of full size the "
+    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%), the corrected t as often or more; it is too "
+    "wide where the optimizer varies much."
 )
 Row = tuple[Cell, ...]
 
@@ -100,7 +100,7 @@ def table_1(results: Results) -> Table:
         if beside in paper or method == "raw-gps"
     ]
     titles = ("paper", "ours, against the GPS (eq. 4)", "ours, against truth")
-    note = "Mean over trials on held-out drives. The paper's RMSE is against the GPS that the filter has absorbed."
+    note = "Mean over trials on held-out drives. The paper's RMSE is against the GPS after the update."
     return study_table("Table I. RMSE, m", [Column("method"), *map(figures, titles)], rows, results, note)
 
 
@@ -162,11 +162,11 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
         )
         for name, times in live.items()
     ]
-    ours = ("ours, an IMU sample", "ours, an IMU sample that absorbs a fix")
+    ours = ("ours, an IMU sample", "ours, an IMU sample with a fix")
     columns = (Column("filter"), figures("paper"), *(figures(title, 4) for title in ours))
     note = (
-        "Medians over one drive through the live filter, called from Python, on the machine that ran the study. A "
-        "tuned filter costs what a manual one costs. The paper's limit for real time is "
+        "Medians over one drive of the live filter, called from Python, on the machine that ran the study. Tuning does "
+        "not change them. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", columns, tuple(rows), note=note)
