@@ -28,8 +28,8 @@ def compare(
     """Compare optimizers: the same budget on the same drives, over many seeds.
 
     OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and every single tuning. What it says holds for these drives; other seeds would give
-    the same within the intervals, other drives need not.
+    comparison.png, times.csv and all tunings. The result holds for these drives; other seeds would give the same
+    within the intervals, other drives need not.
 
     Examples:
 
@@ -40,28 +40,28 @@ def compare(
     Parameters
     ----------
     drives
-        Drive folders to tune on, or folders that hold drive folders; or URLs of such.
+        Drive folders to tune on, or folders of drive folders; or their URLs.
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        pso, ga, ga-pso, de, cma-es, bo, nelder-mead, random, sobol. Settings of one's own follow a colon:
+        pso, ga, ga-pso, de, cma-es, bo, nelder-mead, random, sobol. Their own settings follow a colon:
         pso:polish=300 or pso:particles=10,generations=30,trials=5. Particles x generations x trials must be the
-        same for all. The others are tested against the first one. By default all but bo, nelder-mead and sobol.
+        same for all. The first is the reference of the tests. By default all but bo, nelder-mead and sobol.
     scales
         log10, linear or both; log10 by default.
     seeds
-        Runs of each.
+        Number of runs of each.
     validation
-        Drives held back from the search, to see what the results are worth on others.
+        Held-out drives.
     workers
-        Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
+        Threads; all cores by default. With --cluster, tunings at a time. The result does not depend on it.
     cluster
-        A Dask cluster whose workers read the drives, hold them and do the work: tcp://host:8786, a scheduler file, or
-        local:4 for so many processes of this machine. Nor does the result depend on it.
+        A Dask cluster whose workers read the drives and do the work: tcp://host:8786, a scheduler file, or local:4
+        for four processes of this machine. The result does not depend on it.
     resume
-        Go on with a comparison that was interrupted; the result is the same, but for the times.
+        Continue an interrupted comparison; the result is the same, but for the times.
     json
-        Print the table for machines.
+        Print the table as JSON.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import cluster_at, held_drives, print_json, progress_bar, stdout
