@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -152,21 +151,13 @@ def test_a_fork_ends_with_its_parent(tmp_path: Path):
     assert not (tmp_path / "outlived").exists()
 
 
-def test_a_folder_is_locked_by_the_parent_alone(tmp_path: Path):
-    class Freed(Exception):
-        pass
-
-    def run(task: int, report: Report) -> None:
-        report(1)
-        time.sleep(1.0)
-
+def test_a_folder_is_free_when_the_forks_have_ended(tmp_path: Path):
     def look(*_: int) -> None:
         with pytest.raises(InputError, match="another run is filling it"), held_folder(tmp_path):
             pass
-        lock.close()
-        with held_folder(tmp_path):  # while the forks live
-            raise Freed
+        raise InterruptedError
 
-    with ExitStack() as lock, pytest.raises(Freed):
-        lock.enter_context(held_folder(tmp_path))
-        grid(run, rounds=2, progress=look)
+    with pytest.raises(InterruptedError), held_folder(tmp_path):
+        grid(lambda task, report: time.sleep(0.5), progress=look)
+    with held_folder(tmp_path):
+        pass

@@ -94,7 +94,7 @@ def test_it_says_what_the_study_found(study: Study):
     report = read_report(study.folder)
     row = study.results.summary("honest", "pso-ukf", "position_rmse_m")
     assert row is not None
-    assert f"PSO-UKF is {row.mean:.3g} m" in report.lead[0]
+    assert f"PSO-UKF has a position RMSE of {row.mean:.3g} m" in report.lead[0]
     _, two, three = section(study.folder, "The paper's tables").tables
     intervals = (row.trial_interval, row.corrected_t_interval, row.bootstrap_interval)
     assert ("PSO-UKF (honest)", 0.5, (0.46, 0.54), row.mean, row.sd, *intervals) in two.rows

@@ -21,7 +21,6 @@ from multiprocessing.sharedctypes import RawArray
 from typing import Any, TypeVar
 
 from sigmaswarm.errors import SigmaswarmError
-from sigmaswarm.files import let_go
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -131,7 +130,6 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     global _run
     _run = run
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
-    let_go()
     gc.freeze()  # a collection would copy all inherited objects
 
     def watch() -> None:
