@@ -162,6 +162,18 @@ def learn(
         data=[DriveRecord.model_validate(entry) for entry in data],
     )
     learned = Learned(record, weights)
+    _save(learned, parameters, drives, tuning, out)
+    write_json(out / "timings.json", {"processor_s": time.process_time() - began})
+    return learned
+
+
+def _save(
+    learned: Learned,
+    parameters: FilterParameters,
+    drives: Sequence[Drive],
+    tuning: Path | None,
+    out: Path,
+) -> None:
     learned.save(out)
     save_landmarks([landmarks(drive) for drive in drives], out / LEARNED_SEEN)
     if tuning is None:
@@ -170,8 +182,6 @@ def learn(
         write_whole(out / FILE, tuning.read_bytes())
         if (tuning.parent / SEEN_FILE).exists():
             shutil.copyfile(tuning.parent / SEEN_FILE, out / SEEN_FILE)
-    write_json(out / "timings.json", {"processor_s": time.process_time() - began})
-    return learned
 
 
 def _trainings(

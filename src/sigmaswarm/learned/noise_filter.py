@@ -94,6 +94,66 @@ class Settings:
         return cls(q, np.array(parameters.measurement_noise), line.lever[:2], parameters)
 
 
+def _inverse(s: Any) -> Any:
+    import jax.numpy as jnp
+
+    det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
+    return jnp.array([[s[1, 1], -s[0, 1]], [-s[1, 0], s[0, 0]]]) / det
+
+
+def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
+    """Return mean and covariance after a measurement, if ``use`` is 1."""
+    s = h @ c @ h.T + noise
+    gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
+    changed = c - gain @ h @ c
+    return m + gain @ nu, 0.5 * (changed + changed.T)
+
+
+def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
+    """Return mean and covariance after a step, with ``scale`` times Q."""
+    import jax.numpy as jnp
+
+    n = len(m)
+    dt, gap = u[DT], u[GAP]
+    cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
+    biased = n > GYRO_BIAS
+    fx, fy = (u[AX] - m[5], u[AY] - m[6]) if biased else (u[AX], u[AY])
+    rate = u[GZ] - m[GYRO_BIAS] if biased else u[GZ]
+    a, b = cos * fx - sin * fy, sin * fx + cos * fy
+    moved = jnp.array([m[2] * dt + a * dt**2 / 2, m[3] * dt + b * dt**2 / 2, a * dt, b * dt, rate * dt])
+    f = jnp.eye(n).at[0, 2].set(dt).at[1, 3].set(dt)
+    turned = jnp.array([[-b], [a]])
+    by = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
+    at = [slice(THETA, THETA + 1), slice(5, 7)]
+    for columns_at, what in zip(at, by, strict=False):
+        f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
+    if biased:
+        f = f.at[THETA, GYRO_BIAS].set(-dt)
+    g = GAP_ACCELERATION_STD**2 * gap * dt
+    unseen = jnp.zeros((n, n)).at[THETA, THETA].set(GAP_TURN_STD**2 * gap * dt)
+    for i, j in ((0, 2), (1, 3)):
+        unseen = unseen.at[j, j].set(g).at[i, i].set(g * dt**2 / 4)
+        unseen = unseen.at[i, j].set(g * dt / 2).at[j, i].set(g * dt / 2)
+    noise = jnp.diag(scale * u[Q_SCALE] * q) + unseen
+    moves = dt > 0.0
+    new = f @ c @ f.T + noise
+    return m.at[:5].add(moved), jnp.where(moves, new, c)
+
+
+def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
+    """Student's t: see `measurements._weigh`."""
+    import jax.numpy as jnp
+
+    weight = 1.0
+    for _ in range(ITERATIONS):
+        a = noise / weight
+        g = _inverse(seen + jnp.diag(a))
+        e = g @ nu
+        gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
+        weight = (dof + 2.0) / (dof + gamma)
+    return weight
+
+
 def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
     """Run the filter with its network over some steps, from a mean (n,) and a covariance (n, n).
 
@@ -108,60 +168,12 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
 
     p = settings.parameters
     n = len(mean)
-    eye = jnp.eye(n)
     gate = np.inf if p.gate is None else p.gate
-
-    def update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
-        s = h @ c @ h.T + noise
-        gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
-        changed = c - gain @ h @ c
-        return m + gain @ nu, 0.5 * (changed + changed.T)
-
-    def _inverse(s: Any) -> Any:
-        det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
-        return jnp.array([[s[1, 1], -s[0, 1]], [-s[1, 0], s[0, 0]]]) / det
-
-    def predict(m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
-        dt, gap = u[DT], u[GAP]
-        cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
-        biased = n > GYRO_BIAS
-        fx, fy = (u[AX] - m[5], u[AY] - m[6]) if biased else (u[AX], u[AY])
-        rate = u[GZ] - m[GYRO_BIAS] if biased else u[GZ]
-        a, b = cos * fx - sin * fy, sin * fx + cos * fy
-        moved = jnp.array([m[2] * dt + a * dt**2 / 2, m[3] * dt + b * dt**2 / 2, a * dt, b * dt, rate * dt])
-        f = eye.at[0, 2].set(dt).at[1, 3].set(dt)
-        turned = jnp.array([[-b], [a]])
-        by = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
-        at = [slice(THETA, THETA + 1), slice(5, 7)]
-        for columns_at, what in zip(at, by, strict=False):
-            f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
-        if biased:
-            f = f.at[THETA, GYRO_BIAS].set(-dt)
-        g = GAP_ACCELERATION_STD**2 * gap * dt
-        unseen = jnp.zeros((n, n)).at[THETA, THETA].set(GAP_TURN_STD**2 * gap * dt)
-        for i, j in ((0, 2), (1, 3)):
-            unseen = unseen.at[j, j].set(g).at[i, i].set(g * dt**2 / 4)
-            unseen = unseen.at[i, j].set(g * dt / 2).at[j, i].set(g * dt / 2)
-        noise = jnp.diag(scale * u[Q_SCALE] * settings.q) + unseen
-        moves = dt > 0.0
-        new = f @ c @ f.T + noise
-        return m.at[:5].add(moved), jnp.where(moves, new, c)
-
-    def weight_of(seen: Any, noise: Any, nu: Any) -> Any:
-        """Student's t: see `measurements._weigh`."""
-        weight = 1.0
-        for _ in range(ITERATIONS):
-            a = noise / weight
-            g = _inverse(seen + jnp.diag(a))
-            e = g @ nu
-            gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
-            weight = (p.robust_dof + 2.0) / (p.robust_dof + gamma)  # pyright: ignore[reportOptionalOperand]
-        return weight
 
     def step(state: Any, u: Any) -> Any:
         m, c, h, active, rejected, last, since = state
         fixed, sampled, lateral, stands = u[6], u[7], u[8], u[9]
-        m, c = predict(m, c, u, jnp.exp(active[1]))
+        m, c = _predict(settings.q, m, c, u, jnp.exp(active[1]))
         since = since + u[DT]
         cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
         # A fix.
@@ -177,8 +189,8 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
         nis = nu @ _inverse(s) @ nu
         inside = (nis <= gate) | (rejected >= MOST_REJECTED)
         rejected = jnp.where(fixed > 0, jnp.where(inside, 0.0, rejected + 1.0), rejected)
-        weight = 1.0 if p.robust_dof is None else weight_of(seen, noise, nu)
-        m, c = update(m, c, jacobian, nu, jnp.diag(noise / weight), fixed * inside)
+        weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, seen, noise, nu)
+        m, c = _update(m, c, jacobian, nu, jnp.diag(noise / weight), fixed * inside)
         innovation = jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
         last = jnp.where(fixed > 0, jnp.append(innovation, since), last)
         # The lateral velocity is zero at the rear axle.
@@ -190,14 +202,14 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
             if n > GYRO_BIAS:
                 row, rate = row.at[0, GYRO_BIAS].set(p.rear_axle), rate - m[GYRO_BIAS]
             off = jnp.array([p.rear_axle * rate - left])
-            m, c = update(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
+            m, c = _update(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
         if p.standstill_noise is not None:
             still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
-            m, c = update(m, c, still, -m[2:4], p.standstill_noise * jnp.eye(2), stands)
+            m, c = _update(m, c, still, -m[2:4], p.standstill_noise * jnp.eye(2), stands)
             if n > GYRO_BIAS:
                 row = jnp.zeros((1, n)).at[0, GYRO_BIAS].set(1.0)
                 off = jnp.array([u[GZ] - m[GYRO_BIAS]])
-                m, c = update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
+                m, c = _update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
         # The network sees a fix at the next sample.
         looks = (sampled > 0) & (last[5] > 0.0)
         after = gru(
