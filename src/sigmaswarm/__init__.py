@@ -25,7 +25,6 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import sigmaswarm.forking  # it must see each fork  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
