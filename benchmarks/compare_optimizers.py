@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
-from sigmaswarm.experiments.compare.record import COMPARED
+from sigmaswarm.experiments.comparison import COMPARED
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"

@@ -45,10 +45,10 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
-    from sigmaswarm.experiments.compare.record import Comparison
-    from sigmaswarm.experiments.compare.run import compare
+    from sigmaswarm.experiments.compare import compare
+    from sigmaswarm.experiments.comparison import Comparison
     from sigmaswarm.experiments.study.config import StudyConfig
-    from sigmaswarm.experiments.study.run import Study, run_study
+    from sigmaswarm.experiments.study.study import Study, run_study
     from sigmaswarm.filters.bank.live import LiveFilterBank
     from sigmaswarm.filters.bank.run import run_bank
     from sigmaswarm.filters.custom.log import Log
@@ -90,10 +90,10 @@ _HOMES = {
         "SigmaswarmError",
         "SigmaswarmWarning",
     ),
-    "experiments.compare.record": ("Comparison",),
-    "experiments.compare.run": ("compare",),
+    "experiments.comparison": ("Comparison",),
+    "experiments.compare": ("compare",),
     "experiments.study.config": ("StudyConfig",),
-    "experiments.study.run": ("Study", "run_study"),
+    "experiments.study.study": ("Study", "run_study"),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
     "filters.custom.run": ("ModelEstimate", "run_model", "smooth_model"),

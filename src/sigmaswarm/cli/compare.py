@@ -32,8 +32,8 @@ def compare(
     """Compare optimizers with the same budget on the same drives.
 
     OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and every tuning. The result holds for these drives: other seeds give the same within the
-    intervals, other drives need not.
+    comparison.png, times.csv and all tunings. The result holds for these drives; other seeds would give the same
+    within the intervals, other drives need not.
 
     Examples:
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.experiments.study.record import StudyRecord
 from sigmaswarm.reports.pages.evaluation import evaluation_report
 from sigmaswarm.reports.pages.study import study_report
 from sigmaswarm.reports.pages.tuning import tuning_report

@@ -1,4 +1,4 @@
-"""The record of a comparison of optimizers: every tuning's outcome, and their statistics."""
+"""The results of a comparison of optimizers: the outcome of every tuning, and statistics of them."""
 
 import json
 from collections import Counter
@@ -13,9 +13,9 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.compare.contenders import Contender
 from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
 from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
 """With fewer pairs a two-sided signed-rank test can't reach 5%: its lowest p is 2^(1 - pairs)."""
@@ -26,24 +26,57 @@ COMPARED = {
     "held_out_rmse": "held-out RMSE, m",
     "held_out_heading": "held-out heading error, deg",
 }
-"""What is compared of the outcomes; lower wins."""
+"""The measures; lower wins."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        The optimizer's name and its settings, as ``pso:polish=300``.
+    scale : str
+    config : TuneConfig
+        Of the tunings, but for the seed.
+    """
+
+    name: str
+    scale: str
+    config: TuneConfig
+
+    @property
+    def budget(self) -> int:
+        """Evaluations of a tuning, at most."""
+        return self.config.particles * self.config.generations * self.config.trials
+
+    @property
+    def label(self) -> str:
+        """Name and scale."""
+        return f"{self.name}, {self.scale}"
+
+    @property
+    def folder(self) -> str:
+        """A name for files."""
+        return f"{self.name}-{self.scale}".replace(":", "-").replace(",", "-").replace("=", "")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tuning of a comparison came to: run.json.
+    """The outcome of one tuning of a comparison: run.json.
 
     Attributes
     ----------
     cost : float
         The objective on the training drives.
     held_out_cost, held_out_rmse, held_out_heading : float or None
-        The objective, position RMSE (m) and heading error (deg) on the held-out drives, means over them; None where
-        there are none, they have no truth, or the filter failed.
+        Objective, and means of position RMSE (m) and heading error (deg), on the held-out drives; None without such
+        drives or truth, or where the filter failed.
     touched : tuple of str
-        Parameters that ended on a bound of the box.
+        Parameters that ended at a bound.
     evaluations, failures : int
-        Parameter sets tried, and how many of them failed.
+        Number of parameter sets, and of failed ones.
     history_evaluations, history_steps : tuple of int
         Evaluations and filter steps spent after each generation.
     history_best : tuple of float
@@ -67,7 +100,7 @@ class Outcome:
 
     @classmethod
     def read(cls, file: Path) -> "Outcome":
-        """Read what `write` wrote.
+        """Read run.json.
 
         Raises
         ------
@@ -83,7 +116,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What `compare` found.
+    """The result of `compare`.
 
     Attributes
     ----------
@@ -92,7 +125,7 @@ class Comparison:
     runs : mapping of a contender's label to tuple of Outcome
         One for each seed.
     budget : int
-        Evaluations that each run could take.
+        Evaluations of each run, at most.
     steps_per_set : int
         Filter steps of one evaluation on all training drives.
     drives, test : tuple of str
@@ -124,7 +157,7 @@ class Comparison:
 
     @cached_property
     def frame(self) -> pl.DataFrame:
-        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first one.
+        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first.
 
         ``p`` is of a two-sided Wilcoxon test over the seeds, corrected after Holm over all contenders of a measure.
         """
@@ -174,7 +207,7 @@ class Comparison:
     def curves(self) -> pl.DataFrame:
         """Median and quartiles over the seeds of the lowest cost so far, after 1%, 2%, ... of the budget's steps.
 
-        What is spent is counted in evaluations on all drives, so that raced ones count for what they take.
+        The budget is counted in evaluations on all drives; raced ones count by their filter steps.
         """
         grid = self.budget * np.arange(1, 101) / 100
         rows = list[dict[str, Any]]()
@@ -190,14 +223,14 @@ class Comparison:
         return pl.DataFrame(rows)
 
     def write(self, folder: Path) -> list[Path]:
-        """Write comparison.csv, runs.csv and curves.csv; their paths."""
+        """Write comparison.csv, runs.csv and curves.csv; return their paths."""
         frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
         for name, frame in frames.items():
             write_whole(folder / name, frame.write_csv())
         return [folder / name for name in frames]
 
     def _reached(self, run: Outcome, grid: Array) -> Array:
-        """The lowest cost of a run by the time that so much is spent; ``inf`` before its first generation is over."""
+        """Return the lowest cost of a run at each share of the budget; ``inf`` in the first generation."""
         spent = np.array(run.history_steps) / self.steps_per_set
         best = np.array([np.inf, *run.history_best])
         return best[np.searchsorted(spent, grid * (1 + 1e-12), side="right")]
