@@ -14,8 +14,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.presets import datasheet
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.reports.draw.png import figure_of, save
 from sigmaswarm.reports.evaluation import comparison, errors, save_evaluation, tracks
+from sigmaswarm.reports.figures import figure_of, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.tuning import convergence, save_tuning_figures
 from sigmaswarm.reports.views.charts import Axis, Bars, Chart, Look

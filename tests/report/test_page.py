@@ -19,8 +19,8 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.reports.draw.html import page as html_page
 from sigmaswarm.reports.evaluation import copy_tuning
+from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.pages.commands import STATED, tune_command
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.tuning import save_tuning_figures

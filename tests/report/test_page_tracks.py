@@ -6,8 +6,8 @@ import pytest
 
 from browsing import Opened
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.reports.draw.html import page as html_page
 from sigmaswarm.reports.evaluation import copy_tuning
+from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive

@@ -20,9 +20,9 @@ from sigmaswarm.experiments.study.spread import read_spreads
 from sigmaswarm.experiments.study.tracks import MOST_POINTS, shown_drives
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.reports.draw.html import page as html_page
+from sigmaswarm.reports.page import Section
+from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.pages.folders import read_report
-from sigmaswarm.reports.views.record import Section
 from sigmaswarm.scoring.tracks import load_tracks
 from support import make_drive
 

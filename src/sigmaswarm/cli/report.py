@@ -44,9 +44,9 @@ def report(
 def save_page(folder: Path, out: Path | None = None) -> Path:
     """Make the page of a folder of results, by default in it; the file."""
     from sigmaswarm.files import write_whole
-    from sigmaswarm.reports.draw.html import page
+    from sigmaswarm.reports.figures import check_file
+    from sigmaswarm.reports.page import page
     from sigmaswarm.reports.pages.folders import read_report
-    from sigmaswarm.reports.style import check_file
 
     if out is not None:
         check_file(out, ".html")

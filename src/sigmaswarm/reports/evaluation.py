@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.files import make_folder, write_whole
-from sigmaswarm.reports.draw.png import figure_of, new_figure, save
+from sigmaswarm.reports.figures import figure_of, new_figure, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation

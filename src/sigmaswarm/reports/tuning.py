@@ -4,8 +4,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from sigmaswarm.reports.draw.png import figure_of, save
 from sigmaswarm.reports.evaluation import tracks
+from sigmaswarm.reports.figures import figure_of, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.views.tuning import convergence_chart
 from sigmaswarm.scoring.measures import method_names

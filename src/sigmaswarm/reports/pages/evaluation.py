@@ -6,6 +6,7 @@ from pathlib import Path
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.records import load_record
+from sigmaswarm.reports.page import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.pages.commands import evaluate_command
 from sigmaswarm.reports.pages.tuning import (
     convergence_section,
@@ -18,7 +19,6 @@ from sigmaswarm.reports.pages.tuning import (
 )
 from sigmaswarm.reports.style import LABELS, LOOKS
 from sigmaswarm.reports.views.evaluation import method_bars, swarm_charts
-from sigmaswarm.reports.views.record import Cell, Column, Figure, Line, Report, Section, Table, TrackView
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, HOW_AGAINST, HOW_UNTUNED, Measure, measures, method_names
@@ -33,6 +33,7 @@ from sigmaswarm.scoring.remarks import (
 )
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
+from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.result import NOT_VALIDATED
 from sigmaswarm.wording import in_order

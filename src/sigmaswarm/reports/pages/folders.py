@@ -5,10 +5,10 @@ from pathlib import Path
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.reports.page import Report
 from sigmaswarm.reports.pages.evaluation import evaluation_report
 from sigmaswarm.reports.pages.study import study_report
 from sigmaswarm.reports.pages.tuning import tuning_report
-from sigmaswarm.reports.views.record import Report
 
 ADAPTERS: dict[str, Callable[[Path], Report]] = {
     "scores.json": evaluation_report,

@@ -1,8 +1,16 @@
-"""Charts drawn by matplotlib: the same chart, the same bytes; no global state of pyplot is touched."""
+"""Draw charts with matplotlib, as PNG, as SVG files and as SVG for pages.
 
+The same chart gives the same bytes. The global state of pyplot is not touched.
+"""
+
+import re
 import warnings
+from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import singledispatch
+from html import escape
+from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +24,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import Formatter
 
-from sigmaswarm.files import whole_file
+from sigmaswarm.errors import InputError
+from sigmaswarm.files import whole_file, write_whole
 from sigmaswarm.reports.views.charts import (
     Axis,
     Band,
@@ -54,11 +63,12 @@ def figure_of(
     size: tuple[float, float],
     columns: int | None = None,
     legend: Legend = "inside",
+    legend_columns: int = 6,
     **shared: bool,
 ) -> Figure:
-    """Charts beside one another, or in so many columns, on a figure of that size in inches.
+    """Draw charts next to each other, or in so many columns, on a figure of that size in inches.
 
-    A legend below is one for all charts, of the first one's names. ``sharex`` and ``sharey`` are matplotlib's.
+    A legend below serves all charts and has the names of the first one. ``sharex`` and ``sharey`` are matplotlib's.
     """
     columns = columns or len(charts)
     figure, axes = new_figure(*size, -(-len(charts) // columns), columns, **shared)
@@ -70,7 +80,7 @@ def figure_of(
             ax.legend(frameon=False, fontsize=8)
     if legend == "below":
         named = axes[0].get_legend_handles_labels()
-        figure.legend(*named, frameon=False, fontsize=8, ncols=6, loc="outside lower center")
+        figure.legend(*named, frameon=False, fontsize=8, ncols=legend_columns, loc="outside lower center")
     return figure
 
 
@@ -115,12 +125,58 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def save_both(figure: Figure, stem: Path) -> list[Path]:
-    """Write a PNG and an SVG, with no date in either."""
+    """Write a PNG and an SVG."""
     path = stem.with_name(f"{stem.name}.svg")
-    _plain(figure)
-    with rc_context({"svg.hashsalt": "sigmaswarm"}), whole_file(path) as file:
-        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    write_whole(path, _svg(figure))
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
+
+
+SVG_WIDTH = 4.2
+"""Inches: width of a chart of a page; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen."""
+ROW_HEIGHT = 0.22
+"""Inches: height of a category in it."""
+
+
+def svg(chart: Chart) -> str:
+    """Return a chart without its title as an SVG element that is as wide as its container."""
+    named = {name for mark in chart.marks if (name := getattr(mark, "name", ""))}
+    height = 0.5 + ROW_HEIGHT * len(chart.y.categories) if chart.y.categories else 2.4
+    with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
+        figure = figure_of(
+            replace(chart, title=""),
+            size=(SVG_WIDTH, height + 0.16 * -(-len(named) // 2)),
+            legend="below" if named else "none",
+            legend_columns=2,
+        )
+        text = _svg(figure, **{"svg.fonttype": "none"})
+    return re.sub(
+        r'(<svg[^>]*?) height="[^"]*"([^>]*?) width="[^"]*"', r"\1\2", text[text.index("<svg") :], count=1
+    )
+
+
+def _svg(figure: Figure, **settings: str) -> str:
+    """Draw an SVG with no date in it; marks with a hover text get it as a title element."""
+    _plain(figure)
+    file = StringIO()
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with rc_context({"svg.hashsalt": "sigmaswarm", **settings}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")
+        figure.savefig(file, format="svg", metadata=metadata)
+    return re.sub(
+        r'<g id="hover-([^"]*)">',
+        lambda found: f"<g><title>{escape(urlsafe_b64decode(found[1]).decode())}</title>",
+        file.getvalue(),
+    )
+
+
+def check_file(path: Path, suffix: str = ".png") -> None:
+    """Raise `InputError` where a file of that type cannot be written, before any work is done."""
+    if path.suffix != suffix:
+        raise InputError(f"{path}: can't tell the format; end the name in {suffix}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent}: no such folder; make it first")
 
 
 def look(of: Look) -> dict[str, Any]:
@@ -194,13 +250,16 @@ def _(mark: Curve, ax: Axes) -> None:
 def _(mark: Points, ax: Axes) -> None:
     """One by one where they differ."""
     plain = look(mark.look) | {"ls": "none"}
-    if not mark.colors and not mark.symbols:
+    if not mark.colors and not mark.symbols and not mark.hovers:
         ax.plot(mark.x, mark.y, **plain, **_named(mark.name))
     else:
         for i, (x, y) in enumerate(zip(mark.x, mark.y, strict=True)):
             color = {"color": mark.colors[i]} if mark.colors else {}
             symbol = {"marker": _SYMBOLS[mark.symbols[i]]} if mark.symbols else {}
-            ax.plot(x, y, **plain | color | symbol, **_named(mark.name if i == 0 else ""))
+            hover = (
+                {"gid": f"hover-{urlsafe_b64encode(mark.hovers[i].encode()).decode()}"} if mark.hovers else {}
+            )
+            ax.plot(x, y, **plain | color | symbol | hover, **_named(mark.name if i == 0 else ""))
     for text, x, y in zip(mark.texts, mark.x, mark.y, strict=bool(mark.texts)):
         place = {"xytext": (-6, 0), "textcoords": "offset points", "ha": "right", "va": "center"}
         ax.annotate(text, (float(x), float(y)), fontsize=8, **place)  # pyright: ignore[reportArgumentType]
