@@ -18,6 +18,8 @@ Range = tuple[float | None, float | None]
 Cell = str | float | Range | None
 """None: not known."""
 UNKNOWN = "-"
+WIDEST = 20
+"""Characters of a name that a column of a terminal shows without a break."""
 MOST_PRINTED = 10
 """Rows of a table that `repr` shows."""
 
@@ -108,17 +110,16 @@ class Table:
         """Return the table as comma-separated values."""
         return pl.DataFrame(self._printed(), schema=self._header(), orient="row").write_csv()
 
-    def to_rich(self) -> "RichTable":
-        """Return the table for a terminal of 80 columns.
+    def to_rich(self, *, grouped: bool = False) -> "RichTable":
+        """Return the table for a terminal of 80 columns, with emphasized rows in bold.
 
-        Neighboring rows with the same first cell form a group under that name. Emphasized rows are bold.
+        ``grouped``: neighboring rows with the same first cell form a group under that name.
         """
         from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text
 
         names = [row[0] for row in self.rows]
-        grouped = len(set(names)) < len(names)
         drawn = RichTable(
             title=self.caption or None,
             title_justify="left",
@@ -126,10 +127,14 @@ class Table:
             show_edge=False,
             padding=(0, 1, 0, 0),
         )
-        for i, column in enumerate(self.columns[grouped:], start=grouped):
+        for i, column in enumerate(self.columns[grouped:], start=int(grouped)):
             words = all(isinstance(row[i], str) for row in self.rows)
-            heading = column.heading if words else "\n".join(wrap(column.heading, 11))
-            drawn.add_column(heading, justify="left" if words else "right", overflow="fold")
+            heading = "\n".join(wrap(column.heading, 8, break_long_words=False))
+            least = max(map(len, heading.split("\n")))
+            if words and self.rows:
+                least = max(least, min(WIDEST, *(len(str(row[i])) for row in self.rows)))
+            justify = "left" if words else "right"
+            drawn.add_column(heading, justify=justify, overflow="fold", min_width=least, no_wrap=not words)
         for i, cells in enumerate(self.rows):
             if grouped and (i == 0 or names[i] != names[i - 1]):
                 drawn.add_section()

@@ -107,7 +107,7 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
 
 def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
     for method, name in (
-        ("untuned", "data-sheet filter"),
+        ("untuned", "baseline"),
         ("imu_only", "IMU only"),
         ("tuned", "tuned UKF"),
     ):

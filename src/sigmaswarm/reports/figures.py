@@ -131,7 +131,7 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
     return [save(figure, stem.with_name(f"{stem.name}.png")), path]
 
 
-SVG_WIDTH = 4.2
+SVG_WIDTH = 3.4
 """Inches: width of a chart of a page; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen."""
 ROW_HEIGHT = 0.22
 """Inches: height of a category in it."""
