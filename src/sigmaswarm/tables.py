@@ -177,7 +177,7 @@ def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
 def numbers_of(cell: Cell) -> list[float] | None:
     """Return the number of a cell, or both ends of its range; None where one of them is not known."""
     ends = cell if isinstance(cell, tuple) else (cell,)
-    known = [end for end in ends if isinstance(end, int | float) and math.isfinite(end)]
+    known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
     return known if len(known) == len(ends) else None
 
 

@@ -129,7 +129,7 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     print_evaluation(failed)
     said = capsys.readouterr().out
     assert "(failed)" in said
-    assert "of the tuned filter" not in said
+    assert "drift of the tuned filter" not in said
 
 
 def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: Evaluation):

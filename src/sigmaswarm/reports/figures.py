@@ -159,7 +159,8 @@ def _svg(figure: Figure, **settings: str) -> str:
     _plain(figure)
     file = StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context({"svg.hashsalt": "sigmaswarm", **settings}), warnings.catch_warnings():
+    look: dict[Any, Any] = {"svg.hashsalt": "sigmaswarm", **settings}
+    with rc_context(look), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")
         figure.savefig(file, format="svg", metadata=metadata)
     return re.sub(

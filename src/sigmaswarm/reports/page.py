@@ -141,7 +141,8 @@ def _environment() -> Environment:
     made = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    made.filters.update(svg=lambda chart: Markup(svg(chart)), plain=_plain, cell=_cell)
+    filters: dict[str, Any] = {"svg": lambda chart: Markup(svg(chart)), "plain": _plain, "cell": _cell}  # pyright: ignore
+    made.filters.update(filters)
     return made
 
 

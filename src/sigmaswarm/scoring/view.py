@@ -245,8 +245,8 @@ def explained_consistency(nees: bool) -> str:
         f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
         f"{'' if nees else f' Beware: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
         "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
-        "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and averages "
-        "out less than the filter assumes."
+        "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
+        "averages out less than the filter assumes."
     )
 
 
