@@ -190,7 +190,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     assert rows["q_vx"][1:3] == (file["filter"]["process_noise"][2], "m2/s2 per nominal IMU step")
     assert rows["r_y"][1:3] == (file["filter"]["measurement_noise"][1], "m2")
     for name, ends in file["within_1_percent_of_the_cost"].items():
-        assert list(rows[name][3:5]) == ["the box's end" if e == "-" else e for e in ends]
+        assert list(rows[name][3:5]) == ["at the bound" if e == "-" else e for e in ends]
     for touched in file["result"]["touched_bounds"]:
         name = touched.split()[0]
         assert any(name in remark for remark in report.remarks)
@@ -208,7 +208,7 @@ def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path:
     path.write_text(tomli_w.dumps(file))
     rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
     for name, value in zip(("q_vx", "q_vy"), file["filter"]["process_noise"][2:4], strict=True):
-        assert (rows[name][1], *rows[name][3:5]) == (value, 1e-5, "the box's end")
+        assert (rows[name][1], *rows[name][3:5]) == (value, 1e-5, "at the bound")
         assert rows[name][6] == "at its upper bound (10)"
     assert [rows[name][3] for name in ("r_x", "r_y")] == [file["within_1_percent_of_the_cost"]["r_xy"][0]] * 2
     assert rows["q_theta"][6] != rows["q_vx"][6]
@@ -236,7 +236,7 @@ def test_a_tilted_filter_is_tuned_evaluated_and_shown(tmp_path: Path):
     rows = {row[0]: row for row in read_report(tuned).sections[0].tables[0].rows}
     for i, alike in enumerate(together.values()):
         for name in alike:
-            assert rows[name][3:5] == (1e-9 * (i + 1), "the box's end")
+            assert rows[name][3:5] == (1e-9 * (i + 1), "at the bound")
             assert ("at its upper bound" in str(rows[name][6])) == (name in together["q_tilt"])
 
 
@@ -247,7 +247,7 @@ def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
     file["result"]["touched_bounds"] = ["rear_axle at its upper bound (4)"]
     path.write_text(tomli_w.dumps(file))
     rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
-    said = "how far the IMU is ahead of the rear axle; negative: behind it"
+    said = "distance from the rear axle forward to the IMU; negative: the IMU is behind it"
     assert rows["rear_axle"][2] == "m"
     assert str(rows["rear_axle"][6]).startswith(said)
     assert "rear axle" not in str(rows["lateral_noise"][6])

@@ -103,7 +103,7 @@ def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
     if tuned <= FAR * other:
         return []
     why = (
-        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
-        f"data-sheet filter, which nobody tuned, {other:.3g} m"
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m on its training "
+        f"drives, the baseline {other:.3g} m"
     )
     return [to_do(REMEDY, why)]

@@ -26,5 +26,5 @@ def convergence_chart(history: History, best_trial: int, objective: str) -> Char
     costs = np.concatenate([np.asarray(curve.y, np.float64) for curve in curves])
     scale = "log" if np.all(costs[np.isfinite(costs)] > 0) else "linear"
     n = len(history.trials)
-    title = f"Convergence, {n} trials (the best one strong)" if n > 1 else "Convergence"
+    title = f"Convergence, {n} trials (the best one bold)" if n > 1 else "Convergence"
     return Chart(title, tuple(curves), Axis("generation"), Axis(f"cost: {objective}", scale, plain=True))
