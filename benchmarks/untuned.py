@@ -1,4 +1,4 @@
-"""What the data-sheet filter reaches, which stands beside every tuning: nobody tuned it, and it needs no training.
+"""The scores of the baseline that is compared with every tuning: it needs no training.
 
     python benchmarks/untuned.py ../shared/drives
 
