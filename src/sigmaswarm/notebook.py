@@ -1,7 +1,4 @@
-"""What notebooks show of a record: tables and tracks as HTML that needs nothing else, and pandas' tables.
-
-Of plain numbers and texts alone: each record says itself what it shows. Texts are escaped, since names come from logs.
-"""
+"""HTML of tables and tracks for notebooks, and pandas tables. Texts are escaped, since names come from logs."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,20 +16,20 @@ if TYPE_CHECKING:
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
 """Of a picture, in pixels."""
 MOST_POINTS = 400
-"""That a line of a picture has; a notebook keeps its pictures."""
+"""Points of a line in a picture; a notebook keeps its pictures."""
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""As in all other pictures, told apart by people who see few colours, too."""
+"""The colors of all other pictures, which color-blind readers can distinguish."""
 
 
 def number(value: float | None) -> str:
-    """Three digits that count, and thousands in full; a dash for what can't be said."""
+    """Format with three significant digits, thousands in full; a dash where the number is not known."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table whose first column names its rows, with what a screen reader goes by: a caption, and scopes of heads."""
+    """Return a table whose first column names its rows; caption and scopes serve screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)
@@ -50,21 +47,21 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
 
 
 def listed(title: str, sentences: Sequence[str]) -> str:
-    """Sentences under a title; nothing where there are none."""
+    """Return sentences under a title; nothing where there are none."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 
 
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
-    """A picture of paths from above, north up, east and north to one scale, and a sentence that says what it shows.
+    """Return a picture of paths from above, north up, with a sentence for screen readers.
 
     Parameters
     ----------
     title : str
-        What it is a picture of.
+        Subject of the picture.
     paths : mapping of str to (x, y)
-        m east and north, shape (n,) each; not finite where nothing is known. The one called fixes is drawn as dots.
-        A name of `COLORS` has its colour.
+        m east and north, shape (n,) each; not finite where unknown. The one named fixes is drawn as dots. Names of
+        `COLORS` have its colors.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}
@@ -93,7 +90,7 @@ def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
 
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Some of the points that are finite, first and last among them, shape (m, 2)."""
+    """Return finite points with the first and the last of them, thinned, shape (m, 2)."""
     points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) <= MOST_POINTS:
@@ -112,12 +109,12 @@ def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
 
 
 def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
-    """A table of pandas.
+    """Return a pandas table.
 
     Raises
     ------
     InputError
-        Where pandas is not installed.
+        If pandas is not installed.
     """
     try:
         import pandas as pd

@@ -1,4 +1,4 @@
-"""Reading a result file, TOML or JSON, into its typed record."""
+"""Read a result file, TOML or JSON, into its typed record."""
 
 import json
 import tomllib

@@ -26,11 +26,10 @@ def evaluate(
     cluster: str | None = None,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
-    """Compare a tuned filter with the same by data sheet, raw GPS, IMU only, and with another one.
+    """Compare a tuned filter with the baseline, raw GPS, IMU only, and another filter.
 
-    Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
-    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter's
-    forecasts miss the fixes by as much as it says.
+    Use drives that the tuning never saw. All methods start at the same moment from the same state. Without truth the
+    scores are the drift over outages, against the hidden fixes, and the consistency of the innovations.
 
     Examples:
 
@@ -45,27 +44,27 @@ def evaluate(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network is compared then.
+        A tuning.toml or its folder. The folder of `sigmaswarm learn` adds its network to the comparison.
     drives
-        Drive folders, or folders that hold drive folders; or URLs of such.
+        Drive folders, folders of drive folders, or their URLs.
     against
-        A second tuning to compare with, its folder or its tuning.toml; or a filter of your own, of any model: a file
-        with its parameters in a table [filter], as in a tuning.toml.
+        A second tuning to compare with, or a filter of your own, of any model: a file with its parameters in a table
+        [filter], as in a tuning.toml.
     out
-        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
+        Folder for scores.csv, scores.json, figures, and the files that `sigmaswarm report` reads.
     outage_length
         Seconds without fixes, after which the drift is measured.
     outage_seed
-        Places the outages: again and again, as often as the drive has room for.
+        Seed of the placements of the outages.
     as_recorded
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
-        was tuned so is evaluated so.
+        Use the log without preprocessing (stale fixes, gaps in the IMU), for diagnosis. A filter that was tuned so is
+        evaluated so.
     trust_log
-        Don't ask the doctor whether something is seriously wrong with the drives.
+        Skip the doctor's check of the drives.
     smooth
-        Also compare the tuned filter in hindsight, each of its estimates with all fixes known, later ones too.
+        Also compare the smoothed estimates of the tuned filter, which use later fixes too.
     swarm
-        Also compare a swarm of the tuned filter: sixteen side by side, differently tuned, whose mixture drives.
+        Also compare a bank of sixteen filters with different parameters around the tuned ones.
     cluster
         A Dask cluster whose workers read the drives and do the work: tcp://host:8786, a scheduler file, or local:4 for
         so many processes of this machine. The result does not depend on it.
@@ -132,7 +131,7 @@ def evaluate(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Say which drives the tuning has seen: scores on them flatter it."""
+    """Warn of drives that the tuning has seen: scores on them are too good."""
     import warnings
 
     from sigmaswarm.errors import SigmaswarmWarning

@@ -1,4 +1,4 @@
-"""One look for all pictures: colors that the color-blind can tell apart, and lines that stay legible in grey."""
+"""One look for all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
 
 from sigmaswarm.reports.views.charts import Dash, Look
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
@@ -10,7 +10,7 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 
 MANY = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
-"""For as many lines as there are; `DASHES` tells those apart that repeat a color."""
+"""Colors of many lines; `DASHES` distinguishes those that repeat a color."""
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
 
 # Line styles differ, too, so that a grey print stays legible.

@@ -11,7 +11,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.records import load_record
 from sigmaswarm.reports.page import Figure, Report, Section
 from sigmaswarm.reports.pages.commands import tune_command
-from sigmaswarm.reports.views.tuning import convergence_chart
+from sigmaswarm.reports.tuning import convergence_chart
 from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
