@@ -393,6 +393,23 @@ def test_nothing_of_a_drive_s_name_gets_out_of_its_text(folders: tuple[Path, Pat
     assert not re.search(r'(?:src|href)="(?!data:,|#)', text.split("<script", 1)[0])
 
 
+def test_a_page_of_many_drives_stays_below_2_mb_and_keeps_the_peaks(folders: tuple[Path, Path, Evaluation]):
+    report = read_report(folders[1])
+    (at,) = (i for i, section in enumerate(report.sections) if section.tracks)
+    view = report.sections[at].tracks
+    assert view is not None
+    many = replace(view, drives=view.drives * 40)
+    sections = tuple(replace(s, tracks=many) if i == at else s for i, s in enumerate(report.sections))
+    text = html_page(replace(report, sections=sections))
+    assert len(text.encode()) < 2e6
+    drawn = json.loads(unpacked(text))["drives"]
+    assert len(drawn) == 80
+    whole, thin = view.drives[0].series["tuned"], drawn[0]["series"]["tuned"]
+    assert 50 <= len(thin["time"]) < len(whole["time"])
+    assert max(thin["position_error"]) == pytest.approx(whole["position_error"].max(), abs=1e-3)
+    assert [thin["time"][0], thin["time"][-1]] == pytest.approx(whole["time"][[0, -1]].tolist(), abs=1e-3)
+
+
 # ---- folders that are none ----
 
 Edit = Callable[[Path], object]

@@ -247,6 +247,8 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
             assert said["mean"][method][measure] == pytest.approx(sum(each) / 2, rel=1e-12)
     manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("untuned", "tuned"))
     assert evaluation.improvement() == pytest.approx((manual - tuned) / manual * 100, rel=1e-12)
+    assert evaluation.mean("baseline", "position_rmse_m") == manual, "also by the printed name"
+    assert evaluation.improvement("baseline") == evaluation.improvement("untuned")
     assert said["improvement_percent"]["untuned"]["position_rmse_m"] == evaluation.improvement()
     sheet = said["mean"]["untuned"]["heading_rmse_deg"]
     expected = (sheet - said["mean"]["tuned"]["heading_rmse_deg"]) / sheet * 100
@@ -292,6 +294,18 @@ def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for row in frame.iter_rows(named=True):
         assert {m: row[m] for m in MEASURES} == said[row["drive"]][METHODS[NAMES.index(row["method"])]]
+
+
+def test_print_and_the_notebook_show_the_means_and_each_warning_once(evaluation: Evaluation):
+    printed, shown = repr(evaluation), evaluation._repr_html_()
+    assert len(printed.splitlines()) <= 15
+    assert printed.startswith(evaluation.view.result())
+    (warning,) = evaluation.view.warnings()
+    assert "WORSE than the baseline" in warning
+    for text in (printed, shown):
+        assert text.count("WORSE than the baseline") == 1
+        assert all(name in text for name in NAMES)
+    assert all(drive.name in shown for drive in DRIVES)
 
 
 def test_without_truth_only_the_drift_can_be_said():

@@ -145,16 +145,23 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """The mean of a measure over the drives that have it; None where none has, or the method failed."""
+        """Return the mean of a measure over the drives that have it; None where none has, or the method failed.
+
+        ``method`` is a key as in scores.json (``untuned``) or a name as it is printed (``baseline``).
+        """
+        method = self._key(method)
         if any(found.scores[method].failed for found in self.drives.values()):
             return None
         known = [v for drive in self.drives if (v := self.value(drive, method, measure)) is not None]
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
-        """One figure, None where it can't be said."""
-        value = MEASURES[measure].of(self.drives[drive].scores[method])
+        """Return one score, or None where it is not known; ``method`` as in `mean`."""
+        value = MEASURES[measure].of(self.drives[drive].scores[self._key(method)])
         return float(value) if np.isfinite(value) else None
+
+    def _key(self, method: str) -> str:
+        return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
         """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
