@@ -43,7 +43,7 @@ class Opened:
         self.page.on("dialog", lambda dialog: self.complaints.append(f"dialog: {dialog.message}"))
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(file.as_uri())
-        self.page.wait_for_function("'ready' in document.body.dataset")
+        self.page.wait_for_selector("body[data-ready]")
 
     def run(self, script: str):
         return self.page.evaluate(script)

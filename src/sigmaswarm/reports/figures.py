@@ -104,6 +104,8 @@ def save_both(figure: Figure, stem: Path) -> list[Path]:
 
 SVG_WIDTH = 3.4
 """Inches: width of a chart of a page; the page scales it, to 1.2 times on a phone and to 1.8 times on a screen."""
+LONG_NAME = 22
+"""Characters of a name above which the legend has one column."""
 ROW_HEIGHT = 0.22
 """Inches: height of a category in it."""
 
@@ -111,13 +113,14 @@ ROW_HEIGHT = 0.22
 def svg(chart: Chart) -> str:
     """Return a chart without its title as an SVG element that is as wide as its container."""
     named = set(chart.names)
+    columns = 2 if max(map(len, named), default=0) <= LONG_NAME else 1
     height = 0.5 + ROW_HEIGHT * len(chart.y.categories) if chart.y.categories else 2.4
     with rc_context({"font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure = figure_of(
             replace(chart, title=""),
-            size=(SVG_WIDTH, height + 0.16 * -(-len(named) // 2)),
+            size=(SVG_WIDTH, height + 0.16 * -(-len(named) // columns)),
             legend="below" if named else "none",
-            legend_columns=2,
+            legend_columns=columns,
         )
         text = _svg(figure, **{"svg.fonttype": "none"})
     return re.sub(
