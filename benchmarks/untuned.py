@@ -28,9 +28,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    print(
-        "| tested on | data-sheet filter | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |"
-    )
+    print("| tested on | baseline | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |")
     print("|---" * 6 + "|")
     for name, parts in cases(options.drives).items():
         if ">" in name or "outliers" in name:  # a stranger's drives: what was tuned plays no part here

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -212,5 +211,5 @@ def _cell(cell: Cell, column: Column) -> dict[str, Any]:
 
 def _plain(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return ", ".join(map(str, chain(value))) or "none"  # pyright: ignore
+        return ", ".join(map(str, value)) or "none"  # pyright: ignore
     return str(value)
