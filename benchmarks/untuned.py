@@ -1,4 +1,4 @@
-"""What the data-sheet filter reaches, which stands beside every tuning: nobody tuned it, and it needs no training.
+"""The scores of the baseline that is compared with every tuning: it needs no training.
 
     python benchmarks/untuned.py ../shared/drives
 
@@ -28,9 +28,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    print(
-        "| tested on | data-sheet filter | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |"
-    )
+    print("| tested on | baseline | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |")
     print("|---" * 6 + "|")
     for name, parts in cases(options.drives).items():
         if ">" in name or "outliers" in name:  # a stranger's drives: what was tuned plays no part here

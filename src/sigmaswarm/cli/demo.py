@@ -29,9 +29,9 @@ def demo(
     import sigmaswarm
     from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout
     from sigmaswarm.cli.progress import tuning_progress
-    from sigmaswarm.cli.report import save_page
     from sigmaswarm.errors import InputError
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.reports.pages.folders import save_page
     from sigmaswarm.reports.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
     from sigmaswarm.tuning.defaults import with_filter

@@ -30,9 +30,9 @@ def evaluate(
 ) -> None:
     """Evaluate a tuned filter on drives.
 
-    It is compared with the data-sheet filter, raw GPS, IMU only and, with --against, another filter. Use drives that
-    the tuning never saw. All methods start at the same time from the same state. Without truth only the drift over
-    outages and the consistency of the forecasts are measured.
+    It is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that the tuning
+    never saw. All methods start at the same time from the same state. Without truth the scores are the drift over
+    outages, against the hidden fixes, and the consistency of the innovations.
 
     Examples:
 
@@ -123,7 +123,7 @@ def evaluate(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Say which drives the tuning has seen: scores on them flatter it."""
+    """Warn of drives that the tuning has seen: scores on them are too good."""
     import warnings
 
     from sigmaswarm.errors import SigmaswarmWarning

@@ -32,9 +32,8 @@ def plot(
         NAME.png; by default the drive's name, in the current folder.
     """
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.reports.draw.png import save
-    from sigmaswarm.reports.drive_figure import drive_figure
-    from sigmaswarm.reports.style import check_file
+    from sigmaswarm.reports.drive import drive_figure
+    from sigmaswarm.reports.figures import check_file, save
 
     if out is not None:
         check_file(out)

@@ -6,9 +6,9 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.comparison import Comparison
 from sigmaswarm.files import write_whole
-from sigmaswarm.reports.draw.png import figure_of, save
-from sigmaswarm.reports.draw.text import Printed
+from sigmaswarm.reports.figures import figure_of, save
 from sigmaswarm.reports.views import compare as views
+from sigmaswarm.tables import Table
 
 
 def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
@@ -19,9 +19,9 @@ def save_comparison(comparison: Comparison, folder: Path) -> list[Path]:
     return [table, *frames, save(comparison_figure(comparison), folder / "comparison.png")]
 
 
-def comparison_table(comparison: Comparison) -> Printed:
+def comparison_table(comparison: Comparison) -> Table:
     """Tabulate each optimizer: medians with intervals, worst runs and tests; print it with to_markdown() and others."""
-    return Printed(views.comparison_table(comparison))
+    return views.comparison_table(comparison)
 
 
 def comparison_figure(comparison: Comparison) -> Figure:

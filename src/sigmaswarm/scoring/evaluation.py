@@ -48,6 +48,7 @@ from sigmaswarm.scoring.targets import (
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
 from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class Evaluated:
         return DriveRecord.model_validate({**self.data, **of})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """Scores of every method on every drive.
 
@@ -144,16 +145,23 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """The mean of a measure over the drives that have it; None where none has, or the method failed."""
+        """Return the mean of a measure over the drives that have it; None where none has, or the method failed.
+
+        ``method`` is a key as in scores.json (``untuned``) or a name as it is printed (``baseline``).
+        """
+        method = self._key(method)
         if any(found.scores[method].failed for found in self.drives.values()):
             return None
         known = [v for drive in self.drives if (v := self.value(drive, method, measure)) is not None]
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
-        """One figure, None where it can't be said."""
-        value = MEASURES[measure].of(self.drives[drive].scores[method])
+        """Return one score, or None where it is not known; ``method`` as in `mean`."""
+        value = MEASURES[measure].of(self.drives[drive].scores[self._key(method)])
         return float(value) if np.isfinite(value) else None
+
+    def _key(self, method: str) -> str:
+        return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
         """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
@@ -183,14 +191,14 @@ class Evaluation:
     @property
     def record(self) -> ScoresRecord:
         """As scores.json holds it."""
-        told = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
+        consistency = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
         return ScoresRecord(
             drives={
                 drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in self.names}
                 for drive in self.drives
             },
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
-            consistency=told,
+            consistency=consistency,
             restarts={
                 drive: {m: list(found.restarts.get(m, ())) for m in self.names if m in found.restarts}
                 for drive, found in self.drives.items()
@@ -201,18 +209,32 @@ class Evaluation:
                 if over in self.names
             },
             drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
+            failed={
+                drive: failed
+                for drive, found in self.drives.items()
+                if (failed := [m for m, score in found.scores.items() if score.failed])
+            },
+            stale_fixes={drive: found.frozen for drive, found in self.drives.items() if found.frozen},
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
+        """Return scores.json: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
         return self.record.model_dump(mode="json")
 
+    @property
+    def view(self) -> EvaluationView:
+        """Tables and sentences, as the terminal, notebooks and the page show them."""
+        return EvaluationView(self.record, self.asked, self.names)
+
     def to_frame(self) -> pl.DataFrame:
-        """One row per drive and method."""
+        """Return one row per drive and method; methods have the names that the command line prints."""
+        return self._frame(self.names)
+
+    def _frame(self, names: Mapping[str, str]) -> pl.DataFrame:
         rows = [
-            {"drive": drive, "method": m, **{k: self.value(drive, m, k) for k in MEASURES}}
+            {"drive": drive, "method": name, **{k: self.value(drive, m, k) for k in MEASURES}}
             for drive in self.drives
-            for m in self.names
+            for m, name in names.items()
         ]
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
@@ -226,33 +248,17 @@ class Evaluation:
         """
         return notebook.to_pandas(self.to_frame().to_dict(as_series=False))
 
+    def __repr__(self) -> str:
+        return self.view.to_text()
+
     def _repr_html_(self) -> str:
-        """What a notebook shows: means over the drives, each drive below, and where raw GPS is better."""
-        heads = ("method", *(measure.heading for measure in self.measures.values()))
-
-        def rows(value: Callable[[str, str], float | None]) -> list[list[str]]:
-            return [
-                [name, *(notebook.number(value(m, k)) for k in MEASURES)] for m, name in self.names.items()
-            ]
-
-        each = "".join(
-            notebook.table(drive, heads, rows(partial(self.value, drive))) for drive in self.drives
-        )
-        if len(self.drives) == 1:
-            return each + notebook.listed("To know:", self.worse_than_raw)
-        shown = notebook.table(
-            f"Mean over {len(self.drives)} drives, lower is better", heads, rows(self.mean)
-        )
-        return (
-            f"{shown}{notebook.listed('To know:', self.worse_than_raw)}"
-            f"<details><summary>each drive</summary>{each}</details>"
-        )
+        return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
         """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; their paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
-        write_whole(paths[1], self.to_frame().write_csv())
+        write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
         write_json(paths[2], self.asked.model_dump())
         save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
         if self.against is not None:

@@ -4,8 +4,8 @@ from math import inf
 
 from sigmaswarm.experiments.study.config import MAIN
 from sigmaswarm.experiments.study.record import PairedComparison, Results, StudyRecord
+from sigmaswarm.reports.page import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.style import STUDY_LOOKS
-from sigmaswarm.reports.views.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.views.study_charts import convergence_chart, means_chart, spread_chart
 from sigmaswarm.reports.views.study_rivals import curve_charts, rivals_tables
 from sigmaswarm.reports.views.study_tables import (

@@ -7,7 +7,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.reports.style import DASHES, MANY
 from sigmaswarm.reports.views.charts import Axis, Band, Chart, Curve, Look, Mark, Points
-from sigmaswarm.reports.views.record import Cell, Column, Table
+from sigmaswarm.tables import Cell, Column, Table
 
 
 def comparison_table(comparison: Comparison) -> Table:

@@ -51,8 +51,8 @@ def means_chart(
         symbols=tuple("triangle-right" if mean > high else "circle" for mean in means),
         texts=tuple(short_number(mean) if mean > high else "" for mean in means),
         hovers=tuple(
-            f"{results.label(row.method, row.protocol)}: {mean:.3g}<br>95% for new drives: {_text(far)}"
-            f"<br>95% over trials: {_text(near)}"
+            f"{results.label(row.method, row.protocol)}: {mean:.3g}\n95% for new drives: {_text(far)}"
+            f"\n95% over trials: {_text(near)}"
             for (row, mean), far, near in zip(rows, wide, narrow, strict=True)
         ),
     )

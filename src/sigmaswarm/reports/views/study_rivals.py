@@ -7,7 +7,6 @@ from sigmaswarm.experiments.study.config import BESIDE, LONG_OUTAGES
 from sigmaswarm.experiments.study.record import CurvePoint, Results, RivalResults
 from sigmaswarm.reports.style import LOOKS
 from sigmaswarm.reports.views.charts import Axis, Band, Chart, Curve, Look, Mark
-from sigmaswarm.reports.views.record import Cell, Column, Table
 from sigmaswarm.reports.views.study_tables import (
     DRIFT,
     HEADING,
@@ -21,6 +20,7 @@ from sigmaswarm.reports.views.study_tables import (
     study_table,
     with_intervals,
 )
+from sigmaswarm.tables import Cell, Column, Table
 
 LENGTHS = {DRIFT: "5 s", **{measure: f"{length:g} s" for measure, length in LONG_OUTAGES.items()}}
 """Lengths of the outages, by measure."""

@@ -14,7 +14,7 @@ from sigmaswarm.experiments.study.record import (
     Variant,
     VariantSummary,
 )
-from sigmaswarm.reports.views.record import Cell, Column, Table
+from sigmaswarm.tables import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}

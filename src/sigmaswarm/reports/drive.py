@@ -121,6 +121,7 @@ def _draw_fixes(axes: Axes, drive: Drive, origin: float) -> None:
     gps, truth = drive.gps, drive.truth
     if truth is None:
         axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=_FIX, ms=3)
+        axes.set_ylim(bottom=0.0)
         axes.set_ylabel("time from fix\nto fix, s")
         return
     # NaN where fixes are missing, so that no line pretends to know the error there.

@@ -1,10 +1,9 @@
 "use strict";
-(() => {
-  const data = JSON.parse(document.getElementById("data").textContent);
+(async () => {
   const el = (id) => document.getElementById(id);
+  const data = el("data") && JSON.parse(await unpacked("data"));
   // A finger that scrolls the page must not zoom: on touch screens the fields "from" and "to" do.
   const TOUCH = matchMedia("(pointer: coarse)").matches;
-  const STILL = { responsive: true, displayModeBar: false };
   const EXPLORED = { responsive: true, displaylogo: false, modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"]] };
   const PAPER_WIDTH = 660; // px of an A4 page between its margins
 
@@ -17,11 +16,16 @@
     xaxis: axis(more.xaxis), yaxis: axis(more.yaxis),
   });
 
-  function drawCharts() {
-    for (const div of document.querySelectorAll("[data-chart]")) {
-      const chart = data.charts[Number(div.dataset.chart)];
-      Plotly.newPlot(div, chart.traces, layout(chart.layout), STILL);
-    }
+  async function unpacked(id) {
+    const bytes = Uint8Array.from(atob(el(id).textContent), (c) => c.charCodeAt(0));
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Response(stream).text();
+  }
+
+  async function loadPlotly() {
+    const script = document.createElement("script");
+    script.textContent = await unpacked("plotly");
+    document.head.append(script);
   }
 
   // ---- tables ----
@@ -56,7 +60,7 @@
 
   // ---- tracks and errors ----
 
-  const LINES = data.tracks?.lines ?? [];
+  const LINES = data?.lines ?? [];
   const DRAWN = LINES.map((line) => line.series).reverse(); // the last one on top
   const look = (name) => LINES.find((line) => line.series === name);
   const state = { drive: null, window: null, known: true }; // known: the drive has truth
@@ -191,7 +195,7 @@
 
   // As far as the main filter goes; a lost heading must not hide a good one.
   function headingRange(traces) {
-    const errors = state.known ? [{ y: state.drive.series[data.tracks.main]?.heading_error ?? [] }] : traces;
+    const errors = state.known ? [{ y: state.drive.series[data.main]?.heading_error ?? [] }] : traces;
     const most = finite(errors).map(Math.abs).reduce((a, b) => Math.max(a, b), state.known ? 4 : 0.1);
     return [-1, 1].map((side) => side * Math.min(180, 1.2 * most));
   }
@@ -214,7 +218,7 @@
   }
 
   function showMoment(t) {
-    const name = [data.tracks.main, "truth", "raw_gps"].find((n) => state.drive.series[n]);
+    const name = [data.main, "truth", "raw_gps"].find((n) => state.drive.series[n]);
     const s = state.drive.series[name];
     const at = s.time.findIndex((v) => v >= t);
     const last = el("map").data.length - 1;
@@ -222,7 +226,7 @@
   }
 
   function chooseDrive() {
-    state.drive = data.tracks.drives[Number(el("drive").value)];
+    state.drive = data.drives[Number(el("drive").value)];
     state.known = finite(Object.values(state.drive.series).map((s) => ({ y: s.position_error ?? [] }))).length > 0;
     el("over-time").textContent = state.known ? "Errors over time" : "3 sigma over time";
     el("no-truth").hidden = state.known;
@@ -249,12 +253,12 @@
   }
 
   function makeControls() {
-    data.tracks.drives.forEach((drive, i) => el("drive").append(option(i, drive.name)));
+    data.drives.forEach((drive, i) => el("drive").append(option(i, drive.name)));
     for (const { series, label } of LINES) {
-      if (data.tracks.drives.some((drive) => drive.series[series]?.position_3sigma)) el("sigma").append(option(series, label));
+      if (data.drives.some((drive) => drive.series[series]?.position_3sigma)) el("sigma").append(option(series, label));
     }
     el("sigma").append(option("", "none"));
-    el("sigma").value = data.tracks.main;
+    el("sigma").value = data.main;
     for (const { series, label: text, color, dash, shown: checked } of LINES) {
       const box = Object.assign(document.createElement("input"), { type: "checkbox", id: `method-${series}`, checked });
       const label = document.createElement("label");
@@ -323,12 +327,13 @@
   }
 
   makeSortable();
-  drawCharts();
-  if (data.tracks) {
+  el("copy")?.addEventListener("click", copyCommand);
+  if (data) {
+    await loadPlotly();
     makeControls();
     chooseDrive();
     linkTime();
+    fitPaper();
   }
-  el("copy")?.addEventListener("click", copyCommand);
-  fitPaper();
+  document.body.dataset.ready = "";
 })();
