@@ -117,7 +117,7 @@ def suited(drives: Sequence[Drive | Equipment]) -> Suited:
     Not taken are the gate (tuned on one receiver it turns good fixes of another away), the receiver's velocity (no log
     with truth was at hand that has it) and latency. Models are not chosen by scores: held-out likelihood and forecasts
     chose 18 to 24% worse than the best in the mean, and 61 to 122% at worst; one good model for all was 4 to 12%
-    worse. The figures stand in docs/results.md, "What tune takes by itself".
+    worse. The figures stand in docs/results.md, "Default filter".
     """
     found = [equipment(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)

@@ -14,7 +14,7 @@ from sigmaswarm.filters.parameters import clash
 PLAIN = "planar5"
 """The paper's model, which uses nothing beside the fixes unless it is asked to."""
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
-"""With truth and without: docs/objectives.md, "With truth" and "Fixes that lie far off"."""
+"""With truth and without: docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Without truth, of a filter that knows tilts, where fixes err anew each time: what it forecasts over seconds then
 tells it from others. Where errors last, forecasts are of these: on a u-blox M8's it ended at 11 m in place of 4. A

@@ -197,7 +197,7 @@ def _dimensions(
 
     A car does not know the compass. Fitted to roads to the east, a filter had 1000 times more noise of the velocity to
     the north; on a road close to the north the lateral constraint then mends an error to the side by a push along the
-    road, up to sqrt(1000) / 2 times as large: docs/results.md, "Why the lateral constraint...".
+    road, up to sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING
