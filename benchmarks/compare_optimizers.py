@@ -125,6 +125,9 @@ def ways(found: dict[str, Comparison]) -> str:
     measures = ("cost", "held_out_rmse")
     titles = ["optimizer", *(f"{model}: {COMPARED[m]}" for model in found for m in measures)]
     rows = zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True)
+    rows = (
+        row for row in rows if row[0]["optimizer"] not in BASE[3:]
+    )  # these are in the table of held-out drives
     return markdown(
         titles, ([f"`{row[0]['optimizer']}`", *(cell(r, m) for r in row for m in measures)] for row in rows)
     )
