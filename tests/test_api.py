@@ -45,6 +45,13 @@ def test_every_public_name_is_there():
     assert set(sigmaswarm.__all__) <= set(dir(sigmaswarm))
 
 
+@pytest.mark.parametrize("old", ["LiveSwarm", "run_swarm", "datasheet"])
+def test_names_of_0_3_0_still_work_and_name_their_successor(old: str):
+    with pytest.warns(DeprecationWarning, match=f"sigmaswarm.{old} is now (.*)") as warned:
+        found = getattr(sigmaswarm, old)
+    assert found is getattr(sigmaswarm, str(warned[0].message).rsplit(" ", 1)[1])
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="'sigmaswarm' has no attribute 'tone'"):
         sigmaswarm.tone  # noqa: B018

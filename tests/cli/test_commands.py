@@ -276,8 +276,8 @@ def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
     ended = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv", "--json")
     assert json.loads(ended.out)["restarts_s"] == restarts
     said = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv").out
-    assert f"the filter lost its way and started anew at t = {restarts[0]:.2f}" in said
-    assert "started anew" in sigmaswarm("evaluate", "gated.toml", "aside").out
+    assert f"the filter diverged and was reset at t = {restarts[0]:.2f}" in said
+    assert "was reset" in sigmaswarm("evaluate", "gated.toml", "aside").out
 
 
 def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.reports.draw.png import figure_of, save
 from sigmaswarm.reports.evaluation import comparison, errors, save_evaluation, tracks
@@ -90,7 +90,7 @@ def test_tracks_show_the_whole_and_a_close_up():
     np.testing.assert_array_equal(drawn["raw GPS"].get_xydata(), np.column_stack([DRIVE.gps.x, DRIVE.gps.y]))
     np.testing.assert_array_equal(drawn["tuned UKF"].get_xydata(), run_filter(DRIVE, GOOD).mean[:, :2])
     np.testing.assert_array_equal(
-        drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, datasheet(DRIVE, like=GOOD)).mean[:, :2]
+        drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, baseline(DRIVE, like=GOOD)).mean[:, :2]
     )
     np.testing.assert_array_equal(drawn["filter starts"].get_xydata(), [initial_state(DRIVE).mean[:2]])
     low, high = close.get_xlim()

@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
@@ -150,7 +150,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for drive in DRIVES:
         start = initial_state(drive)
-        sets = [GOOD, datasheet(drive, like=GOOD)]
+        sets = [GOOD, baseline(drive, like=GOOD)]
         batch = Replayer([drive], outages=False).scores(sets)
         short, long = (drifts_of(drive, sets, length) for length in (5.0, 30.0))
         for i, method in enumerate(METHODS[:2]):
@@ -266,7 +266,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert found.drives[aside.name].restarts["tuned"] == times
     assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
     (said,) = found.restarted
-    assert said.startswith(f"the tuned filter lost its way on {aside.name} and started anew")
+    assert said.startswith(f"the tuned filter diverged on {aside.name} and was reset")
     assert f"t = {times[0]:.1f}" in said
     plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
     rmse = found.value(aside.name, "tuned", "position_rmse_m")
@@ -344,7 +344,7 @@ def test_the_outages_options_reach_the_outages():
     assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
     assert one["position_rmse_m"] == other["position_rmse_m"] == longer["position_rmse_m"]
     assert other["outage_drift_m"] == pytest.approx(
-        drifts_of(DRIVES[0], [datasheet(DRIVES[0], like=GOOD)], 5.0, 3)[0], rel=1e-12
+        drifts_of(DRIVES[0], [baseline(DRIVES[0], like=GOOD)], 5.0, 3)[0], rel=1e-12
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.lost import drifts_of, may_drift_far, said_of_drifts, said_of_lost
 from sigmaswarm.tuning.problem import car_problem
@@ -30,10 +30,10 @@ def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
             lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
         except SigmaswarmError:
             continue
-        said = [doubt for doubt in problem.doubts(point) if "the tuned filter lost its way" in doubt]
+        said = [doubt for doubt in problem.warnings(point) if "the tuned filter diverged" in doubt]
         assert bool(said) == any(lost.values())
         assert all(
-            (f"lost its way on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
+            (f"diverged on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
         )
         seen.add(bool(said))
     assert seen == {True, False}
@@ -70,7 +70,7 @@ def test_a_car_that_stands_has_no_drift():
         imu=replace(imu, ax=0.0 * imu.ax, ay=0.0 * imu.ay, gz=0.0 * imu.gz),
         gps=replace(gps, x=0.0 * gps.x, y=0.0 * gps.y),
     )
-    assert np.isnan(drifts_of(PreparedDrive(still), datasheet(DRIVE))).all()
+    assert np.isnan(drifts_of(PreparedDrive(still), baseline(DRIVE))).all()
 
 
 @needs_shared
@@ -86,8 +86,8 @@ def test_a_search_that_ended_too_early_is_noticed():
 def test_it_names_three_drives_and_counts_the_others():
     assert said_of_lost([("one", []), ("two", [])]) == []
     (said,) = said_of_lost([(f"drive-{i}", [10.25, 31.0][: i % 2 + 1]) for i in range(5)] + [("sound", [])])
-    assert "lost its way on drive-0 and started anew once, at t = 10.2 s" in said
-    assert "it lost its way on drive-1 and started anew 2 times, at t = 10.2, 31.0 s" in said
+    assert "diverged on drive-0 and was reset once, at t = 10.2 s" in said
+    assert "it diverged on drive-1 and was reset 2 times, at t = 10.2, 31.0 s" in said
     assert "drive-3" not in said
     assert "and on 2 more drives" in said
     assert "sound" not in said

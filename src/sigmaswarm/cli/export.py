@@ -87,7 +87,7 @@ def export(
 
 def _found(checked: "Checked", lanes: int) -> str:
     """One line on a drive."""
-    library = "sigmaswarm run" if lanes == 1 else "a LiveSwarm without searches"
+    library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in any state (relative, above 1)"
     single = checked.single
     if single is None:

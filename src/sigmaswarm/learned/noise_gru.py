@@ -134,7 +134,7 @@ class NoiseRun(Recording):
         """Look at the last fix before a step's end, and scale what comes."""
         fix, time = self._last[step]
         seen = self._innovations[fix]
-        theta = float(self._believed()[0][THETA])
+        theta = float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time
         features = features_of(np, seen[:2], seen[2:], theta, since)
         if np.isfinite(features).all():
@@ -147,8 +147,8 @@ class NoiseRun(Recording):
         self._rows[0, self._q] = q * self._own_q
         self._rows[0, [R.RX, R.RY]] = r * self._own_r
 
-    def _start_anew(self, start: Any) -> None:
-        super()._start_anew(start)
+    def _reset(self, start: Any) -> None:
+        super()._reset(start)
         self._scale()
 
 

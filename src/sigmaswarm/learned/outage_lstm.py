@@ -228,10 +228,10 @@ class OutageRun(Recording):
 
     @property
     def _heading(self) -> float:
-        return float(self._believed()[0][THETA])
+        return float(self._estimate()[0][THETA])
 
-    def _start_anew(self, start: InitialState) -> None:
-        super()._start_anew(start)
+    def _reset(self, start: InitialState) -> None:
+        super()._reset(start)
         self._begin, self._velocity = {}, {}  # of the filter that was lost
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
-from sigmaswarm.filters.groups import Chunk
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import definite, pack_states, unpack_states
@@ -59,7 +59,7 @@ class Displacements:
         self._replay = replay
         self._model: ModelName = parameters.model
         n = parameters.n_states
-        self._chunk = Chunk.of((parameters,) * (n + 1))
+        self._array = KernelArray((parameters,) * (n + 1))
         tilts = MODELS[self._model].tilts
         self._plus = tilts.plus if tilts else np.add
         self._minus = tilts.minus if tilts else np.subtract
@@ -126,7 +126,7 @@ class Displacements:
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
         rows[R.FACED] = 0.0
         rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
-        run_steps(self._replay, self._chunk, rows, begin.place.copy(), stop)
+        run_steps(self._replay, self._array, rows, begin.place.copy(), stop)
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)
         return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
 

@@ -14,16 +14,16 @@ from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined, run_replays
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.batch import scores_of
-from sigmaswarm.scoring.doubt import root_mean
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import (
     Seed,
-    drift_counts,
     drift_reference,
+    drift_weights,
     outage_replay,
     outage_windows,
     placements,
 )
+from sigmaswarm.scoring.truth_noise import root_mean
 
 SMOOTHED = "smoothed"
 """The method that is the tuned filter in hindsight."""
@@ -132,7 +132,7 @@ class Outages:
         reference = drift_reference(self._ready)
         true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
         squares = np.square(places - np.column_stack(true)).sum(axis=1)
-        of.append(root_mean(squares, drift_counts(self._ready, ends)))
+        of.append(root_mean(squares, drift_weights(self._ready, ends)))
 
     def drift(self, method: str) -> float:
         """RMS over the outages of all placements, m; NaN where none fits or the method failed."""
@@ -157,4 +157,4 @@ def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: np.ndarray
         np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
         for i, column in enumerate((reference.x, reference.y))
     ]
-    return root_mean(np.square(errors).sum(axis=0), drift_counts(ready, ends))
+    return root_mean(np.square(errors).sum(axis=0), drift_weights(ready, ends))

@@ -17,16 +17,15 @@ from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmar
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.records import (
@@ -48,6 +47,7 @@ from sigmaswarm.scoring.targets import (
     tracking_replay,
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.truth_noise import share_known
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Evaluated:
     data : mapping
         What identifies the drive.
     restarts : mapping of method to tuple of float
-        s: when a filter was lost and started anew, see `filters.recovery`.
+        s: when a filter was lost and started anew, see `filters.divergence`.
     frozen : int
         Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
     drifts : mapping of measure to DriftRecord
@@ -312,7 +312,7 @@ def evaluate(
         Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
         behind it.
     swarm : bool
-        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveSwarm`.
+        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
         What else to compare, by names of `ALSO`: each makes a run of a replay, as of a trained network.
     cluster : distributed.Client, optional
@@ -336,7 +336,7 @@ def evaluate(
     if smooth:
         also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
     if swarm:
-        also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
+        also[SWARM] = partial(BankRun, parameters=parameters, recover=True, as_recorded=as_recorded)
     also |= more
     one = partial(
         _one,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
-from sigmaswarm.filters.recovery import said_of_restarts
+from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.scoring.consistency import CORRELATED
 from sigmaswarm.scoring.drifts import UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure

@@ -27,8 +27,8 @@ from sigmaswarm.wording import shown
 class BatchResult:
     """Costs and scores of a batch.
 
-    Only what the objective asks for is run: where it has no drifts or forecasts, these are NaN in the scores. Medians
-    and longer outages are always: `evaluate`, which runs each filter by itself, has them.
+    Only the passes that the objective needs are run: drifts and forecasts may be NaN in the scores. Medians and longer
+    outages are always NaN; `evaluate` has them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ def run_batch(
 ) -> BatchResult:
     """Run every parameter set over every drive and score it.
 
-    A set that fails is marked and costs ``inf``; it changes nothing for the others.
+    A set that fails is marked and costs ``inf``; the others are not affected.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives that counts for the cost, the worst ones of each set.
+        Share of the drives in the cost: the worst ones of each set.
     outage_seed : int
-        Places the outages, where the objective has them.
+        Seed of the outages, where the objective has them.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+        Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps.
     executor : concurrent.futures.Executor, optional
-        Shares the work; threads on all cores by default. The result's bits do not depend on it.
+        Runs the work; threads on all cores by default. The bits of the result do not depend on it.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def run_batch(
 
 
 def _sets_given(given: Any) -> Sequence[FilterParameters]:
-    """What was given, one or many, if they are parameters."""
+    """One or many parameter sets, checked."""
     sets: list[Any] = listed(given)
     stray = [type(one).__name__ for one in sets if not isinstance(one, FilterParameters)]
     if stray:
@@ -126,7 +126,7 @@ def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> N
 
 
 def replays_for(objective: Objective, held: Held, seed: int, *, as_recorded: bool) -> Replays:
-    """The drives, made ready where they are for the passes that an objective needs.
+    """Prepare the drives, where they are, for the passes that an objective needs.
 
     Raises
     ------

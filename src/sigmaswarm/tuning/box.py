@@ -78,7 +78,7 @@ class Box:
         return np.zeros(len(self.names), dtype=np.bool_)
 
     @property
-    def doubts(self) -> Array:
+    def inflations(self) -> Array:
         """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
         return np.zeros(len(self.names))
 

@@ -83,7 +83,7 @@ class ModelProblem:
         """The cost at a point."""
         return float(self.costs(point[np.newaxis], executor)[0])
 
-    def doubts(self, point: Array) -> list[str]:
+    def warnings(self, point: Array) -> list[str]:
         """None: what the data of a model of the user's own are is not known."""
         return []
 

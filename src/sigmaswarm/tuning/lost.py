@@ -12,10 +12,10 @@ import numpy as np
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import InputError
+from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Recording
-from sigmaswarm.filters.recovery import said_of_restarts
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.scoring.drifts import UNTUNED, Outages
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
@@ -78,7 +78,7 @@ def drifts_of(
         )
     except InputError:  # the car stands there
         return np.nan, np.nan
-    outages.run({"tuned": parameters, UNTUNED: datasheet(ready.drive, like=parameters)}, watched=False)
+    outages.run({"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}, watched=False)
     return outages.drift("tuned"), outages.drift(UNTUNED)
 
 

@@ -67,7 +67,7 @@ def with_margin(
     """
     space = problem.space
     decades = np.arange(0.0, DECADES + STEP / 2, STEP)
-    points = np.minimum(point + decades[:, None] * space.doubts, np.maximum(space.high, point))
+    points = np.minimum(point + decades[:, None] * space.inflations, np.maximum(space.high, point))
     costs = problem.costs(points, executor)
     share = margin * min(1.0, PER / sum(entry["duration_s"] for entry in problem.data))
     within = np.logical_and.accumulate(problem.rise(costs, cost) <= share)

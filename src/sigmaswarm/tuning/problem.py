@@ -1,4 +1,4 @@
-"""What a tuning minimizes: a filter's cost on data, over a box."""
+"""The problem that a tuning solves: a filter's cost on data, over a box."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -45,12 +45,12 @@ from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
-HELD = 0.02
-"""Nats a fix that the prior costs, from which on a user is told that it decided R."""
+PRIOR_DECIDED = 0.02
+"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
 
 
 class Landscape(Protocol):
-    """What a search needs: a box, and the costs of points in it."""
+    """A box, and the costs of points in it."""
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -76,7 +76,7 @@ class Landscape(Protocol):
 
 
 class Problem(Landscape, Protocol[P]):
-    """What `tune` needs to know of a filter, its data and its objective."""
+    """A filter, its data and its objective, as `tune` uses them."""
 
     @property
     def data(self) -> list[dict[str, Any]]:
@@ -85,7 +85,7 @@ class Problem(Landscape, Protocol[P]):
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """What each drive is recognized by; empty for logs of a model of the user's own."""
+        """Landmarks by which each drive is recognized; empty for logs of a user's model."""
         ...
 
     def parameters(self, point: Array) -> P:
@@ -93,15 +93,15 @@ class Problem(Landscape, Protocol[P]):
         ...
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective at a point without what only guards the search: for other data."""
+        """The objective at a point without the prior, for other data."""
         ...
 
-    def doubts(self, point: Array) -> list[str]:
-        """What the data say against the filter at a point, which the objective does not see, in sentences."""
+    def warnings(self, point: Array) -> list[str]:
+        """Sentences on the filter at a point: faults that the objective does not show."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+        """Relative increase of costs: 0.01 is 1%."""
         ...
 
     def on(self, data: Any) -> "Problem[P]":
@@ -117,11 +117,11 @@ class CarProblem:
     ----------
     config : TuneConfig
     space : SearchSpace
-        May be that of other drives, whose IMU Q refers to.
+        May be that of other drives, with the IMU interval of Q.
     data : list of dict
         Name, length and fingerprint of each drive.
     replays : Replays
-        The drives, made ready for the objective where they are held.
+        The drives, prepared for the objective.
     """
 
     config: TuneConfig
@@ -131,17 +131,17 @@ class CarProblem:
 
     @cached_property
     def objective(self) -> Objective:
-        """What is minimized on each drive."""
+        """The objective on each drive."""
         return objective_named(self.config.objective)
 
     @cached_property
     def _receiver_std(self) -> Array:
-        """Of each drive, shape (m, 2), m."""
+        """Standard deviation of each drive's receiver, shape (m, 2), m."""
         return np.array(self.replays.held.of_each(receiver_std))
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """What each drive is recognized by; on a cluster looked up when it is asked for, since it is much of many."""
+        """Landmarks of each drive; of a remote dataset they are fetched when used, to save memory."""
         held = self.replays.held
         return self._landmarks if isinstance(held, Here) else LandmarksOf(held)
 
@@ -164,11 +164,11 @@ class CarProblem:
 
     @cached_property
     def equipment(self) -> list[Equipment]:
-        """What each drive has."""
+        """Equipment of each drive."""
         return self.replays.held.of_each(equipment)
 
-    def doubts(self, point: Array) -> list[str]:
-        """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
+    def warnings(self, point: Array) -> list[str]:
+        """Warn of divergence, of parameters without effect, and, where truth was not used, of an implausible R."""
         parameters = self.parameters(point)
         lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None
@@ -178,11 +178,11 @@ class CarProblem:
         if not (
             known and self.objective.needs_truth
         ):  # a look at the fixes' noise takes as long as reading a drive
-            found += self._held(point) or said_of_noise(parameters, self._fix_noise)
+            found += self._prior_decided(point) or said_of_noise(parameters, self._fix_noise)
         return found
 
     def _lost(self, parameters: FilterParameters) -> list[str]:
-        """Where a filter loses its way, or else, where the objective hides no fixes, drifts further than it should."""
+        """Where a filter diverges; or else, if the objective hides no fixes, where it drifts too far in outages."""
         replays = self.replays
         said = said_of_lost(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
         if said or self.objective.needs_outages:
@@ -192,18 +192,20 @@ class CarProblem:
             return []
         return said_of_drifts(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
 
-    def _held(self, point: Array) -> list[str]:
-        """Where the prior held R near what is known of a receiver."""
+    def _prior_decided(self, point: Array) -> list[str]:
+        """Warn where the prior decided R."""
         if not self.config.prior:
             return []
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
         known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
-        held = (
-            said_of_prior(one.name, std, noise, near) for one, std, noise, near, cost in known if cost > HELD
+        found = (
+            said_of_prior(one.name, std, noise, near)
+            for one, std, noise, near, cost in known
+            if cost > PRIOR_DECIDED
         )
-        return next(filter(None, held), [])
+        return next(filter(None, found), [])
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
@@ -223,12 +225,12 @@ class CarProblem:
         return mean_cost(each, self.config.worst)
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective itself at a point: what is known of a receiver is no score."""
+        """The objective itself at a point, without the prior."""
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+        """Relative increase of costs: 0.01 is 1%."""
         return self.objective.rise(costs, best)
 
     def on(self, data: Sequence[Drive] | Held) -> "CarProblem":
@@ -238,7 +240,7 @@ class CarProblem:
 
 @dataclass(frozen=True, eq=False)
 class LandmarksOf(Sequence[Landmarks]):
-    """What drives are recognized by that are held elsewhere."""
+    """Landmarks of the drives of a remote dataset."""
 
     held: Held
 
@@ -260,21 +262,21 @@ class LandmarksOf(Sequence[Landmarks]):
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
-    """The costs of an objective on each drive, shape (n_sets, n_drives); travels by its name."""
+    """The costs of an objective, given by its name, on each drive, shape (n_sets, n_drives)."""
     return objective_named(objective).each(scores)
 
 
 def car_problem(
     drives: Sequence[Drive] | Held, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    """A filter for cars on drives, wherever they are held.
+    """Make the problem of tuning a filter for cars on drives, local or remote.
 
-    ``space``, where given, is that of other drives, whose IMU Q refers to.
+    ``space``, where given, is that of other drives, with the IMU interval of Q.
 
     Raises
     ------
     InputError
-        If the objective or an option asks for something that a drive does not have.
+        If the objective or an option needs data that a drive does not have.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -295,7 +297,7 @@ def car_problem(
 
 
 def car_space(config: TuneConfig, interval: float) -> SearchSpace:
-    """The box of the filter that is asked for; ``interval``: s between two IMU samples, which Q refers to."""
+    """The search space of a configuration; ``interval``: s between two IMU samples, to which Q refers."""
     return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
 
 

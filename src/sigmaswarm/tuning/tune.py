@@ -279,7 +279,7 @@ def _chosen(
         config=config,
         data=problem.data,
         seen=problem.seen,
-        doubts=tuple(problem.doubts(point)) if doubted else (),
+        doubts=tuple(problem.warnings(point)) if doubted else (),
         sensitivities=sensitivities(problem, point, cost, executor),
         validation=validation,
         steps_per_set=int(problem.steps.sum()),

@@ -20,7 +20,7 @@ from sigmaswarm.experiments.study.record import Variant
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import DEFAULTS, PAPER, datasheet
+from sigmaswarm.filters.presets import DEFAULTS, PAPER, baseline
 from sigmaswarm.scoring.batch import Replayer, Replays, Scores
 from sigmaswarm.scoring.evaluation import score_imu_only
 from sigmaswarm.scoring.score import Score, score_raw_gps
@@ -117,7 +117,7 @@ def manual(method: str, drive: Drive) -> FilterParameters:
     if method == "ukf-paper":
         return PAPER
     kind, _, preset = method.rpartition("-")
-    chosen = datasheet(drive) if preset == "datasheet" else DEFAULTS
+    chosen = baseline(drive) if preset == "datasheet" else DEFAULTS
     return replace(chosen, kind=kind)  # pyright: ignore[reportArgumentType]
 
 

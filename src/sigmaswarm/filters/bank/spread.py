@@ -1,8 +1,7 @@
-"""How the filters of a swarm differ from the tuning that they come from: offsets, of which most are decades.
+"""Offsets of a bank's filters from the tuning, most of them in decades of variance.
 
-An offset stands for one thing that may be otherwise than it was when the filter was tuned: the IMU's noise, the
-receiver's, how far the antenna or the rear axle is. What the constants of the compiled kernel make of offsets is one
-matrix, so that a lane costs no more than a power of ten.
+An offset stands for one thing that may have changed since the filter was tuned: the noise of the IMU or the receiver,
+the place of the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
 """
 
 from dataclasses import dataclass, replace
@@ -16,15 +15,15 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
 OFFSET_DOF = 4.0
-"""Of the offsets' distribution, Student's t: most are small; where a sensor is another one, they are decades."""
+"""Degrees of freedom of the offsets' distribution, Student's t: most are small; of another sensor large."""
 Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
-"""Decades of variance by which offsets are drawn: of a state's noise, a bias's walk, R, other measurements."""
+"""Standard deviations of offsets, decades of variance: of a state's noise, a bias's walk, R, other measurements."""
 R_DOWN_STD = 0.45
-"""Decades by which R is below the tuning's, as it counts against a lane: in a city fixes are good until they jump."""
+"""The same of an R below the tuning's, in the penalty: in a city fixes are good until they jump."""
 SCALE_STD = 0.7
-"""Decades of all variances together: a tuning whose covariance is wrong as a whole drives as well as another."""
+"""The same of all variances together: a common factor of the covariance does not change the estimates."""
 START_STD = 1.5
-"""Decades; of the biases' variance at the start, which is never less than the tuning's."""
+"""The same of the biases' variance at the start, which is never less than the tuning's."""
 AXLE_STD = 0.7
 """m."""
 R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
@@ -38,7 +37,7 @@ FIXED = (
     {R: 2.5, START: 3.0},
     {R: 4.5, START: 3.0},
 )
-"""The first lanes, which are never replaced: the tuning itself; other biases; other receivers, two with another IMU."""
+"""The first lanes, which are never replaced: the tuning; other biases; other receivers, two with another IMU."""
 
 _MEASURED = {
     "velocity": ("velocity_noise", "R_VELOCITY"),
@@ -47,10 +46,8 @@ _MEASURED = {
     "odometer": ("odometer_noise", "R_ODOMETER"),
 }
 """By the offset's name: the parameter and the kernel's constant."""
-
-
 FAR, FAR_AXLE = 0.5, 0.5
-"""Decades, m: an offset that is larger is told."""
+"""Decades, m: larger offsets are reported."""
 _MEANS = {
     R: "R is {times}: another receiver?",
     SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
@@ -85,7 +82,7 @@ class Spread:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the offsets, in order."""
+        """Names of the offsets, in order."""
         return tuple(self.deviations)
 
     @cached_property
@@ -95,11 +92,11 @@ class Spread:
 
     @cached_property
     def lasting(self) -> Array:
-        """1 for the offsets that count once a filter is under way, (d,), 0 for that of the start."""
+        """1 for offsets that still matter after the start, (d,), 0 for that of the start."""
         return np.array([0.0 if name == START else 1.0 for name in self.names])
 
     def first(self, rng: np.random.Generator) -> Array:
-        """The offsets with which a swarm starts, (LANES, d). Lane 0 is the tuning."""
+        """Offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
         offsets = rng.standard_normal((LANES, len(self.names))) * self.std
         if START in self.names:
             start = self.names.index(START)
@@ -112,7 +109,7 @@ class Spread:
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Lanes, and what people call them."""
+        """Lanes by the name of their group."""
         biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
         receivers = [lane for lane, by in enumerate(FIXED) if R in by]
         others = [*range(len(FIXED), LANES)]
@@ -125,8 +122,8 @@ class Spread:
             "found on the way": others,
         }
 
-    def against(self, offsets: Array) -> Array:
-        """What is held against lanes, (m,), of offsets (m, d): -log of Student's t of each, in standard deviations."""
+    def penalty(self, offsets: Array) -> Array:
+        """Log-prior penalty of offsets (m, d), (m,): -log of Student's t of each, in standard deviations."""
         relative = offsets / self.std
         r = relative[..., self.names.index(R)]
         r[r < 0.0] *= R_STD / R_DOWN_STD
@@ -134,7 +131,7 @@ class Spread:
 
     @cached_property
     def _decades(self) -> Array:
-        """How many decades each constant grows for a decade of each offset, (N_CONSTANTS, d)."""
+        """Decades of each constant per decade of each offset, (N_CONSTANTS, d)."""
         found = np.zeros((len(CONSTANTS), len(self.names)))
 
         def grows(constant: str, name: str) -> None:
@@ -150,36 +147,38 @@ class Spread:
         found[:, self.names.index(SCALE)] = found.any(axis=1)
         return found
 
-    def grown(self, constants: Array, offsets: Array) -> Array:
+    def constants(self, tuned: Array, offsets: Array) -> Array:
         """The kernel's constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
-        found = constants * 10.0 ** (self._decades @ offsets.T)
+        found = tuned * 10.0 ** (self._decades @ offsets.T)
         if AXLE in self.names:
             found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
         return found
 
-    def said(self, moved: Array) -> tuple[str, ...]:
-        """A sentence for each offset (d,) that is too large for the vehicle that the filter was tuned for.
+    def warnings(self, moved: Array) -> tuple[str, ...]:
+        """Sentences on offsets (d,) that are too large for the vehicle that the filter was tuned for.
 
-        What all variances have in common is said once, and of others only what differs from that.
+        A factor that all variances have in common is reported once, and the others relative to it.
         """
-        told, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
+        found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
         common = by[SCALE]
         if abs(common) > FAR:
-            told.append(_MEANS[SCALE].format(times=_times(common)))
+            found.append(_MEANS[SCALE].format(times=_times(common)))
         for name, offset in by.items():
             if name == AXLE:
                 if abs(offset) > FAR_AXLE:
                     where = "back" if offset > 0 else "ahead"
-                    told.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
+                    found.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
             elif name not in (START, SCALE):
                 is_its_own = abs(offset) > FAR or abs(common) <= FAR
                 if is_its_own and abs(offset + common) > FAR:
                     sentence = _MEANS.get(name, "the noise of {name} is {times}: another IMU?")
-                    told.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
-        return tuple(told)
+                    found.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
+        return tuple(found)
+
+    said = warnings  # deprecated name
 
     def parameters(self, offsets: Array) -> FilterParameters:
-        """The tuning with offsets (d,), as a filter of its own."""
+        """The tuning with offsets (d,) as parameters."""
         p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
         shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
         scale = 10.0 ** by[SCALE]

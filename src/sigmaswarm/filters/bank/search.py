@@ -1,7 +1,7 @@
-"""The swarm's search: filters of other offsets, replayed over the last minute, by differential evolution.
+"""The search of a filter bank: filters of other offsets, replayed over the last minute, by differential evolution.
 
-R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). The population goes
-on from search to search: what was good a while ago is where the next one begins.
+R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each
+search begins with the population of the last one.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
+from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
 from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, NO_TARGETS, SINCE, new_place, run_lanes
 from sigmaswarm.filters.compiled.swarm import (
@@ -25,11 +26,10 @@ from sigmaswarm.filters.compiled.swarm import (
     T_TIME,
     T_WHEELS,
 )
-from sigmaswarm.filters.groups import pack_constants
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.schedule import FIX, ODOMETER
 from sigmaswarm.filters.student import INNOVATION_DOF
-from sigmaswarm.filters.swarm.spread import Spread
 
 GENERATIONS = 8
 WEIGHT, CROSSOVER = 0.7, 0.9
@@ -37,39 +37,39 @@ WEIGHT, CROSSOVER = 0.7, 0.9
 NOT_SCORED = 2.0
 """s at the beginning of a replay, in which a filter of other offsets settles."""
 FEWEST_FIXES = 8
-"""That are scored; fewer tell nothing."""
+"""Fewest fixes that are scored; fewer do not decide."""
 FARTHEST = 8.0
 """Standard deviations of an offset."""
 
 
 @dataclass(frozen=True)
-class Told:
-    """The evidence of a filter, and when it was told: at the last fix, s."""
+class Evidence:
+    """The evidence of a filter, and the time of the last fix in it, s."""
 
     evidence: float
     at: float
 
-    def then(self, time: Array, lost: Array) -> "Told":
-        """After fixes at some times, s, over each of which so much was lost."""
+    def then(self, time: Array, lost: Array) -> "Evidence":
+        """Add fixes at some times, s, each of which lowers the evidence by its loss."""
         if not len(time):
             return self
         left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
-        return Told(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
+        return Evidence(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of a swarm's tape (k, N_TAPE), and what else `run_lanes` reads of them."""
+    """Steps of the log of a filter bank (k, N_TAPE), and what else `run_lanes` reads of them."""
 
     model: ModelName
     rows: Array
     lever: Array
 
     def run(self, lanes: Array) -> Array:
-        """Take lanes (N_KEPT, m), changed, through all steps; what was lost over each lane's fixes, (m,).
+        """Take lanes (N_KEPT, m), changed, through all steps; the loss over each lane's fixes, (m,).
 
-        Lost is -log of their likelihood under Student's t, as the objective ``innovation-t``, but for those of the
-        first `NOT_SCORED` seconds.
+        The loss is -log of their likelihood under Student's t, as the objective ``innovation-t``, without the fixes of
+        the first `NOT_SCORED` seconds.
         """
         place = self._place
         scored = (
@@ -80,13 +80,13 @@ class Steps:
         self._run(lanes, place, len(self.rows))
         return _lost(lanes) - before
 
-    def followed(self, lane: Array, told: Told) -> tuple[Array, Told]:
-        """A lane (N_KEPT,) after all steps, and what its fixes have told by then."""
+    def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
+        """A lane (N_KEPT,) after all steps, and its evidence then."""
         lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
         fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint8) & FIX)
         innovations = np.empty((len(fixes), 5))
         self._run(lanes, self._place, len(self.rows), innovations)
-        return lanes[:, 0], told.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
+        return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
 
     @property
     def _place(self) -> Array:
@@ -96,7 +96,7 @@ class Steps:
         return place
 
     def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
-        """From a place to before step ``stop``; lanes and place are changed."""
+        """Run from a place to before step ``stop``; lanes and place are changed."""
         k = len(self.rows)
         flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
         arrays = (
@@ -118,7 +118,7 @@ class Steps:
 
     @property
     def n_scored(self) -> int:
-        """Fixes that are scored."""
+        """Number of fixes that are scored."""
         if not len(self.rows):
             return 0
         is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
@@ -133,7 +133,7 @@ def _lost(lanes: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
-    """What a lane's evidence loses over each fix, (f,), of nu (m) and S (m2): as `compiled.swarm` has it."""
+    """Loss of a lane's evidence over each fix, (f,), of nu (m) and S (m2): as in `compiled.swarm`."""
     det = xx * yy - xy * xy
     nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
     lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
@@ -141,11 +141,11 @@ def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
 
 
 SCALED = R.TIMES_R, R.TIMES_Q
-"""By what a fuzzy filter has scaled its constants: 1 where those are set anew."""
+"""Factors of a fuzzy filter's constants: 1 where those are replaced."""
 
 
 def as_at_start(lanes: Array) -> Array:
-    """Lanes (N_KEPT, m) that go on from where they are with nothing added up."""
+    """Lanes (N_KEPT, m) in the same state with their sums at 0."""
     fresh = lanes.copy()
     sums = fresh[SUM_ROWS]
     lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
@@ -159,14 +159,14 @@ def as_at_start(lanes: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The best of a search.
+    """Result of a search: the best filter.
 
     Attributes
     ----------
     offsets : (d,)
     lane : (N_KEPT,)
         The filter at the end of the replay.
-    told : Told
+    known : Evidence
         By the fixes up to then.
     population : (LANES, d)
         For the next search.
@@ -174,7 +174,7 @@ class Found:
 
     offsets: Array
     lane: Array
-    told: Told
+    known: Evidence
     population: Array
 
 
@@ -182,13 +182,13 @@ def search(
     spread: Spread,
     steps: Steps,
     start: Array,
-    told: Told,
+    known: Evidence,
     leader: Array,
     population: Array,
     nominal_interval: float,
     seed: Sequence[int],
 ) -> Found | None:
-    """Look for better offsets over some steps; None where they tell nothing.
+    """Look for better offsets over some steps; None where they have too few fixes.
 
     Parameters
     ----------
@@ -196,30 +196,30 @@ def search(
     steps : Steps
     start : (N_KEPT,)
         The filter before the first of them.
-    told : Told
+    known : Evidence
         By the fixes up to there.
     leader : (d,)
-        The offsets of the lane that leads; they take the place of the worst of the population.
+        The offsets of the lane of the largest weight; they replace the last of the population.
     population : (LANES, d)
     nominal_interval : s
     seed : sequence of int
-        Of its chance.
+        Seed of the random numbers.
     """
     rng = np.random.default_rng(seed)
     if steps.n_scored < FEWEST_FIXES:
         return None
-    own = pack_constants((spread.tuning,), nominal_interval)[:, :1]
+    own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
 
     def begun(offsets: Array) -> Array:
         lanes = np.repeat(as_at_start(start[:, np.newaxis]), len(offsets), axis=1)
-        lanes[CONSTANT_ROWS] = spread.grown(own, offsets)
+        lanes[CONSTANT_ROWS] = spread.constants(own, offsets)
         return lanes
 
     def costs(offsets: Array) -> Array:
         lanes = begun(offsets)
         lost = steps.run(lanes)
         lost[(lanes[R.OK] != 1.0) | ~np.isfinite(lost)] = np.inf
-        return EVIDENCE_COUNTS * lost + spread.against(offsets)
+        return EVIDENCE_COUNTS * lost + spread.penalty(offsets)
 
     offsets = population.copy()
     offsets[-1] = leader  # the last place is the leader's, in each search
@@ -232,12 +232,12 @@ def search(
     best = int(np.argmin(cost))
     if not np.isfinite(cost[best]):
         return None
-    lane, known = steps.followed(begun(offsets[best : best + 1])[:, 0], told)
+    lane, known = steps.followed(begun(offsets[best : best + 1])[:, 0], known)
     return Found(offsets[best], lane, known, offsets)
 
 
 def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
-    """A trial for each of the population: another one, moved by the difference of two more, mixed with it."""
+    """Make a trial for each of the population: another one plus the difference of two more, crossed with it."""
     n, d = offsets.shape
     others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
     a, b, c = (offsets[others[:, k]] for k in range(3))

@@ -25,17 +25,17 @@ from filter_cases import OPTIONS, WEIGHED, equipped, parameters
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.bank.run import BankRun, run_bank
+from sigmaswarm.filters.bank.search import Evidence, Steps, search
+from sigmaswarm.filters.bank.spread import FIXED, START, R, Spread
 from sigmaswarm.filters.compiled import layout, swarm
 from sigmaswarm.filters.compiled.layout import LANES
-from sigmaswarm.filters.groups import pack_constants
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
-from sigmaswarm.filters.swarm.live import LiveSwarm, Mixture
-from sigmaswarm.filters.swarm.run import SwarmRun, run_swarm
-from sigmaswarm.filters.swarm.search import Steps, Told, search
-from sigmaswarm.filters.swarm.spread import FIXED, START, R, Spread
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.simulation.scenarios import simulate
 from support import make_drive
@@ -83,7 +83,7 @@ def fed(cls, p: FilterParameters, late: float = 0.0, **more):
     return filter
 
 
-def everything(of: LiveSwarm) -> bytes:
+def everything(of: LiveFilterBank) -> bytes:
     """All numbers of the lanes, and what they differ in."""
     return of._numbers[: swarm.MARKED].tobytes() + of.offsets.tobytes() + of._population.tobytes()
 
@@ -97,10 +97,10 @@ def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], la
     if model == "tilted12" and drive().imu.az is None:
         pytest.skip("the drive has three axes")
     p = parameters(model, **option)
-    alone, among = made(LiveFilter, p), made(LiveSwarm, p)
+    alone, among = made(LiveFilter, p), made(LiveFilterBank, p)
     for _, _ in zip(feed(alone, events(late)), feed(among, events(late)), strict=True):
-        assert among._believed()[0].tobytes() == alone._believed()[0].tobytes()
-        assert among._believed()[1].tobytes() == alone._believed()[1].tobytes()
+        assert among._estimate()[0].tobytes() == alone._estimate()[0].tobytes()
+        assert among._estimate()[1].tobytes() == alone._estimate()[1].tobytes()
     assert among.n_searches >= 2
     assert among.too_late == alone.too_late == 0
 
@@ -108,29 +108,29 @@ def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], la
 @pytest.mark.parametrize("option", ["all", "both"])
 def test_late_fixes_change_no_bit_of_what_it_settles_on(option: str):
     p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
-    in_time, late = fed(LiveSwarm, p), fed(LiveSwarm, p, 0.31)
+    in_time, late = fed(LiveFilterBank, p), fed(LiveFilterBank, p, 0.31)
     for filter in (in_time, late):
         for _ in feed(filter, [e for e in events() if not e[1] and e[0] > drive().imu.time[-1] - 0.5]):
             pass
     assert in_time.n_searches == late.n_searches >= 2
     assert everything(late) == everything(in_time)
-    assert everything(fed(LiveSwarm, p, seed=1)) != everything(in_time)
+    assert everything(fed(LiveFilterBank, p, seed=1)) != everything(in_time)
 
 
 def test_what_is_watched_does_not_change_it():
     """Asking for the state, at whatever moments, changes nothing; nor does how fast the search is."""
     p = parameters("planar8", **ALL)
-    asked = made(LiveSwarm, p)
+    asked = made(LiveFilterBank, p)
     for k, _ in enumerate(feed(asked, events())):
         if k % 7 == 0:
             _ = asked.state, asked.weights, asked.settled, asked.innovation
         if k % 100 == 0 and asked._pending is not None:
             asked._pending.result()
-    assert everything(asked) == everything(fed(LiveSwarm, p))
+    assert everything(asked) == everything(fed(LiveFilterBank, p))
 
 
 def test_a_lane_that_is_replaced_goes_where_it_heads():
-    among = made(LiveSwarm, parameters("planar5"))
+    among = made(LiveFilterBank, parameters("planar5"))
     steps = [(start().time + 0.01 * k, (1.0, 0.0, 0.0)) for k in range(1, 5)]
     for t, seen in steps[:3]:
         among.predict(t, seen)
@@ -150,7 +150,7 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
         drive(),
         gps=replace(drive().gps, std_x=np.full(len(drive().gps), 0.5), std_y=np.full(len(drive().gps), 0.6)),
     )
-    found = fed(LiveSwarm, p, searches=False)
+    found = fed(LiveFilterBank, p, searches=False)
     states, weights = found.lanes()
     evidence, means, covariances = np.zeros(LANES), [], []
     for lane in range(LANES):
@@ -165,7 +165,7 @@ def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
             evidence[lane] = evidence[lane] * math.exp((before - t) / swarm.EVIDENCE_LASTS) - loss
             before = t
     np.testing.assert_allclose(found._numbers[swarm.EVIDENCE], evidence, rtol=1e-8)
-    log = swarm.EVIDENCE_COUNTS * evidence - found.spread.against(found.offsets)
+    log = swarm.EVIDENCE_COUNTS * evidence - found.spread.penalty(found.offsets)
     expected = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
     np.testing.assert_allclose(weights, expected, rtol=1e-6)
     means, covariances = np.array(means), np.array(covariances)
@@ -199,11 +199,11 @@ def test_the_heading_of_a_mixture_goes_around_the_circle():
 def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
     for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
         spread = Spread(parameters(model, **option))
-        own = pack_constants((spread.tuning,), 0.01)[:, :1]
+        own = KernelArray((spread.tuning,)).constants(0.01)[:, :1]
         by = np.resize(offsets, len(spread.names))
-        packed = pack_constants((spread.parameters(by),), 0.01)[:, 0]
-        np.testing.assert_allclose(spread.grown(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
-    assert spread.grown(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
+        packed = KernelArray((spread.parameters(by),)).constants(0.01)[:, 0]
+        np.testing.assert_allclose(spread.constants(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
+    assert spread.constants(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
 
 
 def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
@@ -216,7 +216,7 @@ def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
 
 def test_a_killed_process_goes_on_from_a_saved_copy_with_the_same_bits():
     p, stream = parameters("planar8", **ALL), events()
-    filter, whole = made(LiveSwarm, p), fed(LiveSwarm, p)
+    filter, whole = made(LiveFilterBank, p), fed(LiveFilterBank, p)
     cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
     for _ in feed(filter, stream[:cut]):
         pass
@@ -235,9 +235,9 @@ def test_a_killed_process_goes_on_from_a_saved_copy_with_the_same_bits():
 DIES = """
 import os, pickle, signal, sys
 from pathlib import Path
-from filters.test_swarm import ALL, LiveSwarm, events, feed, made, parameters, start
+from filters.test_bank import ALL, LiveFilterBank, events, feed, made, parameters, start
 
-filter = made(LiveSwarm, parameters("planar8", **ALL))
+filter = made(LiveFilterBank, parameters("planar8", **ALL))
 kept = 0.0
 for t in feed(filter, events()):
     if t > kept + 0.31:  # as a car would: every now and then, whole or not at all
@@ -250,7 +250,7 @@ for t in feed(filter, events()):
 GOES_ON = """
 import pickle, sys
 from pathlib import Path
-from filters.test_swarm import events, everything, feed
+from filters.test_bank import events, everything, feed
 
 t, filter = pickle.loads(Path("saved").read_bytes())
 stream = events()
@@ -271,16 +271,16 @@ def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
     assert saved._pending is not None
     gone_on = processes.run(GOES_ON)
     assert gone_on.returncode == 0, gone_on.stderr
-    whole = fed(LiveSwarm, parameters("planar8", **ALL))
+    whole = fed(LiveFilterBank, parameters("planar8", **ALL))
     assert whole.n_searches >= 2
     assert Path("end").read_bytes() == everything(whole) + whole.state.mean.tobytes()
 
 
 def test_a_search_finds_what_loses_less_and_the_same_each_time():
     p = parameters("planar8", **ALL)
-    filter = fed(LiveSwarm, p, searches=False)
+    filter = fed(LiveFilterBank, p, searches=False)
     taped = filter._tape(0, int(filter._numbers[swarm.TAPED]))
-    begins, told = filter._snapshots[0].lanes[:, 0], Told(0.0, start().time)
+    begins, told = filter._snapshots[0].lanes[:, 0], Evidence(0.0, start().time)
     steps = Steps(p.model, taped, np.array([1.0, 0.5, 1.2]))
     zero = np.zeros(len(filter.spread.names))
     wrong = zero.copy()
@@ -289,7 +289,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
 
     def evidence_of(offsets: np.ndarray) -> float:
         """As a swarm has it that began with these offsets."""
-        own = made(LiveSwarm, p, searches=False)
+        own = made(LiveFilterBank, p, searches=False)
         own.offsets[8] = offsets
         own._start_lanes(start(), slice(None))
         for _ in feed(own, events()):
@@ -301,12 +301,12 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
 
     first, again = found(), found()
     assert first is not None and again is not None
-    assert first.told.evidence > evidence_of(wrong) + 10.0  # a hundred times R
+    assert first.known.evidence > evidence_of(wrong) + 10.0  # a hundred times R
     assert abs(first.offsets[filter.spread.names.index(R)]) < 1.0
     assert first.offsets.tobytes() == again.offsets.tobytes()
     assert first.lane.tobytes() == again.lane.tobytes()
-    assert first.told == again.told
-    assert first.told.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
+    assert first.known == again.known
+    assert first.known.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
     few = Steps(p.model, taped[:300], np.zeros(3))
     assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
 
@@ -314,7 +314,7 @@ def test_a_search_finds_what_loses_less_and_the_same_each_time():
 @pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf", "fuzzy-ukf"])
 def test_the_fixed_lanes_stay(kind: str):
     p = parameters("planar8", kind=kind, **ALL)
-    first, last = made(LiveSwarm, p), fed(LiveSwarm, p)
+    first, last = made(LiveFilterBank, p), fed(LiveFilterBank, p)
     assert last.n_searches >= 2
     states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
     for lane in range(len(FIXED)):  # what goes on beside them does not touch them
@@ -331,7 +331,7 @@ def test_it_says_that_the_receiver_is_another_one():
     """A filter that was tuned for errors of 0.5 m, on a receiver with 4 m."""
     seen = make_drive(duration=90.0, gps_std=4.0, seed=3)
     p = parameters("planar8", lateral_noise=0.01, rear_axle=0.0)
-    run = SwarmRun(replay_of(seen), p, recover=True)
+    run = BankRun(replay_of(seen), p, recover=True)
     error = {"swarm": np.concatenate([piece.mean[:, :2] for piece in run])}
     error["tuning"] = run_filter(seen, p).mean[:, :2]
     t = seen.imu.time[seen.imu.time > run.initial.time]
@@ -339,19 +339,19 @@ def test_it_says_that_the_receiver_is_another_one():
     rmse = {name: float(np.sqrt(np.square(of - true).sum(axis=1).mean())) for name, of in error.items()}
     assert rmse["swarm"] < 0.75 * rmse["tuning"]
     r = (
-        run.log.settled[run.swarm.spread.names.index(R)]
-        + run.log.settled[run.swarm.spread.names.index("scale")]
+        run.log.settled[run.bank.spread.names.index(R)]
+        + run.log.settled[run.bank.spread.names.index("scale")]
     )
     assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
-    assert any("another receiver?" in sentence for sentence in run.swarm.spread.said(run.log.settled))
+    assert any("another receiver?" in sentence for sentence in run.bank.spread.warnings(run.log.settled))
     nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
     assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
 
 
 def test_a_run_is_the_stream():
     p = parameters("planar8", lateral_noise=0.05)
-    run = run_swarm(prepared(drive(), start()), p)
-    filter = made(LiveSwarm, p)
+    run = run_bank(prepared(drive(), start()), p)
+    filter = made(LiveFilterBank, p)
     means = [filter.state.mean for t in feed(filter, events()) if t > start().time]
     np.testing.assert_allclose(
         np.unwrap(run.mean, axis=0), np.unwrap(np.array(means), axis=0), rtol=0, atol=1e-9
@@ -363,7 +363,7 @@ def test_a_run_is_the_stream():
 @pytest.mark.parametrize("at", [11.9, 13.2, 13.9, 15.1, 15.9, 17.0])  # before, in and after a search
 def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew(at: float):
     p = parameters("planar8", **ALL)
-    filter, failed = made(LiveSwarm, p), []
+    filter, failed = made(LiveFilterBank, p), []
     for t in feed(filter, events()):
         if not failed and t > at:
             filter.predict(t + 1e-4, (math.nan, 0.0, 0.0))
@@ -386,14 +386,14 @@ def biased() -> Drive:
     return replace(made, imu=replace(made.imu, gz=made.imu.gz + BIAS))
 
 
-def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[LiveSwarm, np.ndarray]:
+def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[LiveFilterBank, np.ndarray]:
     """A swarm on that drive; times, and the bias as most lanes say.
 
     All headings are turned at a moment, or all lanes are told that they are lost.
     """
     p = parameters("planar8", lateral_noise=0.05, rear_axle=1.5, bias_std=(0.5, 0.3))
     imu, gps = biased().imu, biased().gps
-    filter = LiveSwarm(p, initial_state(biased()), nominal_interval=0.01, searches=False)
+    filter = LiveFilterBank(p, initial_state(biased()), nominal_interval=0.01, searches=False)
     fixes, found = iter(zip(gps.time, gps.x, gps.y, strict=True)), []
     fix = next(fixes, None)
     for t, *sample in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True):
@@ -405,8 +405,8 @@ def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[Live
             filter._rows_of(filter._numbers)[THETA] += 2.5
             turned_at = math.inf
         if t >= held_at:
-            assert filter._recovery and filter._together
-            filter._recovery.lost = filter._together.lost = filter._holds = True
+            assert filter._monitor and filter._together
+            filter._monitor.lost = filter._together.lost = filter._holds = True
             held_at = math.inf
         found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED) :])))
     return filter, np.array(found)
@@ -415,20 +415,20 @@ def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[Live
 def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
     filter, found = biases()
     assert not filter.restarts  # nor has the tuning by itself, whose start sees the bias
-    assert not filter.swarm_restarts
+    assert not filter.bank_restarts
     assert abs(found[-1, 1] - BIAS) < 0.02
 
 
 def test_what_it_knows_of_biases_outlives_a_new_start():
     filter, found = biases(turned_at=30.0)
-    began = filter.swarm_restarts[0]
+    began = filter.bank_restarts[0]
     after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
     assert abs(after - BIAS).max() < 0.05
 
 
 def test_what_it_knows_of_biases_outlives_being_held_at_a_fix():
     filter, found = biases(held_at=30.005)
-    began = filter.swarm_restarts[0]
+    began = filter.bank_restarts[0]
     assert 0.05 < began - 30.0 < 3.0
     after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
     assert abs(after - BIAS).max() < 0.05
@@ -436,7 +436,7 @@ def test_what_it_knows_of_biases_outlives_being_held_at_a_fix():
 
 def test_a_fix_beyond_all_bounds_is_one_fix():
     p = parameters("planar8", gate=6.0)
-    alone, among = made(LiveFilter, p), made(LiveSwarm, p)
+    alone, among = made(LiveFilter, p), made(LiveFilterBank, p)
     for filter in (alone, among):
         for k, t in enumerate(feed(filter, events())):
             if k == 1500:
@@ -448,7 +448,7 @@ def test_a_fix_beyond_all_bounds_is_one_fix():
 
 def test_a_copy_is_another_swarm():
     p, stream = parameters("planar8", **ALL), events()
-    filter = made(LiveSwarm, p)
+    filter = made(LiveFilterBank, p)
     for _ in feed(filter, stream[:2000]):
         pass
     copy = deepcopy(filter)
@@ -456,13 +456,13 @@ def test_a_copy_is_another_swarm():
         pass
     for _ in feed(filter, stream[2000:]):
         pass
-    assert everything(copy) == everything(filter) == everything(fed(LiveSwarm, p))
+    assert everything(copy) == everything(filter) == everything(fed(LiveFilterBank, p))
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 def test_a_forked_child_goes_on():
     p, stream = parameters("planar8", **ALL), events()
-    filter = made(LiveSwarm, p)
+    filter = made(LiveFilterBank, p)
     cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
     for _ in feed(filter, stream[:cut]):
         pass
@@ -478,13 +478,13 @@ def test_a_drive_with_a_long_silence_has_no_stale_estimate():
     heard = (imu.time < 20.0) | (imu.time > 32.5)
     silent = replace(drive(), imu=imu.select(heard))
     p = parameters("planar8", lateral_noise=0.05)
-    run, of_one = run_swarm(prepared(silent, start()), p), run_filter(silent, p, initial=start())
+    run, of_one = run_bank(prepared(silent, start()), p), run_filter(silent, p, initial=start())
     apart = np.hypot(*(run.mean[:, :2] - of_one.mean[:, :2]).T)
     assert apart.max() < 5.0
 
 
 def test_what_it_settles_on_starts_as_the_tuning_does():
-    found = fed(LiveSwarm, parameters("planar8", **ALL))
+    found = fed(LiveFilterBank, parameters("planar8", **ALL))
     assert found.settled.bias_std == found.parameters.bias_std
     assert found.settled.process_noise != found.parameters.process_noise
 
@@ -494,7 +494,7 @@ def test_what_all_variances_have_in_common_is_said_once():
     by = dict.fromkeys(spread.names, 0.0)
 
     def said(**of: float) -> tuple[str, ...]:
-        return spread.said(np.array([*(by | of).values()]))
+        return spread.warnings(np.array([*(by | of).values()]))
 
     assert said() == ()
     (common,) = said(scale=1.0)
@@ -508,7 +508,7 @@ def test_what_all_variances_have_in_common_is_said_once():
 
 def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
     p, filter = parameters("planar8", **ALL), None
-    filter = made(LiveSwarm, p)
+    filter = made(LiveFilterBank, p)
     for k, _ in enumerate(feed(filter, events())):
         if k == 1000:
             filter._rows_of(filter._numbers)[:, [2, 9]] = np.nan
@@ -521,7 +521,7 @@ def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes uncompiled")
 def test_memory_stays_flat():
-    filter = LiveSwarm(parameters("planar8", **ALL), start(), nominal_interval=0.01)
+    filter = LiveFilterBank(parameters("planar8", **ALL), start(), nominal_interval=0.01)
     t0 = start().time
 
     def run(first: int, last: int) -> None:

@@ -15,10 +15,10 @@ from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState, 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.filters.divergence import Check, DivergenceMonitor, check_times
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import Recovery, Seen, looks_of
 from sigmaswarm.filters.run import Estimate, run_filter
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import Replayer
@@ -347,10 +347,10 @@ def test_a_fix_from_before_a_restart_comes_too_late():
     np.testing.assert_array_equal(filter.state.mean, state.mean)
 
 
-def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> Seen:
+def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> Check:
     """A filter that says it drives east at 10 m/s; the fixes say something else."""
     alignment = InitialState(np.array([0, 0, 10, 0, heading]), 1e-4 * np.eye(5), time)
-    return Seen(
+    return Check(
         time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
         fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0,
         since=lambda: np.zeros((1, 4)), heading=lambda: heading if aligns else np.nan,
@@ -360,59 +360,59 @@ def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = 
 
 @pytest.mark.parametrize("wrong", [{"heading": 0.36}, {"off": 20.5}])
 def test_it_is_lost_after_ten_seconds_of_contradiction_without_a_break(wrong: dict):
-    recovery = Recovery()
-    assert all(recovery.look(seen(t, **wrong)) is None for t in np.arange(0.0, 10.0))
-    assert recovery.look(seen(10.0)) is None  # they agree again
-    assert all(recovery.look(seen(t, **wrong)) is None for t in np.arange(11.0, 21.0))
-    found = recovery.look(seen(21.0, **wrong))
+    monitor = DivergenceMonitor()
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(0.0, 10.0))
+    assert monitor.take(seen(10.0)) is None  # they agree again
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(11.0, 21.0))
+    found = monitor.take(seen(21.0, **wrong))
     assert found is not None
-    assert recovery.restarts == [21.0] == [found.time]
-    assert all(recovery.look(seen(t, **wrong)) is None for t in np.arange(22.0, 32.0))  # it counts anew
+    assert monitor.restarts == [21.0] == [found.time]
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(22.0, 32.0))  # it counts anew
 
 
 @pytest.mark.parametrize("right", [{"heading": 0.34}, {"off": 19.5}, {}])
 def test_less_is_no_loss(right: dict):
-    recovery = Recovery()
-    assert all(recovery.look(seen(t, **right)) is None for t in np.arange(0.0, 100.0))
-    assert recovery.restarts == []
-    assert not recovery.lost
+    monitor = DivergenceMonitor()
+    assert all(monitor.take(seen(t, **right)) is None for t in np.arange(0.0, 100.0))
+    assert monitor.restarts == []
+    assert not monitor.lost
 
 
 def test_what_the_filter_allows_for_is_no_contradiction():
-    recovery = Recovery()
+    monitor = DivergenceMonitor()
     wide = np.diag([16.0, 25.0, 1.0, 1.0, 0.04])  # 5 m, 0.2 rad
     for t in np.arange(0.0, 100.0):
-        assert recovery.look(replace(seen(t, heading=0.9, off=24.0), covariance=wide)) is None
-    assert recovery.restarts == []
+        assert monitor.take(replace(seen(t, heading=0.9, off=24.0), covariance=wide)) is None
+    assert monitor.restarts == []
 
 
 def test_looks_without_alignment_are_no_break_and_no_news():
-    recovery = Recovery()
+    monitor = DivergenceMonitor()
     for t in np.arange(0.0, 60.0):
-        assert recovery.look(seen(t, heading=1.0, aligns=t < 5)) is None
-    assert recovery.look(seen(60.0, heading=1.0)) is not None
+        assert monitor.take(seen(t, heading=1.0, aligns=t < 5)) is None
+    assert monitor.take(seen(60.0, heading=1.0)) is not None
 
 
 def test_few_looks_are_not_enough():
-    recovery = Recovery()
-    assert [recovery.look(seen(t, off=50.0)) for t in (0.0, 5.0, 10.0, 15.0)] == [None] * 4
-    assert recovery.look(seen(20.0, off=50.0)) is not None
+    monitor = DivergenceMonitor()
+    assert [monitor.take(seen(t, off=50.0)) for t in (0.0, 5.0, 10.0, 15.0)] == [None] * 4
+    assert monitor.take(seen(20.0, off=50.0)) is not None
 
 
 def test_without_alignment_it_is_lost_until_there_is_one():
-    recovery = Recovery()
+    monitor = DivergenceMonitor()
     for t in np.arange(0.0, 30.0):
-        assert recovery.look(seen(t, off=50.0, aligns=False)) is None
-        assert recovery.lost == (t >= 10.0)
-    assert recovery.look(seen(30.0, aligns=True)) is not None
-    assert not recovery.lost
+        assert monitor.take(seen(t, off=50.0, aligns=False)) is None
+        assert monitor.lost == (t >= 10.0)
+    assert monitor.take(seen(30.0, aligns=True)) is not None
+    assert not monitor.lost
 
 
 def test_a_filter_that_failed_is_not_looked_at():
-    recovery = Recovery()
+    monitor = DivergenceMonitor()
     broken = [replace(seen(t, off=50.0), mean=np.full(5, np.nan)) for t in np.arange(0.0, 30.0)]
-    assert [recovery.look(one) for one in broken] == [None] * 30
-    assert not recovery.lost
+    assert [monitor.take(one) for one in broken] == [None] * 30
+    assert not monitor.lost
 
 
 RUNS = st.tuples(st.integers(1, 12), st.floats(0.3, 4.0), st.sampled_from("tfn"), st.sampled_from("tf"))
@@ -429,12 +429,12 @@ def test_looking_back_finds_what_looking_at_each_moment_finds(
         seen(t, heading=0.4 if turned == "t" else 0.0, off=25.0 if far == "t" else 0.0, aligns=turned != "n")
         for t, (_, turned, far) in zip(times, said, strict=True)
     ]
-    one_by_one, back, at = Recovery(), Recovery(), 0
+    one_by_one, back, at = DivergenceMonitor(), DivergenceMonitor(), 0
     while at < len(each):
         end = at + 1 if back.lost else data.draw(st.integers(at + 1, len(each)))
-        first, start = back.look_back(times[at:end], lambda k, at=at: each[at + k])
+        first, start = back.take_all(times[at:end], lambda k, at=at: each[at + k])
         end = end if first is None else at + first + 1
-        found = [one_by_one.look(one) for one in each[at:end]]
+        found = [one_by_one.take(one) for one in each[at:end]]
         assert (back.lost, back.restarts) == (one_by_one.lost, one_by_one.restarts)
         assert [one is not None for one in found] == [False] * (end - at - 1) + [start is not None]
         at = end
@@ -443,17 +443,17 @@ def test_looking_back_finds_what_looking_at_each_moment_finds(
 def test_hardly_any_look_at_a_sound_filter_is_taken():
     times, asked = np.arange(0.0, 100.0).tolist(), list[int]()
 
-    def at(k: int) -> Seen:
+    def at(k: int) -> Check:
         asked.append(k)
         return seen(times[k])
 
-    assert Recovery().look_back(times, at) == (None, None)
+    assert DivergenceMonitor().take_all(times, at) == (None, None)
     assert len(set(asked)) <= 11
 
 
 def test_the_looks_are_once_a_second_after_fixes_and_at_samples():
     line = prepared(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
-    looks = looks_of(line)
+    looks = check_times(line)
     assert line.sampled[looks.step].all()
     time = line.end[looks.step]
     assert len(time) == pytest.approx(30 - line.start, abs=1.5)
