@@ -124,7 +124,7 @@ def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
     Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity (no log
     with truth had it) and latency. Models are not chosen by scores: held-out likelihood and forecasts chose 18 to 24%
     worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to 12% worse. The figures are
-    in docs/results.md, "What tune takes by itself".
+    in docs/results.md, "Default filter".
     """
     found = [sensors_of(drive) for drive in drives]
     six = bool(found) and all(one.attitude for one in found)

@@ -17,7 +17,7 @@ from sigmaswarm.tuning.objectives import objective_named
 PLAIN = "planar5"
 """The paper's model, which by default uses position fixes alone."""
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
-"""With and without truth: docs/objectives.md, "With truth" and "Fixes that lie far off"."""
+"""With truth and without: docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
 """Without truth, for a model with roll and pitch and receivers with white errors: forecasts over seconds then separate
 good filters from bad ones. Where errors last, the forecasts follow them: with a u-blox M8 the filter ended at 11 m

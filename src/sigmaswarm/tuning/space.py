@@ -206,7 +206,7 @@ def _dimensions(
 
     Otherwise a filter tuned on roads to the east had 1000 times more noise of the velocity to the north. On a road
     close to the north the lateral constraint then corrects a lateral error by a change along the road, up to
-    sqrt(1000) / 2 times as large: docs/results.md, "Why the lateral constraint...".
+    sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING
