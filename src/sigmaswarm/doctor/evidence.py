@@ -1,11 +1,12 @@
 """The fits and masks that all checks look at, worked out once for a drive."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sigmaswarm.doctor.acceleration_fit import AccelerationFit, fit_acceleration, heading_of
+from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration, heading_of
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
+from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.doctor.yaw_fit import YawFit, fit_yaw
@@ -24,6 +25,9 @@ class Evidence:
     Attributes
     ----------
     drive : Drive
+        Its IMU turned by ``mounting``, where that is ``mounted``: what follows is about these axes.
+    mounting : Mounting or None
+        How the IMU sits in the vehicle, of a log with six axes.
     stale, outlying : (n,) bool: frozen fixes, which only repeat an earlier one; fixes that lie far off the path
     used : (m,) int: the numbers of the fixes that ``course`` is made of
     course : Course or None
@@ -45,6 +49,12 @@ class Evidence:
     clock: ClockOffset
     noise: float
     scatter: float
+    mounting: Mounting | None = None
+
+    @property
+    def mounted(self) -> bool:
+        """True where the IMU is turned against the vehicle, and by how much is known."""
+        return self.mounting is not None and self.mounting.needed
 
     @property
     def drives(self) -> bool:
@@ -70,6 +80,10 @@ def gather(drive: Drive) -> Evidence:
         blind = clock_of(None, yaw, None, None)
         return Evidence(drive, old, off, used, None, None, yaw, None, None, blind, 0.0, 0.0)
     course = course_of(gps.time[used], (gps.x + 1j * gps.y)[used])
+    mounting = mounting_of(drive, course)
+    if mounting and mounting.needed:
+        imu = turned(imu, mounting.repair)
+        drive = replace(drive, imu=imu)
     yaw_fit = fit_yaw(drive, course)
     yaw = yaw_of(yaw_fit)
     acceleration = None
@@ -77,7 +91,7 @@ def gather(drive: Drive) -> Evidence:
         rate: Array = yaw.factor * getattr(imu, yaw.column)
         coarse = yaw_fit.late if yaw_fit and yaw.known and yaw_fit.share > 0.5 else 0.0
         acceleration = fit_acceleration(
-            drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse
+            drive, course, lambda late: heading_of(imu.time, course, rate, late), coarse + LATENESS
         )
     mount = mount_of(acceleration) if acceleration else None
     noise, scatter = white_noise(course.position), 0.0
@@ -97,6 +111,7 @@ def gather(drive: Drive) -> Evidence:
         clock_of(yaw_fit, yaw, acceleration, mount),
         noise,
         scatter,
+        mounting,
     )
 
 
