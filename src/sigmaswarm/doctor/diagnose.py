@@ -8,6 +8,7 @@ from sigmaswarm.doctor.checks import (
     noise,
     observability,
     odometer,
+    reverse,
     sampling,
     tilt,
     use,
@@ -19,7 +20,20 @@ from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
-CHECKS = (mounting, gyro, accelerometer, tilt, clock, velocity, odometer, noise, sampling, observability, use)
+CHECKS = (
+    reverse,
+    mounting,
+    gyro,
+    accelerometer,
+    tilt,
+    clock,
+    velocity,
+    odometer,
+    noise,
+    sampling,
+    observability,
+    use,
+)
 """In the order in which findings of one severity are told."""
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import LATENESS, AccelerationFit, fit_acceleration, heading_of
+from sigmaswarm.doctor.clock_search import LEAST_TURN, WIDEST, search_offset
 from sigmaswarm.doctor.fixes import Course, Mask, course_of, jumps
 from sigmaswarm.doctor.mounting import Mounting, mounting_of, turned
 from sigmaswarm.doctor.verdicts import ClockOffset, Mount, Yaw, clock_of, mount_of, yaw_of
@@ -14,6 +15,8 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.noise import white_noise
 
+SEARCHED = 2.3
+"""s: an offset near the end of those that the fit tries is not believed."""
 FEWEST = 20
 """Fixes; with fewer, only what needs no motion is checked."""
 
@@ -34,6 +37,7 @@ class Evidence:
     yaw_fit, yaw : the regression of the course on the gyro, and its reading
     acceleration, mount : the regression of the path on the accelerometers, and its reading
     clock : the fixes' delay
+    moved : s, taken off the fixes' times, where the clocks are far apart: what follows is about these times
     noise, scatter : m per axis: of the fixes from one to the next, and about the path over ten seconds
     """
 
@@ -50,6 +54,13 @@ class Evidence:
     noise: float
     scatter: float
     mounting: Mounting | None = None
+    moved: float = 0.0
+
+    @property
+    def follows(self) -> bool:
+        """True where the course follows the gyro, or turns too little to show it."""
+        fit = self.yaw_fit
+        return fit is None or fit.course_change < LEAST_TURN or (self.yaw.known and abs(fit.late) < SEARCHED)
 
     @property
     def mounted(self) -> bool:
@@ -68,7 +79,29 @@ class Evidence:
 
 
 def gather(drive: Drive) -> Evidence:
-    """Fit the gyro to the course and the accelerometers to the path, and read the fits."""
+    """Fit the gyro to the course and the accelerometers to the path, and read the fits.
+
+    Where the gyro does not follow the course, an offset of the clocks of up to 40 s is searched first, and the fixes'
+    times are moved by it before axes are read.
+    """
+    evidence = _gather(drive)
+    if evidence.course is None or evidence.follows:
+        return evidence
+    late = search_offset(drive, evidence.course)
+    if late is None:  # without the clock no axis can be read
+        unknown = yaw_of(None)
+        return replace(evidence, yaw=unknown, mount=None, clock=clock_of(None, unknown, None, None))
+    rest = 0.0
+    for _ in range(2):  # the fits say the rest
+        moved = replace(drive, gps=replace(drive.gps, time=drive.gps.time - late))
+        evidence = _gather(moved)
+        rest = evidence.clock.late if np.isfinite(evidence.clock.std) else 0.0
+        late += rest
+    clock = ClockOffset(late, max(evidence.clock.std, 0.05), WIDEST)
+    return replace(evidence, clock=clock, moved=late - rest)
+
+
+def _gather(drive: Drive) -> Evidence:
     gps, imu = drive.gps, drive.imu
     old = frozen_fixes(gps)
     inside = ~old & (gps.time >= imu.time[0]) & (gps.time <= imu.time[-1])

@@ -167,14 +167,14 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     if scaled is None:
         return None
     imu, signs = scaled, (1.0, 1.0)
-    rotation, seen = _converged(drive, course, imu, _level(imu))
+    rotation, seen = _converged(drive, course, imu, level(imu))
     if seen is None:
         return None
     if seen.yaw_fit.gain < 0 and _follows(seen.yaw_fit) and seen.mirrored > CLEARLY:
         # Levelled upside down: the accelerometers report the opposite of specific force.
         signs = (-1.0, 1.0)
         imu = replace(imu, ax=-imu.ax, ay=-imu.ay, az=None if imu.az is None else -imu.az)
-        rotation, seen = _converged(drive, course, imu, _level(imu))
+        rotation, seen = _converged(drive, course, imu, level(imu))
         if seen is None:
             return None
     if seen.yaw_fit.gain < 0:
@@ -184,7 +184,8 @@ def mounting_of(drive: Drive, course: Course) -> Mounting | None:
     return Mounting(rotation, std, confidence, signs, reason)
 
 
-def _level(imu: Imu) -> Array:
+def level(imu: Imu) -> Array:
+    """The smallest rotation (3, 3) that turns the median specific force onto +z."""
     assert imu.az is not None
     return levelling(np.array([np.median(imu.ax), np.median(imu.ay), np.median(imu.az)]))
 
@@ -202,7 +203,7 @@ def _in_si_units(drive: Drive, course: Course) -> Imu | None:
     rows = yaw_windows(course)
     if not len(rows):
         return None
-    fit = fit_column(replace(drive, imu=turned(imu, _level(imu))), course, "gz", rows)
+    fit = fit_column(replace(drive, imu=turned(imu, level(imu))), course, "gz", rows)
     if DEGREE / FAMILIAR < abs(fit.gain) < DEGREE * FAMILIAR and abs(fit.gain) > 6 * fit.std:
         assert imu.gx is not None
         assert imu.gy is not None

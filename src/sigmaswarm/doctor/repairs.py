@@ -159,6 +159,7 @@ def _close_jump(drive: Drive, values: Values) -> Drive:
 
 
 ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
+    "shift-clock": _shift_fixes,
     "drop-samples": _drop_samples,
     "drop-fixes": _drop_fixes,
     "rotate": _rotate,
@@ -175,4 +176,4 @@ ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "shift-odometer": _shift_odometer,
     "close-jump": _close_jump,
 }
-"""In the order in which they are done: rows are named by the times they came with."""
+"""In the order in which they are done: rows are named by the times they came with, fixes by those of a moved clock."""

@@ -14,6 +14,17 @@ GRAVE = 0.3
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the clocks' offset: what it is, or how large it would have to be to be seen."""
     late, std = evidence.clock.late, evidence.clock.std
+    if evidence.moved:
+        yield Finding(
+            "clock-offset", "serious",
+            f"the fixes are {abs(late):.1f} s {'late' if late > 0 else 'early'} against the IMU: "
+            "only then do the gyro's turns match the course",
+            "gps.csv, t", evidence.span, 0.999,
+            f"{'take' if late > 0 else 'add'} {abs(late):.2f} s {'off' if late > 0 else 'to'} the fixes' times"
+            + ("; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""),
+            Repair("shift-clock", (-evidence.moved,)),
+        )  # fmt: skip
+        return
     if abs(late) < evidence.clock.least:
         if evidence.drives:
             yield _unseen(evidence)
