@@ -44,7 +44,8 @@ LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
 """rad and deviations: a mounting that is turned by less is taken as it is."""
 SERIOUS = math.radians(7.0)
 MOVED = math.radians(15.0)
-"""rad: how far gravity's direction must jump where the IMU was moved within a log."""
+STANDS_OUT = 6.0
+"""rad, and deviations of the medians: how far gravity must jump where the IMU was moved within a log."""
 AXES = [
     m
     for m in (np.diag(d)[list(p)] for p in permutations(range(3)) for d in product((1.0, -1.0), repeat=3))
@@ -393,9 +394,9 @@ def moved(drive: Drive) -> tuple[float, float] | None:
     cut = min(cuts, key=lambda k: spread(direction[:k]) + spread(direction[k:]))
     before, after = (np.median(part, axis=0) for part in (direction[:cut], direction[cut:]))
     angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
-    own = max(
-        float(np.quantile(np.linalg.norm(part - middle, axis=1), 0.8))
+    spreads = [
+        float(np.median(np.linalg.norm(part - middle, axis=1))) / math.sqrt(len(part))
         for part, middle in ((direction[:cut], before), (direction[cut:], after))
-    )
+    ]
     at = float(edges[:-1][counts > 0][cut])
-    return (at, angle) if angle > max(MOVED, 3 * own) else None
+    return (at, angle) if angle > max(MOVED, STANDS_OUT * max(spreads)) else None

@@ -13,7 +13,7 @@ STANDS = 1.0
 """m/s: a slower car may change its direction."""
 STEP = 2.0
 """s: over which changes of speed are compared with ax."""
-CLEAR, LEAST = 4.0, 0.3
+CLEAR, LEAST = 3.0, 0.4
 """Deviations and size by which the slope of the changes of speed on ax differs from 0."""
 
 
