@@ -37,7 +37,7 @@ from sigmaswarm.filters.replay import run_replays
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, truth_at
 from sigmaswarm.scoring.targets import outage_replay, outage_windows
-from sigmaswarm.simulation.outliers import with_outliers
+from sigmaswarm.simulation.gps import with_outliers
 
 FILTERS = (
     ("planar5", ()),

@@ -25,7 +25,6 @@ social acceleration of the swarm.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import sigmaswarm.forking  # it must see each fork  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -108,8 +107,8 @@ _HOMES = {
     "filters.swarm.live": ("LiveSwarm",),
     "filters.swarm.run": ("run_swarm",),
     "references.reference": ("reference",),
-    "report.compare": ("comparison_table",),
-    "report.study": ("save_study", "study_figures", "study_tables"),
+    "reports.compare": ("comparison_table",),
+    "reports.study": ("save_study", "study_figures", "study_tables"),
     "scoring.consistency": ("Consistency", "consistency"),
     "scoring.evaluation": ("Evaluation", "evaluate"),
     "scoring.score": ("Score",),

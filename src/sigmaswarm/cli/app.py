@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from cyclopts import App, CycloptsError, MissingArgumentError
 
 import sigmaswarm
-from sigmaswarm.cli import memory, terminal
+from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.completion import completion
 from sigmaswarm.cli.convert import convert
@@ -68,8 +68,6 @@ def main() -> NoReturn:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it would tell where its cache is
     terminal.prepare()
     terminal.tell_of_compiling()
-    memory.give_back_at_once()
-    memory.look_seldom_for_cycles()
     code = _run()
     try:
         if sys.stdout is not None:

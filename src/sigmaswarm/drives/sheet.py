@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.forking import require_threads
 from sigmaswarm.wording import names_shown, quoted, shown
 
 _NO_STD = "leave the column out where no deviation is stated"
@@ -61,7 +60,6 @@ class Sheet:
             raise DriveError(
                 f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
             )
-        require_threads()
         if path.suffix == PARQUET:
             cells = _parquet(path)
             return cls(path, cells, np.arange(1, len(cells) + 1))

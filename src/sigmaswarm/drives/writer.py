@@ -14,7 +14,6 @@ from sigmaswarm.drives.reader import read_with_warnings
 from sigmaswarm.drives.sheet import FORMS
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
-from sigmaswarm.forking import require_threads
 
 Form = Literal["csv", "parquet"]
 FILES = frozenset(
@@ -51,7 +50,6 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     DriveError
         Something is there already, or the drive holds what the files can't, or what ``read_drive`` refuses.
     """
-    require_threads()
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)
     contents = _contents(drive, folder, form)

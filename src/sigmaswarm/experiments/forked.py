@@ -24,7 +24,6 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.experiments.grid import Tell
-from sigmaswarm.files import let_go
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -137,7 +136,6 @@ def _serve(run: Callable[[T, Tell], Any], line: Connection, parent: int) -> NoRe
     ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))
     if os.getppid() != parent:
         os._exit(1)
-    let_go()
     gc.freeze()  # to look at all that was inherited would copy it
 
     def tell(rounds: int) -> None:
