@@ -132,7 +132,7 @@ def test_the_log_as_it_came_ends_up_about_like_the_mended_one():
 @pytest.mark.parametrize(
     ("code", "repair"),
     [
-        ("clock-offset", Repair("shift-fixes", (-0.6,))),
+        ("clock-offset", Repair("shift-fixes", (-1.5,))),
         ("gyro-sign", Repair("gyro", (2.0, -1.0))),
         ("mounting", Repair("rotate", (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0))),
     ],
