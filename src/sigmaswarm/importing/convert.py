@@ -15,10 +15,11 @@ from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
-from sigmaswarm.importing.guess import SAMPLE, time_of, wrong_unit
+from sigmaswarm.importing.guess import SAMPLE, time_of
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
 from sigmaswarm.importing.source import FILES, ROLES, Choice, Guess, Part, Progress, Role, Source
+from sigmaswarm.importing.times import wrong_unit
 from sigmaswarm.wording import names_shown
 
 
@@ -36,6 +37,7 @@ class Request:
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : how much is read
+    part : which recording, from 1, where a clock starts anew within a table
     """
 
     source: Path
@@ -48,6 +50,7 @@ class Request:
     time: str | None = None
     choice: Choice = field(default_factory=Choice)
     limits: Limits = field(default_factory=Limits)
+    part: int | None = None
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,8 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         sources = open_logs(request, stack)
         guesses = {path: guess_of(source, request) for path, source in sources.items()}
         recipe = complete_recipe(request, guesses)
+        for fault in faults_left(request, recipe, guesses):
+            raise InputError(fault)
         _require_sensors(recipe, request, sources)
         for guess in guesses.values():
             notes += guess.said(mounted=bool(recipe.mount))
@@ -91,10 +96,25 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         for guess in guesses.values():
             metadata |= guess.metadata
     progress(1.0)
-    drive = assemble(name, gathered, recipe, notes.append)
+    drive = assemble(name, gathered, recipe, notes.append, request.part)
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
+
+
+def faults_left(request: Request, recipe: Recipe, guesses: Mapping[Path, Guess]) -> list[str]:
+    """What forbids to read columns as guessed, of those that the user has not mapped or left out."""
+    said = {entry.partition("=")[0].strip() for entry in request.maps}
+    left: list[str] = []
+    for path, guess in guesses.items():
+        for fault in guess.faults:
+            parts = recipe.roles.get(fault.role, ())
+            used = home_of(fault.role, request) == path and fault.role not in request.recipe.roles
+            mapped = {fault.column, f"{fault.role}.{fault.column}"} & said
+            if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
+                where = path if path.name == fault.table else path / fault.table
+                left.append(f"{where}, {fault.sentence}")
+    return list(dict.fromkeys(left))
 
 
 def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, Source]) -> None:

@@ -11,11 +11,20 @@ import polars as pl
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, time_expression
-from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, import_drive, open_logs
-from sigmaswarm.importing.guess import numbers_of, time_of
+from sigmaswarm.importing.convert import (
+    Request,
+    complete_recipe,
+    faults_left,
+    guess_of,
+    home_of,
+    import_drive,
+    open_logs,
+)
+from sigmaswarm.importing.guess import time_of
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role, Source
+from sigmaswarm.importing.times import numbers_of
 
 SAMPLE = 5000
 """Rows of a table by which ranges are told."""
@@ -82,6 +91,7 @@ def look(request: Request) -> Look:
         guesses = {path: guess_of(source, request) for path, source in sources.items()}
         try:
             recipe = complete_recipe(request, guesses)
+            notes += faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
         times = {

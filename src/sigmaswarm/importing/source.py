@@ -59,6 +59,16 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Fault:
+    """What forbids to use a column as it is, in a sentence with the remedy: a unit that is not known, raw counts."""
+
+    role: Role
+    column: str
+    table: str
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Guess:
     """How a reader would make a drive of a log, and what it assumed in doing so, one sentence each.
 
@@ -70,6 +80,7 @@ class Guess:
     metadata : keys for drive.toml
     downward : a sentence where the IMU's vertical axis points down, for whoever has not said how it sits
     fixed : expression over the fixes' first table: where carrier phases are fixed; empty where the format can't say
+    faults : what forbids to use columns as they are, unless the user maps them
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
@@ -78,6 +89,7 @@ class Guess:
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
     downward: str = ""
     fixed: str = ""
+    faults: tuple[Fault, ...] = ()
 
     def said(self, *, mounted: bool) -> list[str]:
         """The sentences, once it is known whether the user said how the IMU sits in the vehicle."""
