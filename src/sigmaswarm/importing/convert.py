@@ -127,6 +127,10 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
         if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
             path = home_of(role, request)
             there = names_shown(sources[path].tables)
+            headless = [r for r in sources[path].remarks if "has no header" in r]
+            if headless:
+                remedy = f"{headless[0]} (--show shows their ranges); or {remedy}"
+                raise InputError(f"{path}: no {what} found in {there}; {remedy}")
             raise InputError(
                 f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
             )

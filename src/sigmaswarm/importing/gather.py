@@ -90,7 +90,10 @@ def check_part(part: Part, source: Source, role: str) -> None:
         )
     columns = source.tables[part.table].columns
     for text in part.columns.values():
-        compile_expression(text, columns)
+        try:
+            compile_expression(text, columns)
+        except InputError as error:
+            raise InputError(f"{source.path}, {shown(part.table)}: {error}") from None
 
 
 def gather(

@@ -112,6 +112,8 @@ def look(request: Request) -> Look:
             }
             for path, source in sources.items()
         }
+    for source in sources.values():
+        notes += source.remarks
     for guess in guesses.values():
         notes += guess.said(mounted=bool(recipe.mount))
     proposal, evidence = _proposal(request, recipe, columns)

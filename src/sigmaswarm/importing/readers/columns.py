@@ -181,7 +181,7 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
     numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
     others: dict[str, list[str]] = {}
     for name in names:
-        bare = name.strip()
+        bare = name.strip().replace("`", "'")  # between backticks stand names in expressions
         first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
         if first in plain:
             free = numbers.setdefault(first, count())

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.source import first_bytes
 from sigmaswarm.importing.units import COUNTS, parse_unit
 
@@ -200,13 +201,13 @@ def _header(
                 f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(cells)}; give the header "
                 f"{width} names"
             )
-        names = [f"c{k}" for k in range(1, most + 1)]
-        said = f"{shown_as.name}: has no header; its columns are called c1 to c{most}, map them with --map or write a header"
-        return names, [said], False
-    if place > 0 and _are_units(titles):
-        upper = _fitting(lines[above[place - 1]], separator, width, most, open_end)
-        if upper:
-            titles = [_with_unit(n, u) for n, u in zip(upper, titles, strict=False)] + upper[len(titles) :]
+        return [f"c{k}" for k in range(1, most + 1)], [_no_header(shown_as, most)], False
+    if not (upper := _fitting(lines[above[place - 1]], separator, width, most, open_end) if place > 0 else []):
+        if _are_units(titles):
+            names = [_with_unit(f"c{k}", u) for k, u in enumerate(titles, 1)]
+            return names, [_no_header(shown_as, len(names))], width == len(titles) + 1 and open_end
+    elif _are_units(titles, upper):
+        titles = [_with_unit(n, u) for n, u in zip(upper, titles, strict=False)] + upper[len(titles) :]
     if len(titles) == width and open_end and not titles[-1].strip():
         titles = titles[:-1]
     if titles == [str(k) for k in range(len(titles))] or (
@@ -214,6 +215,13 @@ def _header(
     ):
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
     return [t or f"c{k}" for k, t in enumerate(titles, 1)], [], width == len(titles) + 1 and open_end
+
+
+def _no_header(shown_as: Path, count: int) -> str:
+    return (
+        f"{shown_as.name}: has no header; its columns are called c1 to c{count}: write a header line, as t,ax,ay,az,gx,gy,gz, "
+        "or map them with --map"
+    )
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
@@ -234,23 +242,30 @@ def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -
 
 def _titles(line: str, separator: str) -> list[str]:
     """The cells of a header; of "name"|"unit"|... between other separators, the name with its unit."""
-    cells = [c.strip() for c in split(line.strip("\r").lstrip(COMMENTS + "/").lstrip(), separator)]
+    cells = [c.strip() for c in split(_uncommented(line), separator)]
     if separator != "|" and len(cells) > 1 and all("|" in c for c in cells):
         parts = [[p.strip(' "') for p in c.split("|")] for c in cells]
         return [_with_unit(p[0], p[1]) for p in parts]
     return [c.strip('" ') for c in cells]
 
 
-def _are_units(cells: Sequence[str]) -> bool:
-    """Whether a line's cells are units: known ones, counts, or in brackets, or empty."""
+def _uncommented(line: str) -> str:
+    """A line without what makes it a comment; a leading tab is a separator."""
+    line = line.strip("\r")
+    bare = line.lstrip(" " + COMMENTS + "/")
+    return bare if line.lstrip(" ")[:1] in (*COMMENTS, "/") else line
 
-    def is_unit(cell: str) -> bool:
-        unit = parse_unit(cell.strip("[]()"))
-        bracketed = cell[:1] in ("[", "(") and cell[-1:] in ("]", ")")
-        return unit is None or unit.known or bracketed or cell.lower() in COUNTS
 
-    named = [c for c in cells if parse_unit(c.strip("[]()")) is not None]
-    return bool(named) and sum(map(is_unit, named)) > 0.5 * len(named)
+def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
+    """Whether a line's cells are units rather than names, and more so than the line above them."""
+    units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
+    known = [u for u in units if u is not None and (u.known or u.text.lower() in COUNTS)]
+    return bool(known) and _meanings(cells) <= _meanings(above)
+
+
+def _meanings(cells: Sequence[str]) -> int:
+    """How many of the cells are names of what a drive has."""
+    return sum(read_name(c).meaning is not None for c in cells[:100])
 
 
 def _with_unit(name: str, unit: str) -> str:
