@@ -24,6 +24,7 @@ RATE = {"rad/s": 1.0, "rad s^-1": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180
 LENGTH = {"m": 1.0, "km": 1e3, "ft": 0.3048, "mm": 1e-3, "cm": 0.01, "mi": 1609.344, "furlong": 201.168}
 SPEED = {"m/s": 1.0, "km/h": 1 / 3.6, "knots": 1852 / 3600, "mph": 0.44704, "cm/s": 0.01, "ft/s": 0.3048,
          "mm/s": 1e-3, "kph": 1 / 3.6, "warp": 3e8}  # fmt: skip
+UNKNOWN = ("parsec/s2", "LSB", "counts", "furlong", "warp")
 ANGLE = {"deg": np.pi / 180, "°": np.pi / 180, "rad": 1.0}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
 SUFFIXES = {"m/s^2": "m_s2", "ft/s^2": "ft_s2", "deg/s": "deg_s", "rad/s": "rad_s", "km/h": "kmh", "m/s": "mps", "°": "deg",
@@ -116,6 +117,11 @@ class Writer:
     def pick(self, options):
         return options[int(self.rng.integers(len(options)))]
 
+    def unit(self, table):
+        """A unit, seldom one that nothing knows."""
+        known = [u for u in table if u not in UNKNOWN]
+        return self.pick(known) if self.chance(0.95) else self.unit(table)
+
     def chance(self, p: float) -> bool:
         return bool(self.rng.random() < p)
 
@@ -189,7 +195,7 @@ class Writer:
 
     def add_axes(self, sheet: Sheet, letter: str, names: str) -> None:
         table = ACCELERATION if letter == "a" else RATE
-        unit = self.pick(tuple(table))
+        unit = self.unit(table)
         plain = ("m/s^2", "g", "LSB") if letter == "a" else ("rad/s", "deg/s", "counts")
         named = unit not in plain or self.chance(0.5)
         self.note(f"{names} in {unit}{'' if named else ', not named'}")
@@ -210,7 +216,7 @@ class Writer:
         self.note(f"fixes {style}")
         names = self.pick((("lat", "lon"), ("Latitude", "Longitude"), ("latitude", "lng")))
         if style == "metres":
-            unit = self.pick(tuple(LENGTH))
+            unit = self.unit(LENGTH)
             named = unit != "m" or self.chance(0.5)
             self.note(f"in {unit}")
             for name, column in (("x", "x"), ("y", "y")):
@@ -226,7 +232,7 @@ class Writer:
                     head = {"lat": ("N/S", "lat_dir"), "lon": ("E/W", "lon_dir")}[column][names[0] == "lat"]
                     sheet.add(head, [letters[int(v < 0)] for v in gps[column]])
         if self.chance(0.4):
-            unit = self.pick(tuple(SPEED))
+            unit = self.unit(SPEED)
             self.note(f"speed in {unit}")
             self.add_quantity(
                 sheet, "speed", gps["speed"], unit, SPEED[unit], unit != "m/s" or self.chance(0.5)
@@ -243,7 +249,7 @@ class Writer:
         sheet, truth = Sheet(), self.case.truth
         assert truth is not None
         self.add_time(sheet, truth["t"])
-        unit = self.pick(tuple(LENGTH))
+        unit = self.unit(LENGTH)
         for name in ("x", "y"):
             self.add_quantity(sheet, name, truth[name], unit, LENGTH[unit], unit != "m" or self.chance(0.5))
         if self.chance(0.7):
@@ -276,7 +282,8 @@ class Writer:
 
     def pick_clock(self) -> str:
         clocks = ("s", "ms", "us", "ns", "since start", "millis", "micros", "sec+nsec", "header.stamp", "week+tow", "wrap",
-                  "excel", "datenum", "fraction", "date", "date", "date+time", "coarse", "unit", "restart", "uneven")  # fmt: skip
+                  "excel", "datenum", "fraction", "date", "date", "date+time", "coarse", "unit", "s", "us",
+                  "restart" if self.chance(0.3) else "s", "uneven" if self.chance(0.3) else "ms")  # fmt: skip
         return self.pick(clocks)
 
     def add_time(self, sheet: Sheet, t: np.ndarray) -> None:
@@ -364,7 +371,18 @@ class Writer:
         if comma:
             numeric = [all(is_plain(c) for c in column) for column in sheet.cells]
             rows = [[c.replace(".", ",") if n else c for c, n in zip(r, numeric, strict=True)] for r in rows]
-        style = self.pick(("plain", "plain", "plain", "hash", "none", "above", "sep=", "other header"))
+        style = self.pick(
+            (
+                "plain",
+                "plain",
+                "plain",
+                "hash",
+                "above",
+                "sep=",
+                "other header",
+                "none" if self.chance(0.2) else "plain",
+            )
+        )
         dressing = self.pick(("", "", "padded", "trailing", "trailing all", "quoted", "bom", "crlf"))
         self.note(
             f"{name}: {separator!r} {style} {dressing}{' decimal comma' if comma else ''}{' units row' if units_row else ''}"

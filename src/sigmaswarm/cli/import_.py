@@ -42,6 +42,7 @@ def import_(
     truth_topic: Annotated[str | None, Parameter(name=("--truth-topic", "--truth-table"))] = None,
     odometer_topic: Annotated[str | None, Parameter(name=("--odometer-topic", "--odometer-table"))] = None,
     receive_times: _Flag = False,
+    part: int | None = None,
     mount: _Values = None,
     gps_offset: float | None = None,
     truth_offset: float | None = None,
@@ -107,6 +108,8 @@ def import_(
         Topic or table of the wheels' speed, m/s forward.
     receive_times
         Take the times at which messages were received, not their headers' stamps.
+    part
+        Which recording to read, from 1, where a clock starts anew within a table.
     mount
         How the IMU sits in the vehicle: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
     gps_offset
@@ -171,6 +174,7 @@ def import_(
         time=time,
         choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
         limits=_limits(rows=max_rows, columns=max_columns, unpacked_mb=max_unpacked_mb),
+        part=part,
     )
     if show:
         _show(request, save_recipe, json)

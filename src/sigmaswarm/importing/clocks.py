@@ -26,9 +26,10 @@ def _whole(count: pl.Expr, factor: int) -> pl.Expr:
 
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
     """The expression of a time (s) as whole nanoseconds; integer columns keep all their digits, also in a sum."""
-    terms = [_term(term, frame) for term in terms_of(text)]
-    if all(term is not None for term in terms):
-        return pl.sum_horizontal(terms, ignore_nulls=False) if len(terms) > 1 else terms[0]
+    terms = terms_of(text)
+    exact = [term for text in terms if (term := _term(text, frame)) is not None]
+    if len(exact) == len(terms):
+        return pl.sum_horizontal(exact, ignore_nulls=False) if len(exact) > 1 else exact[0]
     return _rounded(compile_expression(text, frame.columns))
 
 

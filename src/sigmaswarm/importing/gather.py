@@ -11,9 +11,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import Nanoseconds, time_expression
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.quantities import PLACEHOLDERS
 from sigmaswarm.importing.source import Part, Progress, Source
 from sigmaswarm.wording import names_shown, quoted, shown
 
+ROW = "row"
+"""The number of a row, from 0, as a column of every table that has none of this name."""
+FAR = 10
+"""Times the spread of a column: farther from the others than this, a placeholder is no value."""
 NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that mean a cell is empty."""
 
@@ -27,6 +32,7 @@ class Columns:
     time : (n,) ns
     values : by name, each (n,); NaN where the log has none
     unkept, timeless : rows left out since ``keep`` is false, since they have no time
+    placeholders : by column of the table, what stands where there is no value, and how often
     """
 
     part: Part
@@ -35,13 +41,17 @@ class Columns:
     unkept: int = 0
     timeless: int = 0
     seen: int = 0
+    placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
     chunks: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
 
     def add(self, frame: pl.DataFrame, source: Source) -> None:
         """Evaluate the part's expressions on some rows of its table."""
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
+        if ROW not in frame.columns:
+            frame = frame.with_columns(pl.int_range(self.seen, self.seen + len(frame)).alias(ROW))
         _require_numbers(frame, self.part, source, self.seen)
         self.seen += len(frame)
+        frame = self._without_placeholders(frame)
         try:
             rows = self._evaluated(frame)
         except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
@@ -53,6 +63,29 @@ class Columns:
         self.timeless += len(rows) - len(usable)
         if len(usable):
             self.chunks.append(usable)
+
+    def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Null where a logger wrote that it has no value, -999 or 1e10, far from all others of its column."""
+        used = [
+            compile_expression(t, frame.columns).numbers
+            for n, t in self.part.columns.items()
+            if n not in ("t", "keep")
+        ]
+        for name in sorted({n for names in used for n in names}):
+            if frame.schema[name].is_nested():
+                continue
+            numbers = frame[name].cast(pl.Float64, strict=False)
+            marked = numbers.is_in(PLACEHOLDERS).fill_null(False)
+            rest = numbers.filter(~marked).drop_nulls().drop_nans()
+            if not marked.any() or not len(rest):
+                continue
+            low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
+            marked &= ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
+            if count := int(marked.sum()):
+                value = float(numbers.filter(marked)[0])
+                self.placeholders[name] = (value, self.placeholders.get(name, (value, 0))[1] + count)
+                frame = frame.with_columns(pl.when(~marked).then(pl.col(name)).alias(name))
+        return frame
 
     def _evaluated(self, frame: pl.DataFrame) -> pl.DataFrame:
         """The time and the values of the rows that are kept."""
@@ -88,7 +121,7 @@ def check_part(part: Part, source: Source, role: str) -> None:
             f"{source.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
             "say it with --time"
         )
-    columns = source.tables[part.table].columns
+    columns = (*source.tables[part.table].columns, ROW)
     for text in part.columns.values():
         try:
             compile_expression(text, columns)
@@ -106,7 +139,8 @@ def gather(
     for part in parts:
         columns = source.tables[part.table].columns
         for text in part.columns.values():
-            wanted.setdefault(part.table, set()).update(compile_expression(text, columns).columns)
+            used = compile_expression(text, (*columns, ROW)).columns
+            wanted.setdefault(part.table, set()).update(used if ROW in columns else used - {ROW})
     for batch in source.batches(wanted):
         for columns in gathered:
             if columns.part.table == batch.table:

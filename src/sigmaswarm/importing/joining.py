@@ -9,7 +9,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Columns
-from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes, without_placeholders
+from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
@@ -92,7 +92,8 @@ def _in_order(part: Columns, role: Role, number: int | None, say: Say) -> tuple[
             why = "no time within 292 years of 1970; say its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")
     where = f"{role}: {table}"
-    values = without_placeholders(values, where, say)
+    for name, (value, count) in part.placeholders.items():
+        say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = np.any([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
     if role == "gps":
         filled &= ~_repeats(time, values)

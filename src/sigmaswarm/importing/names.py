@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from sigmaswarm.importing.units import Unit, parse_unit
+from sigmaswarm.importing.units import COUNTS, Unit, parse_unit
 
 LONGEST_NAME = 200
 """Characters of a name that can mean something."""
@@ -133,11 +133,9 @@ def read_name(column: str) -> Name:
     for count in (3, 2, 1):
         unit = _unit_of(words[-count:]) if len(words) > count else None
         rest = "_".join(words[:-count])
-        if (
-            unit is not None
-            and unit.known
-            and (meaning_of_plain(rest) or re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest))
-        ):
+        counts = words[-1:] != ["raw"] and bool(set(words[-1:]) & set(COUNTS))
+        timed = re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
+        if unit is not None and (unit.known or counts) and (meaning_of_plain(rest) or timed):
             return Name(column, rest, unit)
     return Name(column, plain)
 

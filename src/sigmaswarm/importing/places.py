@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
-from sigmaswarm.importing.quantities import PLACEHOLDERS
 
 Say = Callable[[str], None]
 Values = dict[str, Array]
@@ -21,23 +20,6 @@ FIT = 0.35
 """rad: a heading that agrees with the course within this, by its median, is in that convention."""
 MOVING = 1.0
 """m/s; slower than this, the course says nothing about the heading."""
-
-
-def without_placeholders(values: Values, where: str, say: Say) -> Values:
-    """Columns with NaN where a logger wrote that it has no value: -999, 1e10, far outside of all others."""
-    clean: Values = {}
-    for name, column in values.items():
-        marked = np.isin(column, PLACEHOLDERS)
-        rest = np.abs(column[~marked & np.isfinite(column)])
-        if marked.any() and (
-            not len(rest) or np.abs(column[marked]).min() > 5 * np.quantile(rest, 0.99) + 1e-9
-        ):
-            say(
-                f"{where}: {int(marked.sum())} values of {name} are {column[marked][0]:g}, a placeholder: left out"
-            )
-            column = np.where(marked, np.nan, column)
-        clean[name] = column
-    return clean
 
 
 def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:

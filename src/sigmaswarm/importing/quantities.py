@@ -191,7 +191,7 @@ def _unnamed_place(columns: Columns, role: Role) -> Found:
         return Found("{}")
     if low <= 9000 and high <= 18060 and all((v.abs() % 100 < 60).all() for v in (lat, lon)):
         return Found("ddmm({})", "latitude and longitude taken as degrees and minutes, ddmm.mmmm")
-    if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 360e6):
+    if low <= 9e8 and high <= 36e8 and (low > 90e6 or high > 180e6):
         return Found("{}*1e-7", "latitude and longitude taken as 1e-7 degrees")
     said = f"--map {remedy('{}*1e-7')} (or another factor)"
     return Found(

@@ -1,6 +1,7 @@
 """The times of a table made a time line: counters unwrapped, recordings told apart, repeated stamps spread, in order."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ def recordings(time: Nanoseconds) -> list[slice]:
             ends.append(int(fall))
     parts = [slice(a, b) for a, b in zip(ends, [*ends[1:], len(time)], strict=True)]
     spans = [(int(time[p].min()), int(time[p].max())) for p in parts]
-    for (low, high), (next_low, next_high) in zip(spans, spans[1:], strict=False):
+    for (low, high), (next_low, next_high) in pairwise(spans):
         if min(high, next_high) - max(low, next_low) < LEAST_OVERLAP * SECOND:
             return [slice(0, len(time))]  # the parts of one recording in another order
     return parts

@@ -70,9 +70,11 @@ def numbers_of(values: pl.Series) -> pl.Series:
 
 
 def step_of(values: pl.Series) -> float:
-    """The median of a time's forward steps."""
+    """The median of a time's forward steps; rows that share a stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
-    return float(steps.filter(steps > 0).median() or 0.0)  # pyright: ignore[reportArgumentType]
+    forward = steps.filter(steps > 0)
+    shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
+    return float(forward.median() or 0.0) * (shared if shared < 0.9 else 1.0)  # pyright: ignore[reportArgumentType]
 
 
 def _stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:

@@ -202,7 +202,9 @@ def _header(
                 f"{width} names"
             )
         return [f"c{k}" for k in range(1, most + 1)], [_no_header(shown_as, most)], False
-    if not (upper := _fitting(lines[above[place - 1]], separator, width, most, open_end) if place > 0 else []):
+    if not (
+        upper := _fitting(lines[above[place - 1]], separator, width, most, open_end) if place > 0 else []
+    ):
         if _are_units(titles):
             names = [_with_unit(f"c{k}", u) for k, u in enumerate(titles, 1)]
             return names, [_no_header(shown_as, len(names))], width == len(titles) + 1 and open_end
