@@ -183,6 +183,67 @@ class Drive:
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
     odometer: Odometer | None = None
 
+    @classmethod
+    def from_frames(
+        cls,
+        imu: Any,
+        gps: Any,
+        truth: Any = None,
+        odometer: Any = None,
+        *,
+        name: str = "drive",
+        origin: tuple[float, float, float] | None = None,
+        columns: Mapping[str, str] | None = None,
+    ) -> "Drive":
+        """Make a drive of data frames: those of pandas or polars, or mappings of column names to arrays.
+
+        Parameters
+        ----------
+        imu : frame with columns t, ax, ay, gz and perhaps az, gx, gy
+            s; m/s2; rad/s, in the body frame: x forward, y left, z up.
+        gps : frame with columns t and x, y (m) or lat, lon (deg), perhaps alt, std_x, std_y (m), speed, course
+        truth : frame with columns t, x, y (m), vx, vy (m/s), theta (rad), optional
+        odometer : frame with columns t, speed (m/s), optional
+        name : str
+        origin : (latitude deg, longitude deg, altitude m), optional
+            Where x = y = 0; by default the first fix that has lat and lon.
+        columns : mapping, optional
+            Your names to the names above: ``{"acc_x": "ax"}``.
+
+        Returns
+        -------
+        Drive
+            Times may be seconds or dates, in a column ``t`` or ``time`` or as a pandas index. Dates become seconds
+            since the first IMU sample, whose Unix time is ``metadata["time_origin_s"]``.
+
+        Raises
+        ------
+        DriveError
+            A column is missing, not numeric, not finite or out of range, or times do not increase; one line gives
+            table, column and row (from 0).
+
+        Warns
+        -----
+        SigmaswarmWarning
+            Unknown columns (ignored).
+        DriveWarning
+            Gaps, and values that look like other units or axes.
+
+        Examples
+        --------
+        >>> import numpy as np, polars as pl, sigmaswarm
+        >>> t = np.arange(0, 60, 0.01)
+        >>> imu = pl.DataFrame({"t": t, "ax": 0 * t, "ay": 0 * t, "gz": 0 * t})
+        >>> gps = {"t": t[::20], "x": 10 * t[::20], "y": 0 * t[::20]}
+        >>> sigmaswarm.Drive.from_frames(imu, gps).duration
+        59.99
+        """
+        from sigmaswarm.drives.frames import drive_from_tables  # it imports this file
+
+        return drive_from_tables(imu, gps, truth, odometer, name=name, origin=origin, columns=columns)
+
+    from_arrays = from_frames
+
     @property
     def nominal_interval(self) -> float:
         """The median time between IMU samples, s: the step that process noise refers to."""

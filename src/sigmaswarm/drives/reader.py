@@ -19,11 +19,14 @@ Place = tuple[float, float, float]
 _POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
 _GPS_EXTRAS = ("alt", "std_x", "std_y", "speed", "course")
 
-_IMU = ("t", "ax", "ay", "gz"), ("az", "gx", "gy")
-_GPS = {"enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)), "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS)}
-_ODOMETER = ("t", "speed"), ()
-_TRUTH = ("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")
-"""The columns of each file: the required and the optional ones."""
+COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "imu": (("t", "ax", "ay", "gz"), ("az", "gx", "gy")),
+    "enu": (("t", "x", "y"), ("lat", "lon", *_GPS_EXTRAS)),
+    "wgs84": (("t", "lat", "lon"), _GPS_EXTRAS),
+    "odometer": (("t", "speed"), ()),
+    "truth": (("t", "x", "y", "vx", "vy", "theta"), ("std_x", "std_y", "std_theta")),
+}
+"""The required and the optional columns of each table; those of gps by its frame."""
 
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
@@ -108,20 +111,20 @@ def read_with_warnings(folder: Path) -> tuple[Drive, list[SigmaswarmWarning]]:
     name = about.pop("name", folder.resolve().name)
 
     files = {name: _table(folder, name) for name in ("imu", "gps", "truth", "odometer")}
-    imu = Sheet.read(files["imu"]).columns(*_IMU, ignored)
+    imu = Sheet.read(files["imu"]).columns(*COLUMNS["imu"], ignored)
     sheet = Sheet.read(files["gps"])
     frame = _frame(about.pop("frame", None), files["gps"], sheet.cells.columns)
-    gps = sheet.columns(*_GPS[frame], ignored)
+    gps = sheet.columns(*COLUMNS[frame], ignored)
     origin = about.pop("origin", None)
     if frame == "wgs84":
-        origin = _place_on_plane(gps, origin)
+        origin = place_on_plane(gps, origin)
     truth = None
     if files["truth"].exists():
-        truth = _truth(Sheet.read(files["truth"]).columns(*_TRUTH, ignored), files["truth"])
+        truth = _truth(Sheet.read(files["truth"]).columns(*COLUMNS["truth"], ignored), files["truth"])
 
     odometer = None
     if files["odometer"].exists():
-        odometer = Odometer(**Sheet.read(files["odometer"]).columns(*_ODOMETER, ignored))
+        odometer = Odometer(**Sheet.read(files["odometer"]).columns(*COLUMNS["odometer"], ignored))
 
     drive = Drive(name, Imu(**imu), Gps(**gps), truth, frame, origin, about, odometer)
     if shortage := shortage_of(drive):
@@ -233,7 +236,7 @@ def _frame(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
     return frame
 
 
-def _place_on_plane(gps: dict[str, Array], origin: Place | None) -> Place:
+def place_on_plane(gps: dict[str, Array], origin: Place | None) -> Place:
     """Add x and y (m) to the columns of a "wgs84" log; return the origin (deg, deg, m) they refer to."""
     if origin is None:
         altitude = float(gps["alt"][0]) if "alt" in gps else 0.0

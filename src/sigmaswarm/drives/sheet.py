@@ -18,7 +18,7 @@ from sigmaswarm.forking import require_threads
 from sigmaswarm.wording import names_shown, quoted, shown
 
 _NO_STD = "leave the column out where no deviation is stated"
-_RANGES: dict[str, tuple[float, float, str]] = {
+RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
     "alt": (-1e7, 1e7, "give metres above the ellipsoid"),
     "x": (-1e7, 1e7, "give metres from an origin near by"),
@@ -160,7 +160,7 @@ class Sheet:
             raise self._fault(
                 i, column, "is not a finite number", "write digits with a dot, or delete the row"
             )
-        low, high, remedy = _RANGES.get(column, (-np.inf, np.inf, ""))
+        low, high, remedy = RANGES.get(column, (-np.inf, np.inf, ""))
         within = values.is_between(low, high)
         if not within.all():
             raise self._fault(int(within.arg_min() or 0), column, f"is outside {low:g} to {high:g}", remedy)
