@@ -200,7 +200,7 @@ class Rows:
         return self.guessed
 
 
-EXTRAS = {"ros": "rosbags mcap", "logs": "pyubx2 pynmeagps pyulog"}
+EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
 """What the extras install: by these names pip finds it, wherever sigmaswarm itself comes from."""
 
 
