@@ -43,6 +43,7 @@ def import_(
     odometer_topic: Annotated[str | None, Parameter(name=("--odometer-topic", "--odometer-table"))] = None,
     receive_times: _Flag = False,
     part: int | None = None,
+    msg: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
     mount: _Values = None,
     gps_offset: float | None = None,
     truth_offset: float | None = None,
@@ -78,7 +79,7 @@ def import_(
         Show tables or topics, rates, ranges and what would be done; write nothing.
     format
         The source's format, where looking finds the wrong one: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea,
-        px4, sensor-logger, phyphox, gnss-logger, csv.
+        px4, ardupilot, matlab, sensor-logger, phyphox, gnss-logger, csv.
     gps
         A log of its own for the fixes.
     truth
@@ -110,6 +111,8 @@ def import_(
         Take the times at which messages were received, not their headers' stamps.
     part
         Which recording to read, from 1, where a clock starts anew within a table.
+    msg
+        Definitions of ROS messages that a bag does not bring along: .msg files, or a package's folder.
     mount
         How the IMU sits in the vehicle: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
     gps_offset
@@ -175,6 +178,7 @@ def import_(
         choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
         limits=_limits(rows=max_rows, columns=max_columns, unpacked_mb=max_unpacked_mb),
         part=part,
+        definitions=msg or (),
     )
     if show:
         _show(request, save_recipe, json)

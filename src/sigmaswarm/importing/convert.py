@@ -17,7 +17,7 @@ from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
 from sigmaswarm.importing.guess import SAMPLE, time_of
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
+from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import FILES, ROLES, Choice, Guess, Part, Progress, Role, Source
 from sigmaswarm.importing.times import wrong_unit
 from sigmaswarm.wording import names_shown
@@ -38,6 +38,7 @@ class Request:
     choice : tables and times
     limits : how much is read
     part : which recording, from 1, where a clock starts anew within a table
+    definitions : files or folders of ROS messages' definitions, .msg, for bags without them
     """
 
     source: Path
@@ -51,6 +52,7 @@ class Request:
     choice: Choice = field(default_factory=Choice)
     limits: Limits = field(default_factory=Limits)
     part: int | None = None
+    definitions: Sequence[Path] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         recipe = complete_recipe(request, guesses)
         for fault in faults_left(request, recipe, guesses):
             raise InputError(fault)
-        _require_sensors(recipe, request, sources)
+        _require_sensors(recipe, request, sources, guesses)
         for guess in guesses.values():
             notes += guess.said(mounted=bool(recipe.mount))
         gathered = _gather_all(request, sources, recipe, progress)
@@ -117,7 +119,9 @@ def faults_left(request: Request, recipe: Recipe, guesses: Mapping[Path, Guess])
     return list(dict.fromkeys(left))
 
 
-def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, Source]) -> None:
+def _require_sensors(
+    recipe: Recipe, request: Request, sources: Mapping[Path, Source], guesses: Mapping[Path, Guess]
+) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that holds them as SOURCE"),
@@ -127,10 +131,10 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
         if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
             path = home_of(role, request)
             there = names_shown(sources[path].tables)
-            headless = [r for r in sources[path].remarks if "has no header" in r]
-            if headless:
-                remedy = f"{headless[0]} (--show shows their ranges); or {remedy}"
-                raise InputError(f"{path}: no {what} found in {there}; {remedy}")
+            said = (*sources[path].remarks, *guesses[path].notes)
+            if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
+                there = there or "what can be decoded"
+                raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
             raise InputError(
                 f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
             )
@@ -152,7 +156,12 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
     paths = dict.fromkeys(home_of(role, request) for role in ROLES)
     return {
         path: stack.enter_context(
-            open_log(path, request.form if path == request.source else None, request.limits)
+            open_log(
+                path,
+                request.form if path == request.source else None,
+                request.limits,
+                request.definitions,
+            )
         )
         for path in paths
     }
@@ -160,7 +169,7 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
 
 def guess_of(source: Source, request: Request) -> Guess:
     """The reader's guess; a log that is named for a role and has one table holds it, whatever its name."""
-    choice = request.choice
+    choice = replace(request.choice, mapped=mapped_roles(request.maps))
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if source.path == path and len(source.tables) == 1:
             choice = replace(choice, tables={**choice.tables, role: next(iter(source.tables))})

@@ -1,10 +1,11 @@
 """The formats that can be read: one file and one line each, in the order in which they are looked for."""
 
 import difflib
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.forking import require_threads
@@ -76,6 +77,8 @@ NOT_READ: tuple[tuple[tuple[str, ...], bytes, str], ...] = (
 class Reader(Protocol):
     """What a module in ``readers/`` has."""
 
+    __name__: str
+
     def recognizes(self, path: Path) -> bool:
         """Whether a file or folder looks like the format, by its name or first bytes; needs no library."""
         ...
@@ -86,9 +89,16 @@ class Reader(Protocol):
 
 
 def open_log(
-    path: Path, form: str | None = None, limits: Limits | None = None
+    path: Path,
+    form: str | None = None,
+    limits: Limits | None = None,
+    definitions: Sequence[Path] = (),
 ) -> AbstractContextManager[Source]:
     """Open a log of a format that is named, or found out by looking.
+
+    Parameters
+    ----------
+    definitions : files or folders of ROS messages' definitions, .msg, for bags that bring none along
 
     Raises
     ------
@@ -100,7 +110,10 @@ def open_log(
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:
         raise InputError(f"{path} is empty; copy the log again")
-    return _reader(form or format_of(path)).open_log(path, limits or Limits())
+    reader = _reader(form or format_of(path))
+    if definitions and reader.__name__.endswith(".ros"):
+        return cast("Any", reader).open_log(path, limits or Limits(), definitions)
+    return reader.open_log(path, limits or Limits())
 
 
 def format_of(path: Path) -> str:

@@ -14,7 +14,7 @@ TIME = (
     "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
 )
 CLOCK = (
-    "boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "received|boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
     "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
 )
 """Names of times that are taken where a table has none of the usual ones."""
@@ -103,8 +103,9 @@ def plain_words(text: str) -> list[str]:
 
 
 def meaning_of_plain(plain: str) -> str | None:
-    """What a drive has by a plain name, also behind a logger's prefix."""
-    for name in (plain, _PREFIXES.sub("", plain, count=1)):
+    """What a drive has by a plain name, also behind a logger's prefix and before ".data" of a message."""
+    bare = re.sub(r"_(?:data|value)$", "", plain)
+    for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:
             if re.fullmatch(pattern, name):
                 return what
@@ -118,6 +119,8 @@ def read_name(column: str) -> Name:
     text = column.strip()
     if len(text) > LONGEST_NAME:
         return Name(column, "")
+    if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
+        return _element(column, element[1], "xyz"[int(element[2])])
     if text and text[-1] in ")]":
         begin = text.rfind("(" if text[-1] == ")" else "[")
         if begin > 0:
@@ -138,6 +141,17 @@ def read_name(column: str) -> Name:
         if unit is not None and (unit.known or counts) and (meaning_of_plain(rest) or timed):
             return Name(column, rest, unit)
     return Name(column, plain)
+
+
+def _element(column: str, text: str, axis: str) -> Name:
+    """The name of an element of an array, accelerometer_m_s2[0]: its axis stands behind, its unit in front."""
+    words = plain_words(text)
+    for count in (3, 2, 1):
+        unit = _unit_of(words[-count:]) if len(words) > count else None
+        plain = "_".join([*words[:-count], axis])
+        if unit is not None and unit.known and meaning_of_plain(plain):
+            return Name(column, plain, unit)
+    return Name(column, "_".join([*words, axis]))
 
 
 def _unit_of(words: list[str]) -> Unit | None:

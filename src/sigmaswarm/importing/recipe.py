@@ -182,6 +182,11 @@ def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> G
     return replace(guess, roles={role: tuple(parts) for role, parts in roles.items()})
 
 
+def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
+    """The roles whose columns are mapped, other than their time."""
+    return frozenset(role for role, column, _ in map(_entry, maps) if column != "t")
+
+
 def _entry(text: str) -> tuple[Role, str, str]:
     """The role, column and expression of ``[role.]column=expression``."""
     target, equals, expression = text.partition("=")

@@ -98,10 +98,18 @@ class Guess:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the user chose among the tables of a log; None lets the reader find out."""
+    """What the user chose among the tables of a log.
+
+    Attributes
+    ----------
+    tables : by role, the table that was named
+    receive_times : times of receipt are taken, not the stamps of headers
+    mapped : roles whose columns the user maps, so that their table may hold anything
+    """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])
     receive_times: bool = False
+    mapped: frozenset[str] = frozenset()
 
 
 class Source(Protocol):

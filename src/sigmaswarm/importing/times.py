@@ -142,10 +142,15 @@ def _date_and_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Fo
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
     """A column called as times are; or else a clock that runs."""
-    usual = next((n for n in names if n.meaning == "t"), None)
+    usual = next((n for n in names if n.meaning == "t" and not _unset(frame[n.column])), None)
     if usual is None:
         usual = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
     return None if usual is None else _of_column(usual, frame, role)
+
+
+def _unset(values: pl.Series) -> bool:
+    """Whether a time is 0 in all rows, as stamps are that nothing sets."""
+    return len(numbers := numbers_of(values)) > 1 and bool((numbers == 0).all())
 
 
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
