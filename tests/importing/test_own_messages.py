@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.typesys import get_types_from_msg
 
 from importing.bags import ROS1, ROS2, Message, Writer2, messages, write_ros
 from importing.logs import EPOCH, a_drive, assert_close, imported
-from rosbags.typesys import get_types_from_msg
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.look import look
@@ -98,7 +98,7 @@ def test_definitions_that_the_bag_lacks_are_given(tmp_path: Path, pair: tuple[st
     database.execute("delete from message_definitions")
     database.commit()
     database.close()
-    with pytest.raises(InputError, match="no IMU samples.* --msg"):
+    with pytest.raises(InputError, match=r"no IMU samples.* --msg"):
         imported(tmp_path / "bag")
     names = [kind.rpartition("/")[2] + ".msg" for kind in pair]
     said = " ".join(look(Request(tmp_path / "bag")).notes)
@@ -129,7 +129,7 @@ def test_a_topic_without_names_can_be_mapped(tmp_path: Path):
         yield from (("/codes", t, make(np.zeros(3), GPS.lat[i], GPS.lon[i])) for i, t in enumerate(GPS.time))
 
     bag = write_ros(tmp_path / "bag", sent(), "sqlite3")
-    with pytest.raises(InputError, match="/codes .* choose another topic, or map it"):
+    with pytest.raises(InputError, match=r"/codes .* choose another topic, or map it"):
         imported(bag, choice=Choice({"gps": "/codes"}))
     got = imported(bag, choice=Choice({"gps": "/codes"}), maps=["lat=first", "lon=second"]).drive
     assert_close(got.gps, GPS, "lat lon", 0)

@@ -153,7 +153,8 @@ def gather(
 def _require_numbers(frame: pl.DataFrame, part: Part, source: Source, seen: int) -> None:
     """Refuse text where a number is needed, with its row."""
     used = (compile_expression(text, frame.columns).numbers for text in part.columns.values())
-    for name in {n for names in used for n in names if frame.schema[n] == pl.String}:
+    texts = {n for names in used for n in names if frame.schema[n] == pl.String}
+    for name in sorted(texts, key=source.tables[part.table].columns.index):
         said = frame[name]
         wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
         if wrong.fill_null(False).any():

@@ -78,9 +78,17 @@ def find_columns(frame: pl.DataFrame, table: str = "") -> Columns:
         for axis in "xyz":
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
+    if "ax" in columns and columns.names["ax"].plain == "linear_x" and not _holds_gravity(columns):
+        columns.names = {what: name for what, name in columns.names.items() if what not in ("ax", "ay", "az")}
     if _NO_PLACES.search(table) or "q" in columns or letter:
         columns.names = {what: name for what, name in columns.names.items() if what not in ("x", "y")}
     return columns
+
+
+def _holds_gravity(columns: Columns) -> bool:
+    """Whether ax, ay, az are specific forces, in m/s2 or g, and no velocities, which have these names as well."""
+    size = columns.norm(["ax", "ay", "az"]) if columns.has("ax", "ay", "az") else 0.0
+    return 8.0 < size < 12.0 or 0.85 < size < 1.15
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:

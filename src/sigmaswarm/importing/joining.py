@@ -95,6 +95,8 @@ def _in_order(part: Columns, role: Role, number: int | None, say: Say) -> tuple[
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
     filled = np.any([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+    if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
+        say(f"{role}: {empty} rows with an empty cell left out")
     if role == "gps":
         filled &= ~_repeats(time, values)
     if filled.any():

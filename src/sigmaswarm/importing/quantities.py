@@ -57,6 +57,14 @@ class Columns:
         """The 99th percentile of a column's size."""
         return float(self.numbers(what).abs().quantile(0.99) or 0.0)
 
+    def norm(self, axes: Sequence[str]) -> float:
+        """The median size of a vector (3,)."""
+        series = [self.frame[self.names[a].column] for a in axes]
+        if any(s.dtype.is_nested() for s in series):
+            return 0.0
+        squares = [s.cast(pl.Float64, strict=False).pow(2) for s in series]
+        return float(sum(squares[1:], squares[0]).sqrt().median() or 0.0)  # pyright: ignore[reportArgumentType]
+
     def text(self, what: str) -> str:
         """A column as an expression names it."""
         return written(self.names[what].column)
@@ -86,7 +94,7 @@ def _acceleration(columns: Columns, what: str, role: Role) -> Found:
     """Without a unit: g or mg, where that makes gravity of the three axes; m/s2; or raw counts."""
     text = columns.text(what)
     axes = [a for a in ("ax", "ay", "az") if a in columns and columns.names[a].unit is None]
-    size = _norm(columns, axes) if len(axes) == 3 else 0.0
+    size = columns.norm(axes) if len(axes) == 3 else 0.0
     if ("az" in columns and 0.8 < columns.median("az") < 1.2) or 0.9 < size < 1.12:
         return Found(f"{text}*9.80665", "accelerations taken as g, since gravity in them is about 1")
     if 930 < size < 1050 and max(columns.largest(a) for a in axes) < 8000:
@@ -94,15 +102,6 @@ def _acceleration(columns: Columns, what: str, role: Role) -> Found:
     if max(columns.median(a) for a in axes) > 30 or max(columns.largest(a) for a in axes) > MOST_FORCE:
         return Found("", fault=_raw_counts(columns, what, role))
     return Found(text)
-
-
-def _norm(columns: Columns, axes: Sequence[str]) -> float:
-    """The median size of a vector."""
-    series = [columns.frame[columns.names[a].column] for a in axes]
-    if any(s.dtype.is_nested() for s in series):
-        return 0.0
-    squares = [s.cast(pl.Float64, strict=False).pow(2) for s in series]
-    return float((squares[0] + squares[1] + squares[2]).sqrt().median() or 0.0)  # pyright: ignore[reportArgumentType]
 
 
 def _rate(columns: Columns, what: str, role: Role) -> Found:
@@ -122,7 +121,7 @@ def _raw_counts(columns: Columns, what: str, role: Role) -> str:
     letter = what[0]
     axes = [a for a in (f"{letter}{i}" for i in "xyz") if a in columns]
     if letter == "a":
-        gravity = _norm(columns, axes) if len(axes) == 3 else 0.0
+        gravity = columns.norm(axes) if len(axes) == 3 else 0.0
         known = [k for k in (16384, 8192, 4096, 2048, 1000) if abs(gravity / k - 1) < 0.12]
         per = known[0] if known else 16384
         form, about = f"{{}}*9.80665/{per}", _ACCELEROMETERS

@@ -141,7 +141,7 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
                 has_header=False,
                 new_columns=columns,
                 skip_lines=dialect.skip,
-                decimal_comma=bool(dialect.comma_columns),
+                decimal_comma=bool(dialect.comma_columns) and dialect.separator != ",",
                 encoding=cast("Any", dialect.encoding),
                 infer_schema_length=None,
                 comment_prefix="#",

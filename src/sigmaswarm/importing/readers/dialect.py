@@ -71,9 +71,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     data = [cells[i] for i in rows if i >= first]
     names, remarks, surplus = _header(lines, begin, first, data, separator, shown_as)
     commas = tuple(
-        k
-        for k in numeric
-        if separator != "," and any("," in row[k] for row in data if k < len(row)) and _plain(data, k)
+        k for k in numeric if any("," in row[k] for row in data if k < len(row)) and _plain(data, k)
     )
     if commas:
         remarks.append(f"{shown_as.name}: numbers with decimal commas")
