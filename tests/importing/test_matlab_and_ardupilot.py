@@ -18,6 +18,11 @@ RATE = np.column_stack([IMU.gx, IMU.gy, IMU.gz])
 PLACE = {"lat": GPS.lat, "lon": GPS.lon, "h": GPS.alt}
 
 
+def write_mat(path: Path) -> Path:
+    savemat(path, {"imu": {"t": IMU.time, "fb": FORCE, "wb": RATE}, "gnss": {"t": GPS.time, **PLACE}})
+    return path
+
+
 @pytest.mark.parametrize(
     "content",
     [

@@ -23,8 +23,9 @@ WRAPS: tuple[tuple[int, str], ...] = (
 """Periods after which clocks begin anew, ns."""
 FEWEST_ROWS = 20
 """Of a recording of its own; fewer rows out of order are sorted."""
-LEAST_OVERLAP = 1.0
-"""s that a clock falls back by, at least, where a second recording begins."""
+LEAST_FALL = 0.2
+"""s that a clock falls back by, at least, where a second recording begins; and some steps."""
+STEPS = 2
 REPEATED = 0.02
 """The share of rows with the time of the row before, above which they are more than a few double rows."""
 UNEVEN = 0.1
@@ -62,16 +63,18 @@ def recordings(time: Nanoseconds) -> list[slice]:
     falls = np.flatnonzero(np.diff(time) < 0) + 1
     if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
         return [slice(0, len(time))]
+    step = float(np.median(np.abs(np.diff(time)))) / SECOND
+    least = max(LEAST_FALL, STEPS * step)
     ends = [0]
     for fall in falls:
         back = (int(time[fall - 1]) - int(time[fall])) / SECOND
-        if fall - ends[-1] >= FEWEST_ROWS and len(time) - fall >= FEWEST_ROWS and back > LEAST_OVERLAP:
+        if fall - ends[-1] >= FEWEST_ROWS and len(time) - fall >= FEWEST_ROWS and back > least:
             ends.append(int(fall))
     parts = [slice(a, b) for a, b in zip(ends, [*ends[1:], len(time)], strict=True)]
-    spans = [(int(time[p].min()), int(time[p].max())) for p in parts]
-    for (low, high), (next_low, next_high) in pairwise(spans):
-        if min(high, next_high) - max(low, next_low) < LEAST_OVERLAP * SECOND:
-            return [slice(0, len(time))]  # the parts of one recording in another order
+    spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
+    gaps = [(begin - end) / SECOND for (_, end), (begin, _) in pairwise(spans)]
+    if all(-least < gap < least for gap in gaps):
+        return [slice(0, len(time))]  # the parts of one recording in another order
     return parts
 
 
@@ -79,7 +82,8 @@ def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice,
     """The rows of the recording that is wanted; refused where there are several and none was chosen."""
     parts = recordings(time)
     if len(parts) == 1:
-        return slice(0, len(time)), ""
+        whole = f"{where}: its clock does not start anew; all its rows are taken" if part else ""
+        return slice(0, len(time)), whole
     lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
     said = f"{where}: the clock starts anew at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
     if part is None:

@@ -49,7 +49,7 @@ class Found:
 
 def find_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
     """The time of a table, by its columns' names and values; None where it has none."""
-    for find in (_stamp, _pair, _week, _date_and_time, _single):
+    for find in (_pair, _stamp, _week, _date_and_time, _single):
         if (found := find(names, frame, role)) is not None:
             return found
     return None
@@ -198,6 +198,8 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
 
 
 def _reads(texts: pl.Series, form: str) -> bool:
+    if not form and not texts.str.contains(r"^\d{4}-\d").all():
+        return False
     moments = texts.to_frame("date").select(parse_dates(pl.col("date"), form).alias("t"))["t"]
     return moments.null_count() == 0
 

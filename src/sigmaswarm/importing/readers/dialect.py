@@ -23,6 +23,8 @@ BLANKS = " "
 """The separator of cells that any number of blanks part."""
 COMMENTS = "#%!"
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
+"""A date and a time of day without marks between their parts."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
 
 
@@ -127,9 +129,8 @@ def is_value(cell: str) -> bool:
     cell = cell.strip()
     if len(cell) > 40 or not cell:
         return False
-    return _NUMBER.fullmatch(cell) is not None or (
-        cell[0].isdigit() and (":" in cell or "-" in cell or "/" in cell)
-    )
+    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/")
+    return dated or _NUMBER.fullmatch(cell) is not None or _DIGITS.fullmatch(cell) is not None
 
 
 def _separator(lines: Sequence[str]) -> str:
