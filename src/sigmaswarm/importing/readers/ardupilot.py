@@ -5,7 +5,8 @@ Messages of ArduPilot, libraries/AP_Logger/LogStructure.h: TimeUS in us since st
 """
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +48,11 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the messages that a drive is made of, of the first IMU and the first receiver."""
     kind = library("pymavlink.DFReader", "logs").DFReader_binary
     log = kind.__new__(kind)  # so that its files can be closed where its own beginning fails
+    log.init_arrays_fast = log.init_arrays  # the compiled one prints what it passes over, which nothing can catch
     try:
-        log.__init__(str(path), zero_time_base=True)
-        rows = _rows(log, path, limits)
+        with redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # it prints what it passes over
+            log.__init__(str(path), zero_time_base=True)
+            rows = _rows(log, path, limits)
     except InputError:
         raise
     except Exception as error:  # the library raises anything on damaged bytes
@@ -57,7 +60,8 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     finally:
         for name in ("data_map", "filehandle"):
             if (stream := getattr(log, name, None)) is not None:
-                stream.close()
+                with suppress(BufferError):  # a failed message may still hold the map
+                    stream.close()
     frames = {
         name: pl.DataFrame(values, schema=dict.fromkeys(_TABLES[name], pl.Float64), orient="row")
         for name, values in rows.items()
