@@ -65,26 +65,26 @@ class Columns:
             self.chunks.append(usable)
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Null where a logger wrote that it has no value, -999 or 1e10, far from all others of its column."""
-        used = [
-            compile_expression(t, frame.columns).numbers
-            for n, t in self.part.columns.items()
-            if n not in ("t", "keep")
-        ]
-        for name in sorted({n for names in used for n in names}):
-            if frame.schema[name].is_nested():
-                continue
-            numbers = frame[name].cast(pl.Float64, strict=False)
-            marked = numbers.is_in(PLACEHOLDERS).fill_null(False)
-            rest = numbers.filter(~marked).drop_nulls().drop_nans()
-            if not marked.any() or not len(rest):
-                continue
-            low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
-            marked &= ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
-            if count := int(marked.sum()):
-                value = float(numbers.filter(marked)[0])
-                self.placeholders[name] = (value, self.placeholders.get(name, (value, 0))[1] + count)
-                frame = frame.with_columns(pl.when(~marked).then(pl.col(name)).alias(name))
+        """Null where a logger wrote that it has no value: -999 or 1e10, far from all others, or for both coordinates."""
+        texts = {n: compile_expression(t, frame.columns).numbers for n, t in self.part.columns.items()}
+        used = {c for n, columns in texts.items() if n not in ("t", "keep") for c in columns}
+        numbers = {
+            c: frame[c].cast(pl.Float64, strict=False)
+            for c in sorted(used)
+            if not frame.schema[c].is_nested()
+        }
+        marked = {c: values.is_in(PLACEHOLDERS).fill_null(False) for c, values in numbers.items()}
+        alone = {c: mark & _far(numbers[c], mark) for c, mark in marked.items() if mark.any()}
+        for first, second in (("lat", "lon"), ("x", "y")):
+            pair = [next(iter(texts[n])) for n in (first, second) if len(texts.get(n, ())) == 1]
+            if len(pair) == 2 and all(c in alone for c in pair):
+                both = marked[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
+                alone |= {c: alone[c] | both for c in pair}
+        for column, mark in alone.items():
+            if count := int(mark.sum()):
+                value = float(numbers[column].filter(mark)[0])
+                self.placeholders[column] = (value, self.placeholders.get(column, (value, 0))[1] + count)
+                frame = frame.with_columns(pl.when(~mark).then(pl.col(column)).alias(column))
         return frame
 
     def _evaluated(self, frame: pl.DataFrame) -> pl.DataFrame:
@@ -109,6 +109,15 @@ class Columns:
             for name in whole.columns[1:]:
                 self.values[name] = whole[name].fill_null(np.nan).to_numpy().astype(np.float64)
         return self
+
+
+def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
+    """Where values are far from those that are not marked, by the spread of these."""
+    rest = numbers.filter(~marked).drop_nulls().drop_nans()
+    if not len(rest):
+        return pl.zeros(len(numbers), dtype=pl.Boolean, eager=True)
+    low, middle, high = (float(rest.quantile(q) or 0.0) for q in (0.01, 0.5, 0.99))
+    return ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
 
 
 def check_part(part: Part, source: Source, role: str) -> None:

@@ -48,7 +48,9 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the messages that a drive is made of, of the first IMU and the first receiver."""
     kind = library("pymavlink.DFReader", "logs").DFReader_binary
     log = kind.__new__(kind)  # so that its files can be closed where its own beginning fails
-    log.init_arrays_fast = log.init_arrays  # the compiled one prints what it passes over, which nothing can catch
+    log.init_arrays_fast = (
+        log.init_arrays
+    )  # the compiled one prints what it passes over, which nothing can catch
     try:
         with redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # it prints what it passes over
             log.__init__(str(path), zero_time_base=True)

@@ -1,5 +1,6 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy: each struct is a table, and so are loose vectors of one length."""
 
+import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +14,12 @@ from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.messages import broken
 from sigmaswarm.importing.source import FILES, Choice, Frames, Guess, Source, first_bytes
+from sigmaswarm.wording import shown
 
 LOOSE = "variables"
 """The table of the vectors that are in no struct."""
 DEEPEST = 5
+MOST_STRUCTS = 100_000
 MOST_PARTS = 9
 """Columns of a matrix that are a column each."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -38,7 +41,7 @@ class _Mat(Frames):
 @contextmanager
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read all variables; timetables and files of version 7.3 are refused with the line to type in MATLAB."""
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     head = first_bytes(path, 1024)
     if _HDF5 in head:
@@ -47,7 +50,15 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
     try:
+        for name, shape, kind in whosmat(path):
+            if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy makes them all at once
+                raise InputError(
+                    f"{path}: {shown(name)} has more than {MOST_STRUCTS} structs; save vectors in one struct"
+                )
+            limits.check_unpacked(8 * math.prod(shape), path)
         content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
+    except InputError:
+        raise
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
     variables = {k: v for k, v in content.items() if not k.startswith("__")}
