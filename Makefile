@@ -8,8 +8,9 @@
 # make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30; then read 6000 odd tables
 # make docs      build the site into docs/_build: open docs/_build/html/index.html
 # make pictures  make the site's pictures anew: the demo's, and those of measured figures
-# make dist      build wheel and sdist into dist/; kernels for this Python, or for those in SIGMASWARM_KERNELS=a:b
+# make dist      build wheel and sdist into dist/
 # make dist-check  try the wheel on each Python that is found, each in an empty environment
+# make carla-recorder  write the recorder for old CARLA servers as one file, dist/carla_recorder.pyz
 # make notebook  execute examples/paper.ipynb and keep its outputs in it
 
 PYTHON ?= python3
@@ -22,7 +23,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 # Without bytecode each of the hundreds of processes that the tests start would parse all sources anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo install test test-long check bench parity fuzz docs pictures dist dist-check notebook clean
+.PHONY: demo install test test-long check bench parity fuzz docs pictures dist dist-check carla-recorder notebook clean
 
 demo: $(VENV)/installed
 	$(BIN)/sigmaswarm demo --out demo
@@ -64,10 +65,14 @@ pictures: $(VENV)/installed
 
 dist: $(VENV)/release-installed
 	rm -rf dist
-	SIGMASWARM_KERNELS=$${SIGMASWARM_KERNELS-$(abspath $(BIN)/python)} $(BIN)/python -m build --outdir dist
+	$(BIN)/python -m build --outdir dist
 
 dist-check: dist
 	$(PYTHON) tests/installed.py dist
+
+carla-recorder: $(VENV)/installed
+	mkdir -p dist
+	$(BIN)/python -m sigmaswarm_carla.pack dist/carla_recorder.pyz
 
 notebook: $(VENV)/test-installed
 	$(BIN)/python examples/execute.py examples/paper.ipynb

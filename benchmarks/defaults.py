@@ -29,7 +29,7 @@ from real_drives import KITTI
 from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, read_drive, simulate, split_time, tune
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.scoring.batch import Replayer
-from sigmaswarm.simulation.outliers import with_outliers
+from sigmaswarm.simulation.gps import with_outliers
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from switches import measured, quantities, raw
 

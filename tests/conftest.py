@@ -1,12 +1,17 @@
 """Settings that hold for all tests."""
 
 import os
+import signal
 
 # Before NumPy is imported: as many processes as cores run the tests, and threads of BLAS would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+# Under `nohup` SIGINT is ignored, by all child processes too: tests of interrupts need Python's handler.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A busy machine is no failure, and the same commit gets the same verdict; ``HYPOTHESIS_PROFILE=long``, as in
 # `make test-long`, and ``search`` look farther.
@@ -25,6 +30,6 @@ def pytest_xdist_auto_num_workers() -> int:
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are not drawn, which takes half a second each: where a test is about something else."""
-    from matplotlib.figure import Figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(b"a picture"))
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))

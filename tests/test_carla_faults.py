@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm
-from sigmaswarm.carla_recorder import Options
+from sigmaswarm_carla.options import Options
 from standin.process import record, recording, stand_in
 from standin.world import DEFAULTS
 

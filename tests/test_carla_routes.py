@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.simulation.carla import from_geolocation, to_geolocation
-from standin.process import RECORDER, python_with
+from standin.process import python_with, recorder
 from standin.town import REACH, WIDTH, write_town
 
 COLUMNS, ROWS, TAIL = (0.0, 130.0, 260.0), (0.0, 120.0), 1100.0
@@ -19,19 +19,20 @@ VERSIONS = ("0.9.14", "0.9.15", "0.9.16")
 ASK = """
 import json, os, random, sys
 sys.path.insert(0, sys.argv[1])
-import carla, carla_recorder as recorder
+import carla
+from sigmaswarm_carla import geometry, options, plans
 request = json.load(sys.stdin)
 town = carla.Map("town", request["town"])
 answers = []
 for name, friction, seed in request["plans"]:
     try:
-        plan = recorder.plan_maneuver(name, friction, town, random.Random(seed))
+        plan = plans.plan_maneuver(name, friction, town, random.Random(seed))
         path = plan.path
         answers.append({"x": path.x, "y": path.y, "heading": path.heading, "length": plan.length,
                         "start": plan.start, "turns": path.turns, "outages": plan.outages})
-    except recorder.RecorderError as error:
+    except options.RecorderError as error:
         answers.append(str(error))
-geodesy = recorder.Geodesy.probe(carla, town)
+geodesy = geometry.Geodesy.probe(carla, town)
 places = [geodesy.place(lat, lon) for lat, lon in request["fixes"]]
 print("ANSWER" + json.dumps([answers, places]), flush=True)
 os._exit(0)
@@ -41,7 +42,7 @@ os._exit(0)
 def ask(version: str, town: str, plans: list, fixes: list | None = None) -> tuple[list, list]:
     """Plans and places from the genuine client."""
     done = subprocess.run(
-        [python_with(version), "-c", ASK, str(RECORDER.parent)],
+        [python_with(version), "-c", ASK, str(recorder())],
         input=json.dumps({"town": town, "plans": plans, "fixes": fixes or []}),
         capture_output=True,
         text=True,
@@ -134,29 +135,25 @@ def test_the_recorder_needs_only_the_standard_library_and_the_syntax_of_38():
     import ast
     import sys
 
-    tree = ast.parse(RECORDER.read_text(), feature_version=(3, 8))
-    imported = {
-        name.split(".")[0]
-        for node in ast.walk(tree)
-        for name in (
-            [alias.name for alias in node.names]
-            if isinstance(node, ast.Import)
-            else [node.module or ""]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-    }
-    assert imported <= set(sys.stdlib_module_names)
-    assert Path(RECORDER).name == "carla_recorder.py"
+    from sigmaswarm_carla import pack
+
+    imported = set[str]()
+    for file in Path(pack.__file__).parent.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(), feature_version=(3, 8))):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                imported.add(str(node.module).split(".")[0])
+    assert "argparse" in imported and imported <= set(sys.stdlib_module_names)
 
 
 def test_figures_are_the_simulators():
-    from sigmaswarm import carla_recorder as recorder
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.carla import METERS_PER_DEGREE
     from sigmaswarm.simulation.dynamics import GRAVITY
+    from sigmaswarm_carla import geometry, options
 
-    assert recorder.MANEUVERS == PAPER_MANEUVERS
-    mine = {name: (e.friction, e.physics) for name, e in recorder.ENVIRONMENTS.items()}
+    assert options.MANEUVERS == PAPER_MANEUVERS
+    mine = {name: (e.friction, e.physics) for name, e in options.ENVIRONMENTS.items()}
     assert mine == {name: (e.friction, e.physics) for name, e in ENVIRONMENTS.items()}
-    assert (recorder.GRAVITY, recorder.METERS_PER_DEGREE) == (GRAVITY, METERS_PER_DEGREE)
+    assert (options.GRAVITY, geometry.METERS_PER_DEGREE) == (GRAVITY, METERS_PER_DEGREE)

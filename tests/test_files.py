@@ -161,8 +161,8 @@ def test_a_folder_that_somebody_made_meanwhile_stays(tmp_path: Path):
 def test_what_a_killed_run_left_is_swept(tmp_path: Path, body: str):
     done = limited(f"import os, signal\n{body}\n    os.kill(os.getpid(), signal.SIGKILL)", tmp_path)
     assert done.returncode == -9
-    (left,) = names(tmp_path)
-    assert left.startswith((".x.csv.sigmaswarm-", ".d.sigmaswarm-"))
+    left = names(tmp_path)
+    assert len(left) == 2 and all(name.startswith((".x.csv.sigmaswarm-", ".d.sigmaswarm-")) for name in left)
     write_whole(tmp_path / "y.csv", "")
     assert names(tmp_path) == ["y.csv"]
 
@@ -181,7 +181,15 @@ def test_what_only_looks_like_ours_stays(tmp_path: Path):
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "file").touch()
     (tmp_path / HIDDEN).symlink_to(tmp_path / "precious")
-    for name in (".x.csv.part", ".d.0a1b2c3d", HIDDEN[1:], HIDDEN + "c"):
+    (tmp_path / f"{HIDDEN}.lock").symlink_to(tmp_path / "precious" / "file")
+    for name in (
+        ".x.csv.part",
+        ".d.0a1b2c3d",
+        HIDDEN[1:],
+        f"{HIDDEN}c",
+        f"{HIDDEN[1:]}.lock",
+        f"{HIDDEN}c.lock",
+    ):
         (tmp_path / name).touch()
     before = names(tmp_path)
     write_whole(tmp_path / "y.csv", "")
@@ -191,10 +199,11 @@ def test_what_only_looks_like_ours_stays(tmp_path: Path):
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
 def test_what_somebody_else_left_stays(tmp_path: Path):
-    (tmp_path / HIDDEN).touch()
-    os.chown(tmp_path / HIDDEN, 12345, 12345)
+    for name in (HIDDEN, f"{HIDDEN}.lock"):
+        (tmp_path / name).touch()
+        os.chown(tmp_path / name, 12345, 12345)
     write_whole(tmp_path / "y.csv", "")
-    assert names(tmp_path) == [HIDDEN, "y.csv"]
+    assert names(tmp_path) == [HIDDEN, f"{HIDDEN}.lock", "y.csv"]
 
 
 def test_a_folder_taken_away_to_be_replaced_comes_back(tmp_path: Path):

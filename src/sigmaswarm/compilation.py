@@ -1,8 +1,8 @@
-"""Compiled functions, kept between processes where that is safe, and compiled anew where it is not.
+"""Compile functions with Numba, and cache the machine code between processes where that is safe.
 
-Numba keeps machine code in pickles, so whoever writes them runs code in the reader's name: they are kept in a folder
-that is open to nobody else. Numba itself would refuse to start where it finds no folder to write to, and fall over a
-file that is cut short; here the one costs time, and so does the other.
+Numba caches machine code in pickles, so a user who can write them can run code as the reader. The cache is therefore in
+a folder that only its owner can write. Without a writable folder, or with a damaged file, Numba itself would fail; here
+both cost only another compilation.
 """
 
 # Numba has types of its own, which a type checker for Python does not know.
@@ -28,7 +28,6 @@ from numba.core.ccallback import CFunc
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from sigmaswarm import shipped
 from sigmaswarm.errors import SigmaswarmWarning
 
 _log = logging.getLogger(__name__)
@@ -37,7 +36,7 @@ T = TypeVar("T")
 
 
 def once(make: Callable[P, T]) -> Callable[P, T]:
-    """As `functools.cache`, but while one thread makes something, those that want the same wait for it."""
+    """As `functools.cache`, but threads wait while another one makes the same thing."""
     lock, made = threading.RLock(), cache(make)
 
     @wraps(make)
@@ -50,16 +49,16 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A function that is made only where no machine code of it is kept: to write a kernel out takes half a second.
+    """A function that is made only if its machine code is not cached: to write a kernel out takes half a second.
 
     Attributes
     ----------
     like : callable
-        Of the same name and with the same parameters.
+        A function of the same name with the same parameters.
     key : str
-        Tells what is made from all else that bears this name, as a function's own text does otherwise.
+        Identifies the function among those of this name, as the source text does otherwise.
     make : callable
-        Gives the function.
+        Makes the function.
     """
 
     like: Callable[..., Any]
@@ -68,7 +67,7 @@ class Recipe:
 
 
 def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) -> Any:
-    """`numba.njit` whose machine code is kept between processes, where there is a folder for it."""
+    """Compile with `numba.njit` and cache the machine code between processes, where a folder allows it."""
     if function is None:
         return lambda function: cached(function, **options)
     if config.DISABLE_JIT:
@@ -79,9 +78,9 @@ def cached(function: Callable[..., Any] | Recipe | None = None, **options: Any) 
 
 
 def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
-    """Where the machine code of a function stands, for other compiled code; kept between processes as `cached`.
+    """Compile a function as `cached` does and return the address of its machine code, valid in this process.
 
-    It holds in this process only. Without compiling (NUMBA_DISABLE_JIT), the function itself.
+    Without compiling (NUMBA_DISABLE_JIT) the function itself is returned.
     """
     if config.DISABLE_JIT:
         return function.make()
@@ -93,11 +92,11 @@ def address_of(function: Recipe, signature: Any, **options: Any) -> Any:
 
 
 _CALLED: list[CFunc] = []
-"""Machine code whose address is known to others stays."""
+"""Keeps machine code alive whose address is in use."""
 
 
 def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
-    """Where ``compiled``, a dispatcher or a CFunc, keeps the machine code of a function."""
+    """Make the cache of ``compiled``, a dispatcher or a CFunc of a function."""
     recipe = function if isinstance(function, Recipe) else None
     folder, trouble = _folder()
     if folder is not None:
@@ -118,15 +117,15 @@ def _cache_of(function: Callable[..., Any] | Recipe, compiled: Any) -> Any:
 
 
 def _write(recipe: Recipe, compiled: Any) -> None:
-    """Put the function itself in place of the one that is like it, to be compiled."""
+    """Make the function of a recipe, and have it compiled in place of its stand-in."""
     compiled.py_func = compiled._compiler.py_func = recipe.make()
 
 
 @cache
 def _folder() -> tuple[Path | None, str]:
-    """Where machine code is kept, made if need be; or None, and why.
+    """Make the cache folder: ``sigmaswarm`` in NUMBA_CACHE_DIR, or in the user's cache folder.
 
-    That is ``sigmaswarm`` in NUMBA_CACHE_DIR where that is set, else in the user's folder for caches.
+    Returns the folder, or None and the reason why there is none.
     """
     if config.CACHE_DIR:
         folder = Path(config.CACHE_DIR).absolute() / "sigmaswarm"
@@ -147,7 +146,7 @@ def _folder() -> tuple[Path | None, str]:
 
 
 def _is_private(folder: Path) -> bool:
-    """True if nobody else can write into a folder or exchange it. Where users have no numbers, nothing is asked."""
+    """Return true if no other user can write into a folder or replace it; not checked on systems without user ids."""
     if not hasattr(os, "getuid"):
         return True
     own, above = folder.stat(), folder.parent.stat()
@@ -156,10 +155,11 @@ def _is_private(folder: Path) -> bool:
 
 
 class _Checked(CompileResultCacheImpl):
-    """Machine code with its checksum: a flipped bit in it would crash, or compute something else."""
+    """Machine code with its checksum: a flipped bit would crash, or change results."""
 
     def reduce(self, cres: Any) -> Any:
-        return _sealed(super().reduce(cres))
+        kept = dumps(super().reduce(cres))
+        return hashlib.sha256(kept).digest(), kept
 
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         digest, kept = payload
@@ -168,13 +168,8 @@ class _Checked(CompileResultCacheImpl):
         return super().rebuild(target_context, pickle.loads(kept))
 
 
-def _sealed(reduced: tuple[Any, ...]) -> tuple[bytes, bytes]:
-    kept = dumps(reduced)
-    return hashlib.sha256(kept).digest(), kept
-
-
 class _Cache(FunctionCache):
-    """A cache whose faults cost a compilation, never the run; what is garbled in it is written anew."""
+    """A cache whose faults cost a compilation, never the run; damaged files are written again."""
 
     _impl_class = _Checked
     recipe: Recipe | None = None
@@ -182,30 +177,13 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         found = None
-        with suppress(Exception):  # what unpickling garbage raises can be anything
+        with suppress(Exception):  # unpickling a damaged file can raise any exception
             found = super().load_overload(sig, target_context)
-        with suppress(Exception):
-            if found is None and self._bring(sig, target_context.codegen()):
-                found = super().load_overload(sig, target_context)
         if found is None:
-            _tell_once(str(_folder()[0]))
+            _log_once(str(_folder()[0]))
             if self.recipe:
                 _write(self.recipe, self.compiled)
         return found
-
-    def _bring(self, sig: Any, codegen: Any) -> bool:
-        """Put what came with the wheel among what is kept; False if nothing did."""
-        kept = shipped.brought(shipped.key_of(self.name, sig, codegen), codegen)
-        if kept is not None:
-            self._impl.locator.ensure_cache_path()
-            self._cache_file.save(self._index_key(sig, codegen), _sealed(kept))
-        return kept is not None
-
-    @property
-    def name(self) -> str:
-        """Of the function among all of this package."""
-        own = self._py_func
-        return f"{own.__module__}.{own.__qualname__} {self.recipe.key if self.recipe else ''}"
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         if self.recipe:
@@ -226,23 +204,23 @@ class _Cache(FunctionCache):
 
 
 class _NoCache(NullCache):
-    """No cache: says so when it would have kept something for the first time."""
+    """No cache; warns when it would have saved machine code for the first time."""
 
     def __init__(self, trouble: str) -> None:
         self._trouble = trouble
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        _say_once(self._trouble)
+        _warn_once(self._trouble)
 
 
 @cache
-def _tell_once(folder: str) -> None:
-    """At the first thing that is compiled: a command shows it on a terminal, other programs as they log."""
+def _log_once(folder: str) -> None:
+    """Log the first compilation, which commands show on a terminal."""
     _log.info("compiling filters, once on this machine: ten seconds or so (kept in %s)", folder)
 
 
 @cache
-def _say_once(trouble: str) -> None:
+def _warn_once(trouble: str) -> None:
     warnings.warn(
         f"compiled filters are not kept, since {trouble}: each start compiles them anew, for ten seconds or so; "
         "set NUMBA_CACHE_DIR to a folder of your own",

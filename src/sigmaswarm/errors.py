@@ -1,5 +1,6 @@
-"""What can go wrong, each as one sentence that says where and what to do."""
+"""Errors and warnings. Each message is one sentence that states the place and the remedy."""
 
+import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -7,11 +8,11 @@ if TYPE_CHECKING:
 
 
 class SigmaswarmError(Exception):
-    """Base of every error that this library raises on purpose."""
+    """Base class of the library's errors."""
 
 
 class InputError(SigmaswarmError, ValueError):
-    """Something the user handed in can't be used: a file, a value, an option."""
+    """An input can't be used: a file, a value, an option."""
 
 
 class DriveError(InputError):
@@ -19,26 +20,26 @@ class DriveError(InputError):
 
 
 class AlignmentError(DriveError):
-    """No filter can start on the drive: too slow, too few fixes, or fixes that go another way than the IMU felt."""
+    """No filter can start on the drive: too slow, too few fixes, or fixes that contradict the IMU."""
 
 
 class SigmaswarmWarning(UserWarning):
-    """Something looks wrong, but work goes on."""
+    """Something looks wrong, but the work continues."""
 
 
 class Mistake(NamedTuple):
-    """What pydantic found wrong first.
+    """The first error that pydantic found.
 
     Attributes
     ----------
     key : str
-        Where, with dots; empty for the whole.
+        The key, with dots; empty for the whole record.
     value
-        What stands there.
+        The value of that key.
     kind : str
-        Pydantic's word for what is wrong.
+        Pydantic's name of the error.
     message : str
-        The same in one line.
+        The error on one line.
     """
 
     key: str
@@ -48,15 +49,20 @@ class Mistake(NamedTuple):
 
 
 def first_mistake(error: "ValidationError") -> Mistake:
-    """The first thing that pydantic found wrong, as one line."""
+    """Return the first error that pydantic found."""
     first = error.errors()[0]
     message = " ".join(first["msg"].removeprefix("Value error, ").split()).replace("Input should", "should")
     return Mistake(".".join(str(part) for part in first["loc"]), first["input"], first["type"], message)
 
 
 class DriveWarning(SigmaswarmWarning):
-    """A drive looks implausible; ``code`` is the doctor's for that fault, and ``doctor`` looks closer."""
+    """A drive looks implausible; ``code`` is the doctor's code of that fault."""
 
-    def __init__(self, said: str, code: str = "") -> None:
-        super().__init__(said)
+    def __init__(self, message: str, code: str = "") -> None:
+        super().__init__(message)
         self.code = code
+
+
+def warn_deprecated(old: str, new: str) -> None:
+    """Warn that a name is deprecated and will be removed in 0.5.0."""
+    warnings.warn(f"{old} is deprecated, use {new}", SigmaswarmWarning, stacklevel=4)

@@ -1,9 +1,9 @@
-"""Writing files, for the whole house: whole or not at all.
+"""Write files and folders whole or not at all.
 
-What is written stands beside its place under a hidden name, is flushed to the disk and then renamed, so that no reader,
-no kill, no full disk and no second run ever leaves a part of it under its own name, and what was there before stays
-until then. A rename replaces a symbolic link and never follows it. What a killed run left under such a hidden name is
-swept by the next one that writes into the folder.
+New content is written under a hidden name next to its destination, flushed to the disk and then renamed. So no reader,
+kill, full disk or second run leaves a part of it under the final name, and the old content stays until then. A rename
+replaces a symbolic link and never follows it. A locked file next to the hidden name shows that a run is writing. The
+next run that writes into the same folder removes what killed runs left there: a lock ends with its process.
 """
 
 import io
@@ -13,27 +13,20 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, EFBIG, ENOSPC, ENOTEMPTY
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
+    from filelock import BaseFileLock
     from numpy.typing import NDArray
 
-try:
-    import fcntl
-except ImportError:  # not on Windows: nothing is locked there, and nothing swept
-    fcntl = None
-
-T = TypeVar("T", "_Part", "_Staging")
-_HELD = set[int]()
-"""Of `held_folder`: open folders that this process has locked."""
-_OURS = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}")
+_LOCK = re.compile(r"\..+\.sigmaswarm-[0-9a-f]{12}\.lock")
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -48,7 +41,7 @@ def write_json(path: Path, content: Any, indent: int = 2) -> None:
 
 
 def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
-    """All arrays of an npz file; what a damaged one raises can be anything."""
+    """Read all arrays of an npz file; a damaged file can raise any exception."""
     import numpy as np  # heavy, and not needed to write text
 
     # opened here, since np.load leaves a damaged file open
@@ -57,7 +50,7 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
 
 
 def finite(content: Any) -> Any:
-    """The content with null in the place of NaN and inf, which JSON does not know."""
+    """Replace NaN and inf, which JSON does not know, by null."""
     if isinstance(content, dict):
         return {str(key): finite(value) for key, value in cast("dict[Any, Any]", content).items()}
     if isinstance(content, list | tuple):
@@ -66,12 +59,12 @@ def finite(content: Any) -> Any:
 
 
 def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
-    """Make a folder and its parents where they are missing.
+    """Make a folder and its missing parents.
 
     Raises
     ------
     InputError
-        Naming what is in the way, and ``remedy``.
+        If something is in the way; the message names it and ``remedy``.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -82,114 +75,94 @@ def make_folder(path: Path, remedy: str = "choose another --out") -> Path:
 
 @contextmanager
 def held_folder(path: Path) -> Generator[Path]:
-    """A folder, made where it is missing, that this run alone fills until the block ends.
+    """Make a folder where it is missing, and lock it against other runs until the block ends.
 
     Raises
     ------
     InputError
-        Another run fills it, or it can't be made.
+        Another run has locked it, or it can't be made.
     """
-    make_folder(path)
-    handle = os.open(path, os.O_RDONLY) if fcntl else -1
-    _HELD.add(handle)
+    file = make_folder(path) / ".sigmaswarm.lock"
     try:
-        if fcntl:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        _let_go_of(handle)
+        lock = _lock(file, wait=False)
+    except TimeoutError:
         raise InputError(
             f"{path}: another run is filling it; wait for its end, or choose another --out"
         ) from None
-    except OSError:
-        pass  # a file system that can't lock
     try:
         yield path
     finally:
-        _let_go_of(handle)  # the lock ends with it, and with the process
-
-
-def let_go() -> None:
-    """In a fork: let go of the folders that the parent holds, or they would be held as long as the fork lives."""
-    for handle in tuple(_HELD):
-        _let_go_of(handle)
-
-
-def _let_go_of(handle: int) -> None:
-    if fcntl and handle in _HELD:
-        os.close(handle)
-    _HELD.discard(handle)
+        if lock is not None:
+            with suppress(OSError):
+                file.unlink(missing_ok=True)  # still locked, so no other run has it
+            lock.release()
 
 
 @contextmanager
 def whole_file(path: Path) -> Generator[BinaryIO]:
-    """Open a file for bytes, which takes its place when the block ends, and never if the block fails.
+    """Open a file for bytes that takes its place when the block ends, and never if the block fails.
 
     Raises
     ------
     InputError
-        Naming the file, if it can't be written: a full disk, no permission, something in the way.
+        If the file can't be written (a full disk, no permission, something in the way); the message names it.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if path.exists() and not path.is_file():  # as root, /dev/null could be replaced
         raise InputError(f"{path}: is no regular file; name another")
-    _sweep(path.parent.resolve())
-    part = _made(path, _Part)
-    name = Path(part.name)
-    try:
-        with io.BufferedWriter(part) as file:
-            yield file
-            file.flush()
-            os.fsync(part.fileno())
-            name.replace(path)
-    except BaseException as error:
-        with suppress(OSError):
-            name.unlink(missing_ok=True)
-        failure = part.failure or error
-        if isinstance(failure, OSError) and failure.filename in (None, str(name)):
-            raise _unwritable(path, failure) from None
-        raise
+    with _staging(path) as new:
+        part = None
+        try:
+            part = _Part(str(new), "xb")
+            with io.BufferedWriter(part) as file:
+                yield file
+                file.flush()
+                os.fsync(part.fileno())
+            new.replace(path)
+        except BaseException as error:
+            failure = (part and part.failure) or error
+            if isinstance(failure, OSError) and failure.filename in (None, str(new)):
+                raise _unwritable(path, failure) from None
+            raise
 
 
 @contextmanager
 def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
-    """Name a place where a folder is to be made, which takes its own place when the block ends.
+    """Yield a path at which to make a folder, which takes its own place when the block ends.
 
     Parameters
     ----------
     path : Path
         Of the folder; its parent exists.
     replace : bool
-        Whether a folder that is there already, and not empty, gives way.
+        If true, replace a folder that exists and is not empty.
 
     Raises
     ------
     InputError
-        Naming the folder, if it can't be written, or was made by somebody else meanwhile.
+        If the folder can't be written, or another process has made it in the meantime; the message names it.
     """
-    _sweep(path.parent.resolve())
-    staging = _made(path, _Staging)
-    new, old = staging.path / "new" / path.name, staging.path / "old" / path.name
-    try:
-        new.parent.mkdir()
-        yield new
-        _flush(new)
-        if replace and path.exists():
-            old.parent.mkdir()
-            path.rename(old)
+    with _staging(path) as hidden:
+        new, old = hidden / "new" / path.name, hidden / "old" / path.name
         try:
-            new.rename(path)
-        except OSError:
-            if old.exists():
-                old.rename(path)
+            hidden.mkdir()
+            new.parent.mkdir()
+            yield new
+            _flush(new)
+            if replace and path.exists():
+                old.parent.mkdir()
+                path.rename(old)
+            try:
+                new.rename(path)
+            except OSError:
+                if old.exists():
+                    old.rename(path)
+                raise
+        except OSError as error:
+            if error.filename is None or str(error.filename).startswith(str(hidden)):
+                raise _unwritable(path, error) from None
             raise
-    except OSError as error:
-        if error.filename is None or str(error.filename).startswith(str(staging.path)):
-            raise _unwritable(path, error) from None
-        raise
-    finally:
-        shutil.rmtree(staging.path, ignore_errors=True)
-        staging.close()
 
 
 def _unwritable(path: Path, error: OSError) -> InputError:
@@ -197,19 +170,15 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     number = int(rust[1]) if rust else error.errno
     if number in (EEXIST, ENOTEMPTY):
         return InputError(f"{path}: exists already; delete it, or choose another name")
-    said = os.strerror(number) if number else str(error)
+    reason = os.strerror(number) if number else str(error)
     remedy = "make room, or name another place" if number in (ENOSPC, EDQUOT, EFBIG) else "name another place"
-    return InputError(f"{path}: can't be written ({said}); {remedy}")
+    return InputError(f"{path}: can't be written ({reason}); {remedy}")
 
 
 class _Part(io.FileIO):
-    """A new file, locked while it is open; it remembers a failure, which some writers bury under others."""
+    """A file that remembers a failed write, which some writers bury under other errors."""
 
     failure: OSError | None = None
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(str(path), "xb")  # follows no link, and has the mode of any new file
-        _lock(self.fileno())
 
     def write(self, data: Any, /) -> int:
         """Write as any file does."""
@@ -220,34 +189,52 @@ class _Part(io.FileIO):
             raise
 
 
-class _Staging:
-    """A new folder, locked until it is closed."""
-
-    def __init__(self, path: Path) -> None:
-        path.mkdir()
-        self.path = path
-        self._handle = os.open(path, os.O_RDONLY) if fcntl else -1
-        if fcntl:
-            _lock(self._handle)
-
-    def close(self) -> None:
-        """Give the lock back."""
-        if fcntl:
-            os.close(self._handle)
-
-
-def _made(path: Path, kind: Callable[[Path], T]) -> T:
-    """Something new beside a path, with a hidden name that tells whose it is."""
+@contextmanager
+def _staging(path: Path) -> Generator[Path]:
+    """Yield a free, hidden path next to ``path`` with a locked lock file; remove what is left there at the end."""
+    _sweep(path.parent.resolve())
     stem = path.name.encode()[:200].decode(errors="ignore")  # names end at 255 bytes
-    while True:
-        name = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
-        try:
-            made = kind(name)
-        except OSError as error:
-            raise _unwritable(path, error) from None
-        if name.exists():  # else another run swept it, in the moment before it was locked
-            return made
-        made.close()
+    hidden = path.with_name(f".{stem}.sigmaswarm-{secrets.token_hex(6)}")
+    file = hidden.with_name(f"{hidden.name}.lock")
+    lock = _lock(file)
+    try:
+        yield hidden
+    finally:
+        _remove(hidden)
+        if lock is not None:
+            lock.release()
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _remove(hidden: Path) -> None:
+    if hidden.is_dir() and not hidden.is_symlink():
+        shutil.rmtree(hidden, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            hidden.unlink(missing_ok=True)
+
+
+def _lock(file: Path, *, wait: bool = True) -> "BaseFileLock | None":
+    """Lock a file, made if missing, until its release or the end of the process; None where files can't be locked.
+
+    Raises
+    ------
+    TimeoutError
+        Another run has the lock, and ``wait`` is false.
+    """
+    from filelock import FileLock, Timeout  # not needed by commands that only read
+
+    if not file.parent.is_dir():  # which filelock would make
+        return None
+    lock = FileLock(file, timeout=-1 if wait else 0, thread_local=False, fallback_to_soft=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise
+    except OSError:
+        return None
+    return lock
 
 
 def _flush(folder: Path) -> None:
@@ -257,40 +244,26 @@ def _flush(folder: Path) -> None:
                 os.fsync(opened.fileno())
 
 
-def _lock(handle: int, *, wait: bool = True) -> bool:
-    """Lock an open file or folder; the lock ends with the process. False where somebody has it, or nobody can."""
-    try:
-        if fcntl:
-            fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return fcntl is not None
-
-
-@cache  # once a folder is enough for a process, which clears away after itself
+@cache  # once per folder and process: each process removes its own
 def _sweep(folder: Path) -> None:
-    """Remove what killed runs left in a folder: by name and owner ours, and locked by nobody."""
-    if not fcntl:
-        return
+    """Remove what killed runs left in a folder: hidden names of ours whose lock file is ours and not locked."""
     with suppress(OSError):
-        for path in folder.iterdir():
-            if _OURS.fullmatch(path.name):
+        for file in folder.iterdir():
+            if _LOCK.fullmatch(file.name):
                 with suppress(OSError):
-                    _sweep_one(path)
+                    _sweep_one(file)
 
 
-def _sweep_one(left: Path) -> None:
-    handle = os.open(left, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        if os.fstat(handle).st_uid != os.getuid() or not _lock(handle, wait=False):
-            return
-        if not left.is_dir():
-            left.unlink(missing_ok=True)
-            return
-        if (left / "old").is_dir():  # killed in between two renames: back to its place
-            for kept in (left / "old").iterdir():
-                if not (left.parent / kept.name).exists():
-                    kept.rename(left.parent / kept.name)
-        shutil.rmtree(left, ignore_errors=True)
-    finally:
-        os.close(handle)
+def _sweep_one(file: Path) -> None:
+    if hasattr(os, "getuid") and file.lstat().st_uid != os.getuid():
+        return
+    lock = _lock(file, wait=False)
+    if lock is None:
+        return
+    left = file.with_suffix("")
+    for kept in (left / "old").glob("*"):  # killed between two renames: back to its place
+        if not (left.parent / kept.name).exists():
+            kept.rename(left.parent / kept.name)
+    _remove(left)
+    lock.release()
+    file.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
-"""What notebooks show of a record: tables and tracks as HTML that needs nothing else, and pandas' tables.
+"""HTML of records for notebooks, tables and tracks without scripts or other files, and pandas' tables.
 
-Of plain numbers and texts alone: each record says itself what it shows. Texts are escaped, since names come from logs.
+The functions take plain numbers and texts, which each record supplies. Texts are escaped, since names come from logs.
 """
 
 import math
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WIDTH, HEIGHT, MARGIN = 360.0, 240.0, 10.0
-"""Of a picture, in pixels."""
+"""px, of a picture."""
 MOST_POINTS = 400
-"""That a line of a picture has; a notebook keeps its pictures."""
+"""Largest number of points of a line; a notebook stores its pictures."""
 COLORS = {"truth": "#000000", "fixes": "#009e73", "estimate": "#0072b2"}
-"""As in all other pictures, told apart by people who see few colours, too."""
+"""As in all other pictures; distinguishable with color blindness too."""
 
 
 def number(value: float | None) -> str:
-    """Three digits that count, and thousands in full; a dash for what can't be said."""
+    """Format three significant digits, thousands in full, and a dash for an unknown value."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
 
 
 def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table whose first column names its rows, with what a screen reader goes by: a caption, and scopes of heads."""
+    """Write a table whose first column names its rows, with caption and scopes for screen readers."""
 
     def cell(value: object) -> str:
         text = number(value) if isinstance(value, float) else str(value)
@@ -50,21 +50,21 @@ def table(caption: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -
 
 
 def listed(title: str, sentences: Sequence[str]) -> str:
-    """Sentences under a title; nothing where there are none."""
+    """Write sentences as a list under a title; empty without sentences."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
     return f"<p>{escape(title)}</p><ul>{items}</ul>" if sentences else ""
 
 
 def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
-    """A picture of paths from above, north up, east and north to one scale, and a sentence that says what it shows.
+    """Draw paths from above, north up and to scale, with a sentence that describes the picture.
 
     Parameters
     ----------
     title : str
-        What it is a picture of.
+        Of the picture.
     paths : mapping of str to (x, y)
-        m east and north, shape (n,) each; not finite where nothing is known. The one called fixes is drawn as dots.
-        A name of `COLORS` has its colour.
+        m east and north, shape (n,) each; NaN where unknown. The path called fixes is drawn as dots. Names in
+        `COLORS` have these colors.
     """
     drawn = {name: _thinned(*path) for name, path in paths.items()}
     drawn = {name: path for name, path in drawn.items() if len(path)}
@@ -74,7 +74,7 @@ def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
     low, high = points.min(axis=0), points.max(axis=0)
     span = high - low
     scale = min((WIDTH - 2 * MARGIN) / max(span[0], 1e-9), (HEIGHT - 2 * MARGIN) / max(span[1], 1e-9), 1e6)
-    said = (
+    summary = (
         f"{title} seen from above, {span[0]:.0f} m from west to east and {span[1]:.0f} m from south to north: "
         f"{', '.join(drawn)}"
     )
@@ -85,15 +85,15 @@ def track(title: str, paths: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> str:
         for name in drawn
     )
     return (
-        f'<figure style="margin:0"><svg role="img" aria-label="{escape(said)}" width="{WIDTH:.0f}" '
+        f'<figure style="margin:0"><svg role="img" aria-label="{escape(summary)}" width="{WIDTH:.0f}" '
         f'height="{HEIGHT:.0f}" viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" xmlns="http://www.w3.org/2000/svg" '
-        f'style="background:#ffffff"><title>{escape(said)}</title>{shapes}</svg>'
+        f'style="background:#ffffff"><title>{escape(summary)}</title>{shapes}</svg>'
         f"<figcaption>{key} &middot; {span[0]:.0f} m x {span[1]:.0f} m, north up</figcaption></figure>"
     )
 
 
 def _thinned(x: ArrayLike, y: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Some of the points that are finite, first and last among them, shape (m, 2)."""
+    """Thin the finite points, keeping the first and the last, shape (m, 2)."""
     points = np.stack([np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)], axis=1)
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) <= MOST_POINTS:
@@ -112,12 +112,12 @@ def _shape(name: str, path: Any, low: Any, high: Any, scale: float) -> str:
 
 
 def to_pandas(columns: Mapping[str, Any]) -> "pd.DataFrame":
-    """A table of pandas.
+    """Make a pandas data frame.
 
     Raises
     ------
     InputError
-        Where pandas is not installed.
+        If pandas is not installed.
     """
     try:
         import pandas as pd

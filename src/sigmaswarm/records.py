@@ -1,4 +1,4 @@
-"""Reading a result file, TOML or JSON, into its typed record."""
+"""Read a result file, TOML or JSON, into its typed record."""
 
 import json
 import tomllib
@@ -14,12 +14,12 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_record(kind: type[M], path: Path) -> M:
-    """Read a result file: JSON if it is called so, else TOML, as `FilterParameters.load` reads any file.
+    """Read a result file: JSON by its suffix, else TOML.
 
     Raises
     ------
     InputError
-        Naming the file, the key and what is wrong with it.
+        If the file can't be read; the message names the file, the key and what is wrong.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -1,10 +1,10 @@
-"""The library's version, and those that a result depends on."""
+"""The library's version, and the versions that a result depends on."""
 
 __version__ = "0.3.0"
 
 
 def versions() -> dict[str, str]:
-    """What a result depends on, beside the data."""
+    """Return the versions of the software that a result depends on."""
     import platform
 
     import numba

@@ -1,53 +1,53 @@
-"""How messages show what comes from files: on one line, without what steers a terminal, and not at any length."""
+"""Show names and cells of files in messages: on one line, without control characters, and cut to a length."""
 
 from collections.abc import Iterable
 
 MOST_CHARACTERS = 60
-"""Of a name or a cell in a message."""
+"""Longest name or cell in a message."""
 MOST_NAMES = 12
-"""Of a list in a message."""
+"""Longest list in a message."""
 
 
 TO_DO = "TO DO: "
-"""Begins what asks for action, so that it is told from what is good to know; such sentences are told first."""
+"""Beginning of remarks that require action; such remarks come first."""
 
 
 def to_do(remedy: str, why: str) -> str:
-    """What to do, and why, for people."""
+    """Write a remark that requires action: the remedy and its reason."""
     return f"{TO_DO}{remedy}: {why}"
 
 
 def in_order(remarks: Iterable[str]) -> list[str]:
-    """First what asks for action."""
+    """Sort remarks: those that require action come first."""
     return sorted(remarks, key=lambda remark: not remark.startswith(TO_DO))
 
 
 def counted(n: int, noun: str) -> str:
-    """``1 drive``, ``2 drives``."""
+    """Count in words: ``1 drive``, ``2 drives``."""
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def visible(text: str, kept: str = "\n\t") -> str:
-    """The text with control characters but ``kept`` as escapes: a name may hold what moves a terminal's cursor."""
+    """Escape control characters except ``kept``: a name may contain commands to a terminal."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in kept else ascii(c)[1:-1] for c in text)
 
 
 def shown(text: object, most: int = MOST_CHARACTERS) -> str:
-    """A name or a cell as a message shows it: control characters escaped, as repr does, and cut."""
+    """Show a name or a cell in a message: escape control characters, as repr does, and cut it."""
     whole = str(text)
     return visible(whole[:most], kept="") + ("..." if len(whole) > most else "")
 
 
 def quoted(text: object, most: int = MOST_CHARACTERS) -> str:
-    """The same between quotes."""
+    """Show a name or a cell in quotes."""
     whole = str(text)
     return repr(whole[:most]) + ("..." if len(whole) > most else "")
 
 
 def names_shown(names: Iterable[object], mark: str = "") -> str:
-    """The first names of a list, each shown between ``mark``, and how many more there are."""
+    """Show the first names of a list, each between two ``mark``, and the number of others."""
     every = [f"{mark}{shown(name)}{mark}" for name in names]
     more = f" and {len(every) - MOST_NAMES} more" if len(every) > MOST_NAMES else ""
     return ", ".join(every[:MOST_NAMES]) + more

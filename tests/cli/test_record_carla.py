@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import sigmaswarm
-from sigmaswarm.carla_recorder import Options, options_of
 from sigmaswarm.cli.record_carla import record_carla
+from sigmaswarm_carla.options import Options, options_of
 from standin.process import python_with, stand_in
 
 PROGRAM = "from sigmaswarm.cli import main; main()"
@@ -102,10 +102,10 @@ def test_every_option_reaches_the_recorder(monkeypatch: pytest.MonkeyPatch, tmp_
     assert set(given) == set(inspect.signature(record_carla).parameters) - {"out"}
     with pytest.raises(SystemExit):
         record_carla(out=tmp_path, **given)
-    took = dataclasses.asdict(options_of(handed[0][2:]))
+    took = dataclasses.asdict(options_of(handed[0][3:]))
     renamed = {"maneuver": "maneuvers", "environment": "environments"}
     wanted = {renamed.get(k, k): tuple(v) if isinstance(v, list) else v for k, v in given.items()}
     assert took == {"out": tmp_path, **wanted}
     with pytest.raises(SystemExit):
         record_carla(out=tmp_path)
-    assert options_of(handed[1][2:]) == Options(tmp_path)
+    assert options_of(handed[1][3:]) == Options(tmp_path)

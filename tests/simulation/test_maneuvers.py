@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from sigmaswarm.simulation.achieved import time_between
 from sigmaswarm.simulation.dynamics import AX, AY, FRICTION_USE, GRAVITY, X, Y
 from sigmaswarm.simulation.environments import ENVIRONMENTS
-from sigmaswarm.simulation.journey import take_journey
+from sigmaswarm.simulation.journey import take_journey, time_between
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.simulation.vehicle import MODEL_3, MODEL_3_CARLA

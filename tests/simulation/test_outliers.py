@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.simulation.outliers import with_outliers
+from sigmaswarm.simulation.gps import with_outliers
 from support import make_drive
 
 DRIVE = make_drive(duration=120.0)

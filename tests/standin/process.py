@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -16,8 +17,9 @@ from typing import Any
 
 import pytest
 
+from sigmaswarm_carla.pack import pack
+
 TESTS = Path(__file__).parents[1]
-RECORDER = TESTS.parent / "src" / "sigmaswarm" / "carla_recorder.py"
 PYTHONS = "SIGMASWARM_CARLA_PYTHONS"
 """Environment variable: interpreters that have other versions of the client, separated like PATH."""
 
@@ -96,6 +98,15 @@ def stand_in(folder: Path, version: str = "0.9.16", **faults: Any) -> Iterator[S
 
 
 @cache
+def recorder() -> Path:
+    """The recorder as users copy it to another machine: one file."""
+    folder = Path(tempfile.mkdtemp(prefix="sigmaswarm-recorder-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    pack(folder / "carla_recorder.pyz")
+    return folder / "carla_recorder.pyz"
+
+
+@cache
 def _others() -> dict[str, str]:
     """Interpreters by the version of the client that they have."""
     named = [p for p in os.environ.get(PYTHONS, "").split(os.pathsep) if p]
@@ -139,7 +150,7 @@ def recording(
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     # The client keeps a cache of maps in the home folder.
     process = subprocess.Popen(
-        [python_with(version), str(RECORDER), *arguments],
+        [python_with(version), str(recorder()), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from sigmaswarm.carla_recorder import Options
+from sigmaswarm_carla.options import Options
 
 _Names = Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())]
 _Flag = Annotated[bool, Parameter(negative=())]
@@ -33,7 +33,8 @@ def record_carla(
     """Record drives with known truth from a CARLA server: the paper's maneuvers and weathers, a Tesla Model 3.
 
     By default the paper's 25 conditions, 20 runs of each. Needs `pip install carla==0.9.16` for CARLA 0.9.16;
-    for an older server run the file carla_recorder.py with its own Python, which docs/carla.md explains.
+    for an older server `python -m sigmaswarm_carla.pack carla_recorder.pyz` writes the recorder as one file, to be run
+    with the Python of its client (docs/carla.md).
 
     Examples:
 
@@ -74,7 +75,6 @@ def record_carla(
     import subprocess
     import sys
 
-    from sigmaswarm import carla_recorder
     from sigmaswarm.errors import SigmaswarmError
 
     named = {
@@ -87,7 +87,7 @@ def record_carla(
         arguments += [f"--{name}", *values] if values else []
     arguments += [f"--{name}" for name, on in (("brake-sweep", brake_sweep), ("resume", resume)) if on]
     # A process of its own: the client may kill it, and what it says then is for us to tell.
-    process = subprocess.Popen([sys.executable, carla_recorder.__file__, *arguments])
+    process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:
             code = process.wait()

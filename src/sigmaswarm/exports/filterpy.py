@@ -36,15 +36,6 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
     used += ["lateral_velocity"] if features["USE_LATERAL"] else []
     used += ["gyro_bias"] if stands else []
     sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
-    places = [
-        "SEMI_MAJOR_AXIS",
-        "FLATTENING",
-        "_E2",
-        "wrap_angle",
-        "geodetic_to_ecef",
-        "enu_axes",
-        "geodetic_to_enu",
-    ]
     values = values_of(p, interval) | {
         "STATES": repr(model.names),
         "AS_RECORDED": repr(as_recorded),
@@ -55,7 +46,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
         if p.kind == "ekf"
         else "MerweScaledSigmaPoints, UnscentedKalmanFilter",
         "MODEL_SOURCE": "\n\n\n".join(sources),
-        "GEODESY_SOURCE": source_of(geodesy, places),
+        "WRAP_SOURCE": source_of(geodesy, ["wrap_angle"]),
         "FROZEN_SOURCE": source_of(frozen),
         "GAPS_SOURCE": source_of(gaps),
         "GAP_SOURCE": source_of(schedule, ["GAP_TURN_STD", "GAP_ACCELERATION_STD", "gap_covariance"]),

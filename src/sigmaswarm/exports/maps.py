@@ -14,9 +14,6 @@ import numpy as np
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.files import write_whole
 
-Origin = tuple[float, float, float]
-"""Latitude (deg), longitude (deg), altitude (m) of x = y = 0."""
-
 _IS_UNIX_TIME = 1e9
 """s: a clock beyond it counts from 1970 (it was passed in 2001), not from a start."""
 

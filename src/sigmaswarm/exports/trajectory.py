@@ -11,12 +11,11 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.attitude import quaternions, rotations
-from sigmaswarm.exports.maps import MAPS, Origin
+from sigmaswarm.exports.maps import MAPS
 from sigmaswarm.exports.ros import ros2
 from sigmaswarm.files import whole_file
 from sigmaswarm.filters.run import Estimate
-from sigmaswarm.forking import require_threads
-from sigmaswarm.geodesy import enu_to_geodetic
+from sigmaswarm.geodesy import Origin, enu_to_geodetic
 
 
 def write_estimate(
@@ -116,7 +115,6 @@ def write_fixes(
             gps.time + time_origin, places, path, f"{drive.name}: fixes before the filter's start"
         )
     else:
-        require_threads()
         with whole_file(path) as file:
             pl.DataFrame({"t": gps.time, "x": gps.x, "y": gps.y}).write_csv(file)
     return len(gps)
@@ -174,7 +172,6 @@ def true_trajectory(drive: Drive) -> Estimate:
 
 def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
     for number, estimate in enumerate(pieces):
-        require_threads()
         pl.DataFrame(estimate.columns(std=True)).write_csv(file, include_header=number == 0)
 
 

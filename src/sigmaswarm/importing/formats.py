@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.forking import require_threads
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Source, first_bytes
 
@@ -105,7 +104,6 @@ def open_log(
     InputError
         Nothing is there, it is empty, or no format fits.
     """
-    require_threads()
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:

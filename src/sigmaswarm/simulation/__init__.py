@@ -1,18 +1,17 @@
-"""The simulator: drives of a Tesla Model 3 with seeded sensors, without a CARLA server.
+"""Simulate drives of a Tesla Model 3 with seeded sensors, without a CARLA server.
 
     maneuvers -> planning -> dynamics -> journey -> terrain -> motion -> imu, gps, odometer -> scenarios -> Drive
 
-`simulate` makes one drive, `simulate_many` all conditions; `with_outliers` spoils some fixes of any drive. What is
-modelled, and what is not: docs/simulator.md.
+`simulate` makes one drive, `simulate_many` all conditions; `with_outliers` adds outliers to the fixes of any drive.
+docs/simulator.md lists what is modelled.
 """
 
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS, simulate_many
 from sigmaswarm.simulation.environments import ENVIRONMENTS, Environment
-from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade
+from sigmaswarm.simulation.gps import GPS_GRADES, GpsGrade, with_outliers
 from sigmaswarm.simulation.imu import IMU_GRADES, ImuGrade, Triad
 from sigmaswarm.simulation.maneuvers import MANEUVERS
 from sigmaswarm.simulation.odometer import ODOMETER_GRADES, OdometerGrade
-from sigmaswarm.simulation.outliers import with_outliers
 from sigmaswarm.simulation.scenarios import simulate
 from sigmaswarm.simulation.terrain import TERRAINS, Terrain
 from sigmaswarm.simulation.vehicle import VEHICLES

@@ -1,11 +1,10 @@
-"""CARLA's two geodesies: how its places (x east, y south, m) become latitude and longitude, and back.
+"""CARLA's two geodesies: convert positions (x east, y south, m) to latitude and longitude, and back.
 
-Neither is WGS-84, so CARLA's fixes must come back to metres through the same formulas.
+Neither is WGS-84, so CARLA's fixes must be converted to meters by the same formulas.
 
-- Up to 0.9.15 a Mercator plane on a sphere (LibCarla's GeoLocation).
-- 0.9.16 a transverse Mercator plane on the same sphere with scale 0.9996 on the central meridian, whatever
-the map
-  says; and y counts **north**, so drives are mirrored (carla-simulator/carla#9389, mended after the release).
+- Up to 0.9.15: a Mercator plane on a sphere (LibCarla's GeoLocation).
+- 0.9.16: a transverse Mercator plane on the same sphere with scale 0.9996 on the central meridian, whatever the map
+  states; y counts **north**, so drives are mirrored (carla-simulator/carla#9389, fixed after the release).
 """
 
 import math

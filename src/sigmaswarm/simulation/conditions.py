@@ -1,15 +1,16 @@
-"""All conditions times all runs, in threads: the compiled car leaves the interpreter free."""
+"""Simulate all conditions and runs, in threads: the compiled car runs without the interpreter's lock."""
 
 import os
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from sigmaswarm.datasets.cluster import Cluster
+from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.fleets.connection import Cluster
 from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
 from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
@@ -21,22 +22,13 @@ PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 """The paper's five."""
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """A drive that a worker of a cluster is to make: a `fleets.sources.Source`."""
+def simulated_source(maneuver: str, environment: str, run: int, **options: Any) -> Source:
+    """Make the source of a drive that a worker of a cluster simulates."""
+    return partial(_simulated, maneuver, environment, run=run, **options)
 
-    maneuver: str
-    environment: str
-    run: int
-    options: dict[str, Any]
 
-    def read(self) -> tuple[Drive, list[SigmaswarmWarning]]:
-        """Make it."""
-        return simulate(self.maneuver, self.environment, run=self.run, **self.options), []
-
-    def size(self) -> float:
-        """Of three minutes at 100 Hz; most are shorter."""
-        return 6e6
+def _simulated(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
+    return simulate(*what, **options), []
 
 
 def simulate_many(
@@ -60,28 +52,28 @@ def simulate_many(
     runs : int
         Drives of each condition.
     executor : concurrent.futures.Executor, optional
-        Where to work; a pool of threads of its own by default.
+        Runs the simulations; a pool of threads by default.
     workers : int, optional
-        Threads of that pool; as many as the machine has cores by default.
+        Threads of that pool; one per core by default.
     use : callable, optional
-        Called with each drive where it was made, for example to write it; its result is yielded instead of
-        the drive.
+        Called with each drive in its thread, for example to write it; its result is yielded instead of the
+        drive.
     ahead : int
-        Drives that may be made before they are asked for: at least as many as work is done side by side.
+        Largest number of drives simulated in advance: at least the number of workers.
     leave_out : container of str
-        Names of drives not to make, such as those that an interrupted call has left.
+        Names of drives to skip, such as those of an interrupted call.
     **options
-        As for `simulate`; a duration holds for "urban" alone.
+        As for `simulate`; a duration applies to "urban" alone.
 
     Yields
     ------
-    Drive, or what `use` made of it
-        In the order maneuver, environment, run, whatever the number of workers; as soon as each is ready.
+    Drive, or the result of `use`
+        In the order maneuver, environment, run, whatever the number of workers, as soon as each is ready.
 
     Raises
     ------
     InputError
-        As from `simulate`, before any drive is made.
+        As from `simulate`, before the first drive.
     """
     duration = options.pop("duration", None)
     _check(maneuvers, environments, runs, duration)
@@ -102,9 +94,9 @@ def simulate_many(
 
 
 def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
-    """`simulate_many` by the workers of a Dask cluster; drives come here in their order.
+    """Run `simulate_many` on the workers of a Dask cluster; drives arrive in order.
 
-    A worker that dies costs what it was about to make, which Dask has made elsewhere.
+    If a worker dies, Dask simulates its drives on others.
 
     Raises
     ------
@@ -112,17 +104,17 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive
         If a worker has other versions, or the scheduler is gone.
     """
     cluster = Cluster(client)
-    cluster.check()
-    threads = sum(worker.threads for worker in cluster.workers().values())
+    cluster.require_same_versions()
+    threads = sum(cluster.workers().values())
     try:
         with client.get_executor(pure=False) as pool:
             yield from simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
     except (OSError, CancelledError):
-        raise cluster.gone() from None
+        raise cluster.lost_scheduler() from None
 
 
 def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:
-    """Refuse what only a later drive would stumble over; all else is wrong in the first one too."""
+    """Raise InputError for names that only a later drive would use; the first drive checks everything else."""
     for maneuver in maneuvers:
         find_maneuver(maneuver)
     for environment in environments:
@@ -135,7 +127,7 @@ def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, dur
 def _in_order(
     pool: Executor, work: Callable[..., Any], names: list[tuple[str, str, int]], ahead: int
 ) -> Iterator[Any]:
-    """Results in the order of the names, with at most `ahead` drives waiting, so that memory stays small."""
+    """Yield results in the order of the names, with at most `ahead` drives waiting, which bounds memory."""
     waiting: deque[Future[Any]] = deque()
     for name in names:
         waiting.append(pool.submit(work, *name))

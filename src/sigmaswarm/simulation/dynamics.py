@@ -7,9 +7,9 @@ from another file. The model, from the road up:
 - each wheel spins between motor, brake, rolling resistance and tire; anti-lock and traction control cut the
   torque of a wheel that slips beyond the peak of its tire;
 - the body moves in the plane under the four forces and the drag of the air; roll and pitch follow the
-  accelerations as second-order responses, and what their springs and dampers carry is the load transfer.
+  accelerations as second-order responses, and the forces of their springs and dampers transfer the load.
 
-The integration is the classical Runge-Kutta method at 1 kHz. The driver looks and acts at 100 Hz.
+The integration is the classical Runge-Kutta method at 1 kHz. The driver acts at 100 Hz.
 
 Frames: local east-north and body (x forward, y left, z up). Wheels: front left, front right, rear left, rear
 right. [P] on the lines: H. B. Pacejka, "Tire and Vehicle Dynamics" (similarity method, transient tires, low speed).
@@ -30,7 +30,7 @@ GRAVITY = 9.81
 STEP = 0.001
 """s, of the integration."""
 STEPS_PER_LOOK = 10
-"""Integration steps between two looks of the driver."""
+"""Integration steps per control step of the driver."""
 AIR_DENSITY = 1.204
 """kg/m3, at 20 degrees and sea level."""
 
@@ -38,12 +38,12 @@ AIR_DENSITY = 1.204
 X, Y, YAW, VX, VY, YAW_RATE, STEER, PEDAL, ROLL, ROLL_RATE, PITCH, PITCH_RATE = range(12)
 WHEEL, KAPPA, ALPHA = 12, 16, 20
 STATES = 24
-# What is recorded: the first twelve of the state, and these.
+# Recorded columns: the first twelve of the state, and these.
 AX, AY, YAW_ACCEL, ROLL_ACCEL, PITCH_ACCEL, PEAK_KAPPA, PEAK_ALPHA, FRICTION_USE, REAR_SPIN = range(12, 21)
 RECORDED = 21
 
 _LOW_SPEED = 3.0  # m/s; below it the tire gets a damper, or a standing car would swing on its tires [P]
-_NOTHING = 1e-60  # of any state; what dies away further would reach denormal numbers, which are slow
+_NOTHING = 1e-60  # of any state; smaller values become zero, since denormal numbers are slow
 _LOW_SPEED_DAMPING = 0.15  # slip per m/s of sliding
 _BRAKE_VISCOSITY = 1000.0  # N m s/rad; a brake's dry friction, made continuous around standstill
 
@@ -53,10 +53,10 @@ class Vehicle(NamedTuple):
 
     mass: float  # kg
     yaw_inertia: float  # kg m2
-    front: float  # m, centre of gravity to front axle
-    rear: float  # m, centre of gravity to rear axle
+    front: float  # m, center of gravity to front axle
+    rear: float  # m, center of gravity to rear axle
     track: float  # m
-    height: float  # m, of the centre of gravity
+    height: float  # m, of the center of gravity
     drag_area: float  # m2, drag coefficient times frontal area
     rolling_resistance: float  # force over load
     wheel_radius: float  # m
@@ -148,13 +148,13 @@ def _tire(
 
 @cached(nogil=True, error_model="numpy")
 def _relax(rate: float, deflection: float, sliding: bool) -> float:
-    """A tire that already slides does not deflect any further."""
+    """Return the rate of a tire's deflection: a sliding tire does not deflect any further."""
     return 0.0 if sliding and rate * deflection > 0.0 else rate
 
 
 @cached(nogil=True, error_model="numpy")
 def _torques(s: Array, car: Vehicle) -> tuple[float, float]:
-    """Torques, N m, that the pedals ask of all motors and of all brakes together.
+    """Total torques, N m, of all motors and of all brakes for the pedal.
 
     The pedal goes from coasting to full throttle, or from coasting to full brake.
     """
@@ -257,12 +257,12 @@ def _derivative(
     Returns
     -------
     ax, ay : float
-        m/s2, acceleration of the centre of gravity along the body's axes.
+        m/s2, acceleration of the center of gravity along the body's axes.
     use : float
         Force of all tires together over friction times weight.
     """
     vx, vy, yaw_rate = s[VX], s[VY], s[YAW_RATE]
-    # What springs and dampers carry of the accelerations is what loads the wheels.
+    # The springs and dampers transmit the load transfer.
     loads = _wheel_loads(
         car,
         s[PITCH] + 2.0 * car.pitch_damping / car.pitch_frequency * s[PITCH_RATE],

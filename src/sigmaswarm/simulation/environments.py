@@ -1,18 +1,20 @@
-"""Environments: what the road grips, and what weather might do to satellite navigation.
+"""Environments: friction of the road, and the assumed effect of weather on satellite navigation.
 
-Weather does not change traction in CARLA (carla-simulator/carla#655), darkness and fog do not in reality
-either: clear, night and fog share one physics. They remain as labels, so that the paper's 25 conditions can
-be named; only three of the five differ.
+Weather does not change traction in CARLA (carla-simulator/carla#655), nor do darkness and fog in reality. So clear,
+night and fog share one physics and are labels of the paper's 25 conditions; only three of the five differ.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 from sigmaswarm.errors import InputError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Environment:
-    """One weather.
+    """One environment.
 
     Attributes
     ----------
@@ -20,8 +22,8 @@ class Environment:
     friction : float
         Peak friction of tire on road.
     gnss_noise_factor : float
-        **An assumption, not a measurement**: by how much the weather multiplies the receiver's errors. Used
-        only when a simulation asks for it.
+        **An assumption, not a measurement**: factor of the weather on the receiver's errors, used by simulations
+        with ``gnss_degradation``.
     source : str
         Of the friction.
     """
@@ -33,7 +35,7 @@ class Environment:
 
     @property
     def physics(self) -> str:
-        """Which environments share their physics: dry, wet or snow."""
+        """Name of the physics that environments of this friction share: dry, wet or snow."""
         return {0.85: "dry", 0.65: "wet", 0.25: "snow"}.get(self.friction, f"friction {self.friction:g}")
 
 
@@ -52,10 +54,21 @@ ENVIRONMENTS = {
 """Environments by name, in the paper's order."""
 
 
+def named(value: str | T, table: dict[str, T], what: str) -> T:
+    """Look up a name in a table of records; return a record itself unchanged.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if not isinstance(value, str):
+        return value
+    if value not in table:
+        raise InputError(f"no {what} is called {value!r}; there are {', '.join(table)}")
+    return table[value]
+
+
 def find_environment(environment: str | Environment) -> Environment:
-    """Return an environment given by name or as a record; InputError for an unknown name."""
-    if isinstance(environment, Environment):
-        return environment
-    if environment not in ENVIRONMENTS:
-        raise InputError(f"no environment is called {environment!r}; there are {', '.join(ENVIRONMENTS)}")
-    return ENVIRONMENTS[environment]
+    """Return an environment given by name or as a record."""
+    return named(environment, ENVIRONMENTS, "environment")

@@ -1,4 +1,4 @@
-"""The GPS receiver: grades with their sources, and how each grade's errors get onto the true motion.
+"""The GPS receiver: grades with their sources, its errors, and outliers.
 
 Sources: gnss-ins-sim; u-blox data sheets (M8: 2.5 m CEP, which is 2.1 m per axis; 0.05 m/s); the CARLA
 Leaderboard's sensor set-up (5e-6 deg). Position errors of real receivers are correlated over about a minute
@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Gps
+from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.carla import METERS_PER_DEGREE, from_geolocation, to_geolocation
+from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.imu import gauss_markov
 from sigmaswarm.simulation.motion import LeverArm, Motion
 
@@ -27,14 +28,14 @@ class GpsGrade:
     Attributes
     ----------
     white_std, markov_std : float
-        m per axis: noise of each fix; stationary deviation of the first-order Gauss-Markov error.
+        m per axis: standard deviation of each fix's white noise, and of the first-order Gauss-Markov error.
     markov_time : float
         s, correlation time.
     velocity_std : float or None
-        m/s per axis; None for a receiver that tells neither speed nor course.
+        m/s per axis; None for a receiver that reports neither speed nor course.
     latency : float
-        s, by which a fix is older than its time stamp says. 0 in all grades: loggers stamp fixes with the
-        time that they are valid for; receivers talk 0.05-0.2 s later.
+        s, age of a fix at its time stamp. 0 in all grades: loggers stamp fixes with their time of validity;
+        receivers report them 0.05 to 0.2 s later.
     lever_arm : tuple of float
         m forward, left, up from the IMU to the antenna.
     stated_factor : float
@@ -59,7 +60,7 @@ class GpsGrade:
 
     @property
     def std(self) -> float:
-        """Standard deviation per axis in all, m."""
+        """Total standard deviation per axis, m."""
         return math.hypot(self.white_std, self.markov_std)
 
 
@@ -86,16 +87,12 @@ GPS_GRADES = {
 
 
 def find_gps(grade: str | GpsGrade) -> GpsGrade:
-    """Return a grade given by name or as a record; InputError for an unknown name."""
-    if isinstance(grade, GpsGrade):
-        return grade
-    if grade not in GPS_GRADES:
-        raise InputError(f"no GPS grade is called {grade!r}; there are {', '.join(GPS_GRADES)}")
-    return GPS_GRADES[grade]
+    """Return a grade given by name or as a record."""
+    return named(grade, GPS_GRADES, "GPS grade")
 
 
 def degrade(grade: GpsGrade, factor: float) -> GpsGrade:
-    """Return the grade with its position and velocity errors multiplied: weather, as an assumption."""
+    """Multiply a grade's position and velocity errors by a factor of the weather, which is an assumption."""
     velocity = None if grade.velocity_std is None else factor * grade.velocity_std
     return replace(
         grade, white_std=factor * grade.white_std, markov_std=factor * grade.markov_std, velocity_std=velocity
@@ -120,7 +117,7 @@ def measure_gps(
     grade : GpsGrade
         The receiver.
     rng : numpy.random.Generator
-        Draws do not depend on the grade, only their sizes do.
+        The grade scales the draws; their number does not depend on it.
     outages : list of (start, end)
         s, without fixes.
     """
@@ -149,8 +146,52 @@ def measure_gps(
 
 
 def _through_degrees(place: Array, noise: Array) -> Array:
-    """Add the noise (n, 2), m, in degrees, as CARLA does on a map whose origin is at 0, 0; back in m."""
+    """Add noise (n, 2), m, in degrees, as CARLA does on a map with origin 0, 0, and convert back to m."""
     lat, lon = to_geolocation(place[:, 0], -place[:, 1], 0.0, 0.0)
     lon, lat = lon + noise[:, 0] / METERS_PER_DEGREE, lat + noise[:, 1] / METERS_PER_DEGREE
     x, south = from_geolocation(lat, lon, 0.0, 0.0)
     return np.column_stack([x, -south])
+
+
+def with_outliers(
+    drive: Drive,
+    rng: np.random.Generator,
+    *,
+    share: float = 0.06,
+    offset: float = 20.0,
+    length: tuple[float, float] = (0.2, 1.0),
+) -> Drive:
+    """Add bursts of outliers to a drive's fixes: all fixes of a burst have one error, as reflections cause them.
+
+    Parameters
+    ----------
+    drive : Drive
+    rng : numpy.random.Generator
+        Draws each burst's first fix, its length and the direction of its error, all uniformly.
+    share : float
+        Share of outliers, in [0, 0.5]; the last burst may exceed it.
+    offset : float
+        Size of the error, m.
+    length : (float, float)
+        s, the shortest and the longest burst. Bursts that meet become one.
+
+    Raises
+    ------
+    InputError
+        If ``share`` or ``length`` can't be used.
+    """
+    if not (0 <= share <= 0.5 and 0 <= length[0] <= length[1] < np.inf):
+        raise InputError(
+            f"share = {share:g} and length = {length} s: at most half of the fixes can be off, for times of 0 or more, "
+            "the shorter one first"
+        )
+    time = drive.gps.time
+    x, y, off = drive.gps.x.copy(), drive.gps.y.copy(), np.zeros(len(time), dtype=np.bool_)
+    while off.mean() < share:
+        begin, span, way = time[rng.integers(len(time))], rng.uniform(*length), rng.uniform(0.0, 2 * np.pi)
+        burst = (time >= begin) & (time <= begin + span) & ~off
+        x[burst] += offset * np.cos(way)
+        y[burst] += offset * np.sin(way)
+        off |= burst
+    # degrees, where the log had them, would contradict
+    return replace(drive, frame="enu", gps=replace(drive.gps, x=x, y=y, lat=None, lon=None, alt=None))

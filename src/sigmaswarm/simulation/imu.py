@@ -1,4 +1,4 @@
-"""The IMU: grades with their sources, and how each grade's errors get onto the true motion.
+"""The IMU: grades with their sources, and the errors of each.
 
 Sources, cited behind the values:
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sigmaswarm.drives.drive import Imu
-from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import GRAVITY
+from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.motion import Motion
 
 Array = NDArray[np.float64]
@@ -35,13 +35,13 @@ class Triad:
     bias_std : float
         Standard deviation of the first-order Gauss-Markov bias.
     turn_on : float
-        The constant bias of a run is drawn evenly from +- this.
+        The constant bias of a run is uniform within +- this.
     scale, misalignment : float
-        Shares; drawn evenly from +- this for each axis and for each pair of axes.
+        Relative errors, uniform within +- this for each axis and for each pair of axes.
     reach : float
-        Largest value that can be told.
+        Largest measurable value.
     resolution : float
-        Smallest step; 0 for none.
+        Quantization step; 0 for none.
     """
 
     noise_density: float = 0.0
@@ -130,12 +130,8 @@ IMU_GRADES = {
 
 
 def find_imu(grade: str | ImuGrade) -> ImuGrade:
-    """Return a grade given by name or as a record; InputError for an unknown name."""
-    if isinstance(grade, ImuGrade):
-        return grade
-    if grade not in IMU_GRADES:
-        raise InputError(f"no IMU grade is called {grade!r}; there are {', '.join(IMU_GRADES)}")
-    return IMU_GRADES[grade]
+    """Return a grade given by name or as a record."""
+    return named(grade, IMU_GRADES, "IMU grade")
 
 
 def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) -> Array:
@@ -157,18 +153,18 @@ def gauss_markov(rng: np.random.Generator, count: int, axes: int, ratio: float) 
 
 
 def _spoil(true: Array, triad: Triad, interval: float, bias_time: float, rng: np.random.Generator) -> Array:
-    """Put a triad's errors on true values (n, 3). Draws do not depend on the grade, only their sizes do."""
+    """Add a triad's errors to true values (n, 3). The grade scales the draws; their number does not depend on it."""
     turn_on = triad.turn_on * rng.uniform(-1, 1, 3)
     mixing = triad.misalignment * rng.uniform(-1, 1, (3, 3))
     np.fill_diagonal(mixing, 1 + triad.scale * rng.uniform(-1, 1, 3))
     white = triad.noise_density / math.sqrt(interval) * rng.standard_normal(true.shape)
     bias = triad.bias_std * gauss_markov(rng, len(true), 3, interval / bias_time)
-    told = np.clip(true @ mixing.T + turn_on + bias + white, -triad.reach, triad.reach)
-    return np.round(told / triad.resolution) * triad.resolution if triad.resolution > 0 else told
+    reading = np.clip(true @ mixing.T + turn_on + bias + white, -triad.reach, triad.reach)
+    return np.round(reading / triad.resolution) * triad.resolution if triad.resolution > 0 else reading
 
 
 def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Generator) -> Imu:
-    """Measure the motion of the IMU's place with an IMU of a grade.
+    """Measure the motion of the IMU's position with an IMU of a grade.
 
     Parameters
     ----------
@@ -177,10 +173,10 @@ def measure_imu(times: Array, motion: Motion, grade: ImuGrade, rng: np.random.Ge
     motion : Motion
         At these times.
     grade : ImuGrade
-        With `carla` set, the acceleration is CARLA's second difference of positions (see `carla_force`), and
-        the first two samples, which it can't know, are missing.
+        With `carla` set, the acceleration is CARLA's second difference of positions (see `carla_force`), and the
+        first two samples are missing.
     rng : numpy.random.Generator
-        Draws do not depend on the grade, only their sizes do.
+        The grade scales the draws; their number does not depend on it.
     """
     force, rate = motion.specific_force, motion.angular_rate
     if grade.carla:

@@ -1,8 +1,8 @@
 """The paper's maneuvers as routes, and `urban`, minutes of mixed driving.
 
-Each maneuver is a function from the road's friction and a random generator to a `Maneuver`: the legs, and the
-figures that it is after. Where friction makes the paper's figure impossible, the legs ask for as much as the
-road allows; target and achieved figures are recorded side by side.
+Each maneuver is a function of the road's friction and a random generator that returns a `Maneuver`: its legs and its
+target figures. Where friction makes the paper's figure impossible, the legs use as much as the road allows; a drive
+records target and achieved figures.
 """
 
 import math
@@ -19,28 +19,28 @@ KMH = 1 / 3.6
 """m/s in a km/h."""
 QUARTER = math.pi / 2
 HARD_EASE = 0.2
-"""s, in which a driver who means it builds up an acceleration."""
-_LIMIT = 0.96  # of the friction: more can't be held by a driver who also steers
+"""s, over which a hard-driving driver builds up an acceleration."""
+_LIMIT = 0.96  # of the friction, which leaves a margin for steering
 
 
 @dataclass(frozen=True)
 class Road:
-    """What a driver dares on a road of this friction."""
+    """Accelerations that a driver uses on a road of this friction."""
 
     friction: float
 
     def hard(self, wanted: float) -> float:
-        """m/s2, as hard as wanted or as the road allows."""
+        """Limit a wanted acceleration, m/s2, to what the road allows."""
         return min(wanted, _LIMIT * self.friction * GRAVITY)
 
     def easy(self, wanted: float) -> float:
-        """m/s2, as one drives every day: at most half of what the road allows."""
+        """Limit a wanted acceleration, m/s2, to that of everyday driving: half of what the road allows."""
         return min(wanted, 0.5 * self.friction * GRAVITY)
 
 
 @dataclass(frozen=True)
 class Maneuver:
-    """A route and its purpose.
+    """A route and its target figures.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Maneuver:
     outages : list of (start, end)
         s after the maneuver's own start, when there are no fixes.
     first : int
-        Index of the first leg that belongs to the maneuver itself; those before it let a filter align.
+        Index of the first leg of the maneuver itself; a filter aligns on the legs before it.
     """
 
     legs: list[Leg]
@@ -60,7 +60,7 @@ class Maneuver:
 
 
 def straight(road: Road, length: float, kmh: float, wait: float = 0.0) -> Leg:
-    """Drive a straight piece the everyday way."""
+    """Drive a straight leg with everyday accelerations."""
     return Leg(length, kmh * KMH, road.easy(2.5), road.easy(2.5), wait=wait)
 
 
@@ -68,7 +68,7 @@ def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) ->
     """Turn by an angle (rad, left positive): clothoid, arc, clothoid.
 
     The driver slows down into the bend and speeds up out of it, so that the lateral acceleration stays below
-    `lateral` (m/s2), and below 70% of what the road allows, since he also brakes there.
+    `lateral` (m/s2), and below 70% of what the road allows, which leaves a margin for braking.
     """
     curvature = math.copysign(1 / radius, angle)
     bend = min(0.6 * radius, 0.8 * abs(angle) * radius)  # each clothoid turns by bend / (2 radius)
@@ -80,7 +80,7 @@ def turn(road: Road, angle: float, radius: float, kmh: float, lateral: float) ->
 
 
 def hard(length: float, speed: float, acceleration: float, braking: float, wait: float = 0.0) -> Leg:
-    """Drive a straight piece as somebody who means it (m, m/s, m/s2, m/s2, s)."""
+    """Drive a straight leg hard (m, m/s, m/s2, m/s2, s)."""
     return Leg(length, speed, acceleration, braking, wait=wait, ease=HARD_EASE, fading=0.0)
 
 
@@ -95,7 +95,7 @@ def cruise(road: Road, rng: np.random.Generator) -> Maneuver:
     """(i) Straight cruise for 500 m."""
     kmh = rng.uniform(85, 95) if road.friction > 0.4 else rng.uniform(60, 70)
     speed, push = kmh * KMH, road.easy(3.0)
-    # Way until the fading acceleration a (1 - f v) has reached the speed.
+    # Distance over which the fading acceleration a (1 - f v) reaches the speed.
     fading = 0.02
     pull_away = (-speed / fading - math.log(1 - fading * speed) / fading**2) / push
     legs = [Leg(pull_away + 25.0, speed, push, push, fading=fading), straight(road, 500.0, kmh)]
@@ -119,7 +119,7 @@ def accelerate(road: Road, rng: np.random.Generator) -> Maneuver:
     push = road.hard(speed / 4.95)
     (start,) = warm_up(road)
     halt = replace(start, length=start.length + 16.0, wait=rng.uniform(1.5, 2.5))
-    # A little beyond 60 km/h, so that the swaying driver surely crosses it.
+    # A little beyond 60 km/h, so that the swaying driver reaches it.
     away = hard(speed**2 / 2 / push + rng.uniform(60, 90), 1.03 * speed, push, road.easy(2.5))
     return Maneuver([halt, away], {"speed_kmh": 60.0, "time_s": 5.0}, [], first=1)
 
@@ -199,7 +199,7 @@ MANEUVERS: dict[str, Callable[[Road, np.random.Generator], Maneuver]] = {
 
 
 def find_maneuver(name: str) -> Callable[[Road, np.random.Generator], Maneuver]:
-    """Return a maneuver's function; InputError for an unknown name."""
+    """Return a maneuver's function; raise InputError for an unknown name."""
     if name not in MANEUVERS:
         raise InputError(f"no maneuver is called {name!r}; there are {', '.join(MANEUVERS)}")
     return MANEUVERS[name]

@@ -1,16 +1,17 @@
-"""From the car's recorded states to the motion of a point that is fixed to its body.
+"""The motion of a point fixed to the car's body, from the car's recorded states, and its vibration.
 
-The body pitches and rolls about its centre of gravity while that moves in the plane, or on the road where that
-is not flat. Attitude: yaw, then pitch (positive nose down), then roll (positive left side up), each about the
-body's new axis; so positive lateral acceleration (a left turn) rolls the body to the right, and gravity leaks into
-the sensor in the direction of the acceleration. The road's pitch and roll add to the suspension's. Everything here
-is exact rigid-body kinematics, in closed form.
+The body pitches and rolls about its center of gravity, which moves in the plane or on a sloping road. Attitude: yaw,
+then pitch (positive nose down), then roll (positive left side up), each about the body's new axis. So positive lateral
+acceleration (a left turn) rolls the body to the right, and gravity adds to the sensor's reading in the direction of the
+acceleration. The road's pitch and roll add to the suspension's. This is exact rigid-body kinematics in closed form.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sigmaswarm.simulation.dynamics import (
     AX,
@@ -50,6 +51,21 @@ LeverArm = tuple[float, float, float]
 
 _ROAD_ROLL = (ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL)
 _ROAD_PITCH = (ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL)
+
+
+# Vibration: white-noise densities of two public recordings of real cars, from differences of neighboring samples at 5
+# to 16 m/s: rtklibexplorer's GNSS_IMU (Colorado, consumer MEMS) and comma2k19 (a phone's chip). They are 3 to 8 times
+# those of the former at standstill, and about 20 times an MPU-6050's data sheet. Bumps and spectra are not modelled,
+# except that the springs return a body that rolls or pitches: its rates have no part below their frequency, or white
+# noise would turn the body by degrees in a minute, which gravity would show as acceleration.
+FORCE_DENSITY = (0.06, 0.025, 0.04)
+"""m/s2/sqrt(Hz) forward, left, up, at `FULL_SPEED` and above."""
+RATE_DENSITY = (0.002, 0.003, 0.0005)
+"""rad/s/sqrt(Hz) about the same axes. About the second one, the one recording that has it shows 0.010."""
+FULL_SPEED = 5.0
+"""m/s; below it the vibration is proportional to the speed."""
+SPRINGS = 1.0
+"""Hz, about the frequency of a car's body on its springs: a choice."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +122,7 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
     vehicle : Vehicle
         Whose roll and pitch gains apply.
     lever_arm : tuple of float
-        m forward, left, up of the centre of gravity.
+        m forward, left, up of the center of gravity.
     """
     arm = np.array(lever_arm)
     yaw = rows[:, YAW]
@@ -152,4 +168,32 @@ def motion_at(rows: Array, vehicle: Vehicle, lever_arm: LeverArm) -> Motion:
         + np.cross(rate_change, arm)
         + np.cross(rate, along),
         angular_rate=rate,
+    )
+
+
+def vibrate(motion: Motion, rate: float, strength: float, rng: np.random.Generator) -> Motion:
+    """Add vibration to the specific force and angular rate.
+
+    Parameters
+    ----------
+    motion : Motion
+        At the samples' times.
+    rate : float
+        Hz, of the samples.
+    strength : float
+        1 is the level of the recordings.
+    rng : numpy.random.Generator
+        Source of the vibration.
+    """
+    speed = np.linalg.norm(motion.velocity, axis=1, keepdims=True)
+    level = strength * np.sqrt(rate) * np.minimum(speed / FULL_SPEED, 1.0)
+    shaking = rng.standard_normal((2, *motion.specific_force.shape)) * level
+    kept = math.exp(-2 * math.pi * SPRINGS / rate)
+    shaking[1, :, :2] = lfilter(
+        [kept, -kept], [1.0, -kept], shaking[1, :, :2], axis=0
+    )  # a first-order high pass
+    return replace(
+        motion,
+        specific_force=motion.specific_force + shaking[0] * FORCE_DENSITY,
+        angular_rate=motion.angular_rate + shaking[1] * RATE_DENSITY,
     )

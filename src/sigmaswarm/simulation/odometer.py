@@ -1,8 +1,7 @@
-"""The odometer: what counting pulses of the rear wheels makes of their turning, slip included.
+"""The odometer: pulses of the rear wheels, slip included.
 
-The wheels are those that drive and brake the car (`dynamics`), so that they spin and lock as it does. A pulse comes
-each time that a tooth passes; the speed is that of the pulses in a window before the reading. The control unit takes
-the tires for larger or smaller than they are.
+The wheels drive and brake the car (`dynamics`), so they spin and lock. Each passing tooth gives a pulse; a reading is
+the speed of the pulses in a window before it. The control unit assumes a slightly wrong tire size.
 """
 
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Odometer
-from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import REAR_SPIN, STEP, Vehicle
+from sigmaswarm.simulation.environments import named
 
 Array = NDArray[np.float64]
 
@@ -26,15 +25,15 @@ class OdometerGrade:
     rate : float
         Hz
     window : float
-        s before a reading whose pulses it tells: it is half of that old.
+        s before a reading whose pulses it counts: its age is half of that.
     teeth : int
-        Pulses of a turn of the wheels.
+        Pulses per turn of the wheels.
     scale_std : float
-        Of the scale, drawn for each drive: reading over true speed, less 1.
+        Standard deviation of the scale error, drawn for each drive: reading over true speed, less 1.
     resolution : float
-        m/s: of the number on the bus.
+        m/s, of the number on the bus.
     slowest : float
-        m/s: what is slower reads zero.
+        m/s; lower speeds read zero.
     """
 
     name: str
@@ -66,24 +65,14 @@ ODOMETER_GRADES = {
 
 
 def find_odometer(odometer: str | OdometerGrade) -> OdometerGrade:
-    """A grade by its name.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
-    if isinstance(odometer, OdometerGrade):
-        return odometer
-    if odometer not in ODOMETER_GRADES:
-        raise InputError(f"unknown odometer {odometer!r}; choose from {', '.join(ODOMETER_GRADES)}")
-    return ODOMETER_GRADES[odometer]
+    """Return a grade given by name or as a record."""
+    return named(odometer, ODOMETER_GRADES, "odometer")
 
 
 def measure_odometer(
     record: Array, car: Vehicle, grade: OdometerGrade, rng: np.random.Generator
 ) -> tuple[Odometer, float]:
-    """Readings of a recorded drive (n, `RECORDED` or more), and the scale that was drawn."""
+    """Measure the speed of a recorded drive (n, `RECORDED` or more); return the readings and the drawn scale."""
     scale = 1.0 + grade.scale_std * rng.standard_normal()
     phase, tooth = rng.uniform(0.0, 1.0, 2)
     time = np.arange(grade.window + phase / grade.rate, (len(record) - 1) * STEP, 1 / grade.rate)

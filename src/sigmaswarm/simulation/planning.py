@@ -1,9 +1,8 @@
-"""From legs of a route to a path in space and a plan of speed in time.
+"""Plan a path in space and a speed in time from the legs of a route.
 
-A route is a list of legs, each with a curvature that changes linearly along it (straight line, arc, clothoid)
-and with the speed and the accelerations that are wanted there. `lay_path` strings the legs together in the
-plane; `plan_speed` finds the fastest speed that no leg forbids and that can be reached and left again in
-time.
+A route is a list of legs, each with a curvature that changes linearly along it (straight line, arc, clothoid), and with
+its speed and accelerations. `lay_path` joins the legs in the plane; `plan_speed` finds the fastest speed that all legs
+allow and that acceleration and braking can follow.
 """
 
 from collections.abc import Sequence
@@ -20,14 +19,14 @@ Array = NDArray[np.float64]
 SPACING = 0.1
 """m, between two points of a path."""
 LOOK = 0.01
-"""s, between two looks of the driver."""
+"""s, interval of the driver's control."""
 RUN_OUT = 60.0
-"""m of straight road behind the last leg, for the driver's preview and for stops that take longer."""
+"""m of straight road beyond the last leg, for the driver's preview and for longer stops."""
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A piece of a route.
+    """A part of a route.
 
     Attributes
     ----------
@@ -36,18 +35,17 @@ class Leg:
     speed : float
         m/s, the fastest allowed.
     acceleration, braking : float
-        m/s2, both positive, the largest that the driver plans with.
+        m/s2, both positive, the largest that the driver plans.
     curvature, curvature_end : float
         1/m, at both ends; positive to the left.
     lateral : float
-        m/s2, the largest that the driver plans with in a bend.
+        m/s2, the largest that the driver plans in a bend.
     wait : float
         s, standstill at the leg's end; 0 drives on.
     ease : float
         s, over which accelerations build up and fade.
     fading : float
-        s/m, by how much the acceleration gets less per m/s of speed: nobody keeps his foot down up to the
-        end.
+        s/m, relative decrease of the acceleration per m/s of speed: drivers ease off near the wanted speed.
     """
 
     length: float
@@ -64,7 +62,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Sway:
-    """What keeps a human driver from the ideal line and speed: sums of three sine waves along the way.
+    """Deviation of a human driver from the ideal line and speed: sums of three sine waves along the path.
 
     Attributes
     ----------
@@ -82,7 +80,7 @@ class Sway:
     wavelengths: Array
 
     def waves(self, way: Array, row: int) -> Array:
-        """Each wave, shape (3, n), at distances along the way (m)."""
+        """Each wave, shape (3, n), at distances along the path (m)."""
         return np.sin(2 * np.pi * way / self.wavelengths[:, None] + self.phases[row][:, None]) / np.sqrt(3)
 
 
@@ -96,8 +94,7 @@ def draw_sway(rng: np.random.Generator, offset: float = 0.10, speed: float = 0.0
 def lay_path(legs: Sequence[Leg], heading: float, sway: Sway) -> Array:
     """Return the path, shape (n, 4): east m, north m, heading rad, curvature 1/m, every `SPACING` m.
 
-    The path begins at the origin. Heading and position are the curvature's integrals (trapezoids for the
-    first, midpoints for the second).
+    The path begins at the origin. Heading and position integrate the curvature, by trapezoids and midpoints.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs), RUN_OUT])
     way = np.arange(0.0, ends[-1], SPACING)
@@ -136,7 +133,7 @@ def plan_speed(legs: Sequence[Leg], sway: Sway, stand: float | None) -> Array:
     sway : Sway
         The driver's.
     stand : float or None
-        s, to stand before the start; None starts in motion, at the first leg's speed.
+        s of standstill before the start; None starts in motion, at the first leg's speed.
     """
     ends = np.cumsum([0.0, *(leg.length for leg in legs)])
     way = np.arange(0.0, ends[-1] + SPACING / 2, SPACING)

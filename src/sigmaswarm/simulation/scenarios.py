@@ -1,8 +1,7 @@
-"""One simulated drive: a journey, the sensors that were on board, and the truth.
+"""One simulated drive: a journey, its sensors and the truth.
 
-A run is named by seed, maneuver, environment and number. From that name and a sensor's own, each sensor gets
-its own stream of random numbers; so a drive depends on nothing else, and changing one sensor leaves the
-others' draws alone.
+Seed, maneuver, environment and run identify a drive. With its own name each sensor derives a stream of random numbers
+from them, so a drive depends on nothing else, and a change of one sensor leaves the draws of the others unchanged.
 """
 
 import math
@@ -14,13 +13,12 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Drive, Truth
 from sigmaswarm.errors import InputError
-from sigmaswarm.simulation.achieved import achieved_figures
 from sigmaswarm.simulation.dynamics import STEP, Vehicle
 from sigmaswarm.simulation.environments import Environment, find_environment
 from sigmaswarm.simulation.gps import GpsGrade, degrade, find_gps, measure_gps
 from sigmaswarm.simulation.imu import ImuGrade, find_imu, measure_imu
-from sigmaswarm.simulation.journey import take_journey
-from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample
+from sigmaswarm.simulation.journey import achieved_figures, take_journey
+from sigmaswarm.simulation.motion import LeverArm, Motion, motion_at, sample, vibrate
 from sigmaswarm.simulation.odometer import OdometerGrade, find_odometer, measure_odometer
 from sigmaswarm.simulation.terrain import (
     HEIGHT,
@@ -33,12 +31,11 @@ from sigmaswarm.simulation.terrain import (
     lay_road,
 )
 from sigmaswarm.simulation.vehicle import find_vehicle
-from sigmaswarm.simulation.vibration import vibrate
 
 Array = NDArray[np.float64]
 
 IMU_PLACE: LeverArm = (0.2, 0.0, 0.1)
-"""m forward, left, up of the centre of gravity: in the middle console."""
+"""m forward, left, up of the center of gravity: in the center console."""
 
 
 def simulate(
@@ -70,7 +67,7 @@ def simulate(
     environment : str or Environment
         "clear", "night", "rain", "fog" or "slippery".
     seed, run : int
-        Together with maneuver and environment they name the drive; the same name gives the same drive.
+        Together with maneuver and environment they identify the drive; the same ones give the same drive.
     imu, gps : str or ImuGrade, GpsGrade
         See `IMU_GRADES` and `GPS_GRADES`.
     vehicle : str or Vehicle
@@ -78,30 +75,29 @@ def simulate(
     imu_rate, gps_rate : float
         Hz, at most 1000.
     jitter : float
-        s, standard deviation of each sample's time, cut off at 0.4 of the interval.
+        s, standard deviation of each sample's time, clipped to 0.4 of the interval.
     duration : float, optional
         s, of "urban" only; 180 by default.
     warm_up : bool
-        Begin with at least 30 m at 5 m/s or more, so that a filter can align. Without it a drive starts in
-        motion, at the beginning of the maneuver itself.
+        Begin with at least 30 m at 5 m/s or more, so that a filter can align. Without it a drive begins in motion
+        with the maneuver itself.
     imu_place : tuple of float
-        m forward, left, up of the centre of gravity. The truth refers to this place.
+        m forward, left, up of the center of gravity. The truth refers to this point.
     vibration : float
-        Shaking by road and engine; 1 is the level of two recordings of real cars, and makes the data sheet's
-        noise as much too small as users find it. CARLA's IMU does not feel it.
+        Level of the vibration by road and engine; 1 is that of two recordings of real cars, in which the data
+        sheet's noise is far too small. CARLA's IMU has none.
     gnss_degradation : bool
-        Multiply the receiver's errors by the environment's factor: **an assumption**, no measurement is
-        behind it.
+        Multiply the receiver's errors by the environment's factor: **an assumption, not a measurement**.
     terrain : str or Terrain
-        "flat", "rolling" or "hilly": what the road's slopes do to the car's attitude, and so to the IMU. The way in
-        the plane, and so the truth, is the same (but for millimeters of the IMU's place above the centre).
+        "flat", "rolling" or "hilly": slopes of the road, which change the car's attitude and so the IMU's data. The
+        path in the plane, and so the truth, is the same (within millimeters, as the IMU is above the center).
     odometer : str or OdometerGrade, optional
-        "pulses", "can" or "ideal": see `ODOMETER_GRADES`. None by default: nobody counts the wheels' pulses.
+        "pulses", "can" or "ideal": see `ODOMETER_GRADES`. No odometer by default.
 
     Returns
     -------
     Drive
-        With truth at the IMU's nominal times, and what was modelled, wanted and achieved in its metadata.
+        With truth at the IMU's nominal times; its metadata hold the models, and target and achieved figures.
 
     Raises
     ------
@@ -154,7 +150,7 @@ def simulate(
         "jitter_s": jitter,
         "vibration": vibration,
         "gnss_degradation": gnss_degradation,
-        # Drives on flat roads say what they said before there were others.
+        # A flat road adds no keys, as in files of early versions.
         **({} if ground == TERRAINS["flat"] else {"terrain": ground.name} | _slope_figures(record)),
         "outages": [list(window) for window in journey.outages],
     }
@@ -183,7 +179,7 @@ def drive_name(maneuver: str, environment: str, run: int) -> str:
 
 
 def _slope_figures(record: Array) -> dict[str, float]:
-    """Return how steep the road was, and how far up and down it went."""
+    """Return figures of the road's slopes and climb."""
     grade, bank = (np.tan(record[:, i]) for i in (ROAD_PITCH, ROAD_ROLL))
     return {
         "grade_std_percent": round(100 * float(np.std(grade)), 2),
@@ -217,7 +213,7 @@ def _check(
     for what, rate in (("imu_rate", imu_rate), ("gps_rate", gps_rate)):
         if not 0 < rate <= 1 / STEP:
             raise InputError(
-                f"{what} is {rate:g} Hz; the simulator knows the car's motion at 1000 Hz: choose 0 to 1000"
+                f"{what} is {rate:g} Hz; the simulator computes the car's motion at 1000 Hz: choose 0 to 1000"
             )
     for what, value in (("jitter", jitter), ("vibration", vibration)):
         if not 0 <= value < math.inf:
@@ -248,7 +244,7 @@ def _place_figures(place: LeverArm, car: Vehicle) -> dict[str, float]:
 
 
 def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
-    """Return what data sheets would say, under the keys that filters look for, and the rest in tables."""
+    """Return the data sheets' figures under the keys that filters read, and the others in tables."""
     receiver: dict[str, Any] = {
         "grade": gps.name,
         "white_std_m": gps.white_std,

@@ -1,8 +1,8 @@
 """Hills: grade and bank of the road under a car that drives as on a flat one.
 
-The car's way in the map's plane, and so the truth, stay those of the flat road: the driver's feet make up for what
-the slope adds, and distances are horizontal. What changes is the body's attitude, which follows the road and, through
-the suspension, gravity's share along the road; and the car's height. Both follow the way s that the car has gone:
+The car's path in the plane, and so the truth, is that of the flat road: the driver compensates for the slope, and
+distances are horizontal. Slopes change the car's height and the body's attitude, which follows the road and, through
+the suspension, gravity's component along the road. Both depend on the distance s along the path:
 
     grade pitch p(s), bank roll f(s);  road's slope ahead  -tan p,  to the left  tan f / cos p
     height' = slope ahead x vx + slope to the left x vy,  so that the velocity lies in the road
@@ -28,7 +28,6 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import cont2discrete, lfilter, ss2tf
 
-from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import (
     AX,
     AY,
@@ -46,18 +45,19 @@ from sigmaswarm.simulation.dynamics import (
     YAW_RATE,
     Vehicle,
 )
+from sigmaswarm.simulation.environments import named
 from sigmaswarm.simulation.planning import SPACING
 
 Array = NDArray[np.float64]
 
-# Columns behind those that the car records: the road's roll and pitch (rad) with two derivatives, and the height.
+# Columns after those that the car records: the road's roll and pitch (rad) with two derivatives, and the height.
 ROAD_ROLL, ROAD_ROLL_RATE, ROAD_ROLL_ACCEL = range(RECORDED, RECORDED + 3)
 ROAD_PITCH, ROAD_PITCH_RATE, ROAD_PITCH_ACCEL = range(RECORDED + 3, RECORDED + 6)
 HEIGHT, CLIMB, CLIMB_ACCEL = range(RECORDED + 6, RECORDED + 9)
 
 _KNOTS = 2.0  # m, between the splines' knots
-_BEYOND = 50.0  # m, that the profiles reach over both ends of the path
-_EASED = 10.0  # m, over which the bank follows a bend's curvature
+_BEYOND = 50.0  # m, extent of the profiles beyond both ends of the path
+_EASED = 10.0  # m, standard deviation of the smoothing of a bend's curvature for the bank
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,9 @@ class Terrain:
     bank_std, bank_length, bank_limit : float
         The same of the slope across it.
     crossfall : float
-        Mean slope down to the right, where it rains off.
+        Mean slope down to the right, for drainage.
     superelevation : float
-        Largest slope into bends, had at `banked_radius` (m); sharper ones, at intersections, have less again.
+        Largest slope into bends, at `banked_radius` (m); sharper bends, at intersections, have less.
     """
 
     name: str
@@ -123,12 +123,8 @@ TERRAINS = {
 
 
 def find_terrain(terrain: str | Terrain) -> Terrain:
-    """Return a terrain given by name or as a record; InputError for an unknown name."""
-    if isinstance(terrain, Terrain):
-        return terrain
-    if terrain not in TERRAINS:
-        raise InputError(f"no terrain is called {terrain!r}; there are {', '.join(TERRAINS)}")
-    return TERRAINS[terrain]
+    """Return a terrain given by name or as a record."""
+    return named(terrain, TERRAINS, "terrain")
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
-"""Named cars: a Tesla Model 3 as it is built, and as CARLA has it.
+"""Named cars: a Tesla Model 3, and CARLA's model of it.
 
 Sources, cited behind the values:
 
 [C] CARLA 0.9's vehicle.tesla.model3 as listed by public scoring scripts, and pedal maps measured in CARLA.
 [O] opendbc and other public lists of the real car's measures.
-[R] recalled or typical of the class, not verified: a default to be replaced by whoever knows better.
+[R] recalled or typical of the class, not verified.
 [D] derived from the others.
 """
 
@@ -12,12 +12,12 @@ import math
 
 import numpy as np
 
-from sigmaswarm.errors import InputError
 from sigmaswarm.simulation.dynamics import GRAVITY, Vehicle
+from sigmaswarm.simulation.environments import named
 
 
 def _table(*values: float) -> np.ndarray:
-    # Writable like any array that a user puts in its place: a read-only one is another type to the compiler.
+    # Writable, as a user's array is: to the compiler a read-only one has another type.
     return np.array(values)
 
 
@@ -80,9 +80,6 @@ VEHICLES = {"model3": MODEL_3, "model3-carla": MODEL_3_CARLA}
 
 
 def find_vehicle(vehicle: str | Vehicle) -> tuple[str, Vehicle]:
-    """Return name and parameters of a car given by name or as a record; InputError for an unknown name."""
-    if isinstance(vehicle, Vehicle):
-        return "custom", vehicle
-    if vehicle not in VEHICLES:
-        raise InputError(f"no vehicle is called {vehicle!r}; there are {', '.join(VEHICLES)}")
-    return vehicle, VEHICLES[vehicle]
+    """Return name and parameters of a car given by name or as a record."""
+    name = vehicle if isinstance(vehicle, str) else "custom"
+    return name, named(vehicle, VEHICLES, "vehicle")

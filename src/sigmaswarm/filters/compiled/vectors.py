@@ -26,7 +26,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from sigmaswarm import shipped
 from sigmaswarm.filters.compiled.layout import LANES, N_ROWS, WIDEST
 from sigmaswarm.filters.compiled.unroll import Names, written_out
 
@@ -138,7 +137,7 @@ def _as_intrinsic(loop: _Loop) -> Any:
             ]
             function = builder.module.globals.get(loop.called)
             if function is None:
-                width = WIDEST if shipped.wide(context.codegen()) else WIDEST // 2
+                width = WIDEST if _has_avx512(context.codegen()) else WIDEST // 2
                 function = _put_loop(builder.module, loop, width)
             lanes = builder.extract_value(array.shape, 1)
             result = builder.call(function, [array.data, lanes, *values])
@@ -148,6 +147,11 @@ def _as_intrinsic(loop: _Loop) -> Any:
         return result(w, numbers), generate
 
     return intrinsic(call)
+
+
+def _has_avx512(codegen: Any) -> bool:
+    """True if the target's vectors hold eight numbers, else four."""
+    return "+avx512f" in codegen.magic_tuple()[2]
 
 
 def _put_loop(module: ir.Module, loop: _Loop, width: int) -> ir.Function:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pymap3d
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import enu_axes, enu_to_geodetic, geodetic_to_ecef
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source
 from sigmaswarm.wording import shown
@@ -110,15 +110,12 @@ def _pose(folder: Path) -> pl.DataFrame:
         (quaternion, 4, "orientations"),
     ):
         _require_shape(array, (len(time), width), folder / f"frame_{name}")
-    center = (0.0, 0.0, 0.0)  # any plane serves to get from ECEF to degrees
-    first = enu_to_geodetic((ecef[:1] - geodetic_to_ecef(*center)) @ enu_axes(0.0, 0.0).T, center)[0]
-    axes = enu_axes(first[0], first[1])
-    near = (float(first[0]), float(first[1]), float(first[2]))
-    places = enu_to_geodetic((ecef - geodetic_to_ecef(*near)) @ axes.T, near)
+    lat, lon, alt = pymap3d.ecef2geodetic(*ecef.T)
+    first = lat[0], lon[0]
     w, x, y, z = quaternion.T
     # the first column of the rotation: where the device's forward axis points
-    forward = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=1) @ axes.T
-    moving = velocity @ axes.T
-    columns = dict(zip(("lat", "lon", "alt"), places.T, strict=True))
-    theta = np.arctan2(forward[:, 1], forward[:, 0])
-    return pl.DataFrame({"t": time, **columns, "vx": moving[:, 0], "vy": moving[:, 1], "theta": theta})
+    forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+    east, north, _ = pymap3d.ecef2enuv(*forward, *first)
+    vx, vy, _ = pymap3d.ecef2enuv(velocity[:, 0], velocity[:, 1], velocity[:, 2], *first)
+    columns = {"t": time, "lat": lat, "lon": lon, "alt": alt, "vx": vx, "vy": vy}
+    return pl.DataFrame({**columns, "theta": np.arctan2(north, east)})

@@ -1,0 +1,61 @@
+"""Sweep the brakes: measure which tire_friction gives which friction."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+
+from .drive import seed_of, state_of
+from .driver import Driver
+from .options import GRAVITY, RATE, TICK, RecorderError
+from .plans import Leg, Plan
+from .routes import find_path, straight
+from .server import Session
+from .vehicle import control, edit_physics, place_car, settle
+
+SWEEP = (3.5, 2.0, 1.0, 0.5, 0.25)
+"""tire_friction of all wheels; the friction that it gives depends on CARLA's road and version."""
+
+
+def sweep_brakes(session: Session, say: Callable[[str], None]) -> list[list[float]]:
+    """Brake hard with each tire_friction; return pairs of tire_friction and friction."""
+    found: list[list[float]] = []
+    guess = 0.4
+    for tire_friction in SWEEP:
+        easy = min(0.4 * guess * GRAVITY, 2.5)
+        speed = max(min(10.0, 15.0 * easy), 3.0)  # reached within 15 s
+        away = 1.2 * speed**2 / 2 / easy + 10.0
+        legs = [Leg(away, speed, easy, 20.0)]
+        rng = random.Random(seed_of(session.options.seed, "sweep", tire_friction))
+        with session.trouble():
+            path = find_path(session.town, straight(away + 1.5 * speed**2 / guess / GRAVITY), rng)
+            measured = _brake(session, Plan(path, legs, {}), tire_friction, rng)
+        found.append([tire_friction, round(measured, 4)])
+        say(f"tire_friction {tire_friction:g} brakes with {measured:.3f} g")
+        guess = max(0.5 * measured, 0.02)
+    return found
+
+
+def _brake(session: Session, plan: Plan, tire_friction: float, rng: random.Random) -> float:
+    """Return the friction that the fall of speed from 90% to 30% under full brakes gives."""
+    car = place_car(session, plan.path)
+    settle(session, car)
+    physics = edit_physics(session, car, tire_friction)
+    driver = Driver(plan, physics.wheelbase, rng)
+    state = state_of(session, car, session.tick())
+    fast, falling = 0.0, [0.0, 0.0]
+    for tick in range(RATE * 120):
+        speed = math.hypot(*state.velocity[:2])
+        wanted = driver.look(*state.place[:2], state.heading, speed)
+        if driver.arrived:
+            fast = fast or speed
+            falling = [tick if speed > share * fast else at for share, at in zip((0.9, 0.3), falling)]
+            if speed < 0.2 * fast:
+                break
+        control(session, car, physics, wanted)
+        state = state_of(session, car, session.tick())
+    session.clear()
+    if not falling[1] > falling[0] > 0:
+        raise RecorderError(f"the sweep of the brakes found no stop with tire_friction {tire_friction:g}")
+    return 0.6 * fast / ((falling[1] - falling[0]) * TICK) / GRAVITY

@@ -1,0 +1,204 @@
+"""Record one drive: sensors, truth and fixes of each frame."""
+
+from __future__ import annotations
+
+import math
+import queue
+import random
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from .driver import Driver
+from .geometry import axial, heading_of, polar
+from .options import GPS_EVERY, RATE, STAND, TICK, FailedRun, RecorderError
+from .plans import Plan
+from .server import Session
+from .vehicle import Physics, control
+
+GARBAGE = 3
+"""Samples after listen() to discard (carla#8970)."""
+STUCK = 20.0
+"""s without a meter gained, after which the car counts as stuck."""
+
+
+class Row(NamedTuple):
+    """One tick: time s; specific force m/s2 and angular rate rad/s; position m, velocity m/s and heading rad."""
+
+    t: float
+    force: tuple[float, float, float]
+    rate: tuple[float, float, float]
+    place: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    heading: float
+
+
+@dataclass
+class Recording:
+    """The data recorded of a drive so far."""
+
+    name: str
+    rows: list[Row] = field(default_factory=list)
+    fixes: list[tuple[float, float, float]] = field(default_factory=list)  # s, m east, m north
+    first_frame: int = 0
+
+
+def seed_of(*names: object) -> int:
+    """Hash names to a seed, positive and below 2**31."""
+    return zlib.crc32("/".join(str(name) for name in names).encode()) % 2147483647 + 1
+
+
+class Sensors:
+    """IMU and GNSS on a car, read frame by frame."""
+
+    def __init__(self, session: Session, car: Any, name: str, rng: random.Random) -> None:
+        o = session.options
+        lat, lon = session.geodesy.degrees(o.gps_noise)
+        self.bias = [rng.uniform(-o.gyro_bias, o.gyro_bias) for _ in range(3)]
+        noise = {"accel": o.accel_noise, "gyro": o.gyro_noise}
+        imu = {f"noise_{kind}_stddev_{axis}": repr(noise[kind]) for kind in noise for axis in "xyz"}
+        imu.update({f"noise_gyro_bias_{axis}": repr(v) for axis, v in zip("xyz", self.bias)})
+        gnss = {"noise_lat_stddev": repr(lat), "noise_lon_stddev": repr(lon)}
+        self.seeds = {sensor: seed_of(o.seed, name, sensor) for sensor in ("imu", "gnss")}
+        self._timeout = o.timeout
+        self._queues: dict[str, queue.Queue[Any]] = {}
+        self._actors: dict[str, Any] = {}
+        for sensor, attributes in (("imu", imu), ("gnss", gnss)):
+            attributes = {**attributes, "noise_seed": str(self.seeds[sensor]), "sensor_tick": "0.0"}
+            self._queues[sensor] = queue.Queue()
+            self._actors[sensor] = session.spawn(
+                f"sensor.other.{sensor}", attributes, session.carla.Transform(), car
+            )
+        for sensor, actor in self._actors.items():
+            actor.listen(self._queues[sensor].put)
+
+    def awake(self, tick: Callable[[], int]) -> int:
+        """Tick until both answer, which may take some frames after listen(), and skip the first samples."""
+        end, wait = time.monotonic() + self._timeout, 0.05
+        while True:
+            frame = tick()
+            silent = [sensor for sensor in self._queues if self._get(sensor, frame, wait) is None]
+            if not silent:
+                break
+            if time.monotonic() > end:
+                raise self._silence(silent[0], frame)
+            wait *= 2
+        for _ in range(GARBAGE):
+            frame = tick()
+            for sensor in self._queues:
+                self.read(sensor, frame)
+        return frame
+
+    def read(self, sensor: str, frame: int) -> Any:
+        """Wait for a sensor's data of a frame."""
+        data = self._get(sensor, frame, self._timeout)
+        if data is None:
+            raise self._silence(sensor, frame)
+        return data
+
+    def _silence(self, sensor: str, frame: int) -> RecorderError:
+        return RecorderError(
+            f"the sensor {sensor} did not answer for frame {frame} within {self._timeout:g} s; restart the "
+            "server, or give it more time with --timeout"
+        )
+
+    def _get(self, sensor: str, frame: int, seconds: float) -> Any:
+        """Return a sensor's data of a frame, or None if it does not arrive in time; discard older data."""
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                data = self._queues[sensor].get(timeout=max(end - time.monotonic(), 0.001))
+            except queue.Empty:
+                return None
+            if data.frame == frame:
+                return data
+            if data.frame > frame:
+                raise RecorderError(
+                    f"the sensor {sensor} skipped frame {frame} and sent {data.frame}; restart the server"
+                )
+
+
+def drive(
+    session: Session,
+    recording: Recording,
+    plan: Plan,
+    car: Any,
+    physics: Physics,
+    rng: random.Random,
+    show: Callable[[float], None],
+) -> Sensors:
+    """Drive a plan and record it into `recording`, which keeps its data if the drive fails."""
+    sensors = Sensors(session, car, recording.name, rng)
+    driver = Driver(plan, physics.wheelbase, rng)
+    car.apply_control(session.carla.VehicleControl(brake=1.0))
+    frame = sensors.awake(session.tick)
+    recording.first_frame = frame + 1
+    state, began = state_of(session, car, frame), None
+    furthest, since = 0.0, 0.0  # m and s
+    while not driver.arrived:
+        x, y = state.place[:2]
+        control(session, car, physics, driver.look(x, y, state.heading, math.hypot(*state.velocity[:2])))
+        now = session.tick()
+        if now != frame + 1:
+            raise RecorderError(
+                f"frame {frame + 1} of {recording.name} is missing: the server went from {frame} to {now}; let "
+                "no other client tick it"
+            )
+        frame = now
+        t = round((frame - recording.first_frame) * TICK, 6)
+        imu, fix = sensors.read("imu", frame), sensors.read("gnss", frame)
+        state = state_of(session, car, frame)._replace(
+            t=t, force=polar(imu.accelerometer), rate=axial(imu.gyroscope)
+        )
+        if not all(map(math.isfinite, (*state.force, *state.rate))):
+            raise FailedRun(f"{recording.name}: the IMU gave no finite number at t = {t} s")
+        recording.rows.append(state)
+        if began is None and driver.way >= plan.start:
+            began = t
+        hidden = began is not None and any(0 <= t - began - at < long for at, long in plan.outages)
+        if (frame - recording.first_frame) % GPS_EVERY == 0 and not hidden:
+            recording.fixes.append((t, *session.geodesy.place(fix.latitude, fix.longitude)))
+            if len(recording.fixes) == STAND * RATE / GPS_EVERY:
+                check_fixes(recording, session.options.gps_noise)
+        if driver.way > furthest + 1.0:
+            furthest, since = driver.way, t
+        if abs(driver.off) > 4.0 or t - since > STUCK:
+            trouble = "got stuck" if t - since > STUCK else "left its route"
+            raise FailedRun(
+                f"{recording.name}: the car {trouble} after {driver.way:.0f} m, at {x:.0f}, {y:.0f} m east and north"
+            )
+        show(t)
+    return sensors
+
+
+def state_of(session: Session, car: Any, frame: int) -> Row:
+    """Return the truth of a frame from the world's snapshot."""
+    snapshot = session.world.get_snapshot()
+    if snapshot.frame != frame:
+        raise RecorderError(
+            f"the world's snapshot is of frame {snapshot.frame}, not {frame}; let no other client tick the server"
+        )
+    if abs(snapshot.timestamp.delta_seconds - TICK) > 1e-6:
+        raise RecorderError(
+            f"the server's step is {snapshot.timestamp.delta_seconds:g} s, not {TICK:g} s; restart it without "
+            "other clients"
+        )
+    seen = snapshot.find(car.id)
+    if seen is None:
+        raise RecorderError(f"the car is gone from frame {frame}; let no other client remove it")
+    place, nothing = seen.get_transform(), (0.0, 0.0, 0.0)
+    velocity = polar(seen.get_velocity())
+    return Row(0.0, nothing, nothing, polar(place.location), velocity, heading_of(place.rotation))
+
+
+def check_fixes(recording: Recording, noise: float) -> None:
+    """Refuse fixes far from the car: then the server's geodesy is not the client's."""
+    places = {row.t: row.place for row in recording.rows}
+    off = sorted(math.hypot(x - places[t][0], y - places[t][1]) for t, x, y in recording.fixes)
+    if off and off[len(off) // 2] > 3 * noise + 0.5:
+        raise RecorderError(
+            f"the fixes of {recording.name} lie {off[len(off) // 2]:.1f} m beside the car: the server's geodesy "
+            "is not its client's; use client and server of one build"
+        )

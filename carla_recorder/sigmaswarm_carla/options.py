@@ -1,0 +1,149 @@
+"""Constants of a recording, its options and their command line."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+RATE = 100
+"""Hz, of ticks and IMU."""
+TICK = 1.0 / RATE
+GPS_EVERY = 20
+"""Ticks from fix to fix: 5 Hz. CARLA's own sensor_tick does not keep in step with the frames (carla#3653)."""
+STAND = 1.0
+"""s of standstill at the beginning of a drive."""
+GRAVITY = 9.81
+KMH = 1 / 3.6
+DRY = 0.85
+"""Assumed friction of stock tires, unless a sweep of the brakes has measured it."""
+BRAKE_GAIN = 2.0
+"""Factor on max_brake_torque: stock brakes need 2.7 s from 50 km/h, the paper 2 s."""
+
+
+class Environment(NamedTuple):
+    """Friction of tire on road (sources: sigmaswarm.simulation.environments), and CARLA's weather parameters."""
+
+    friction: float
+    physics: str
+    weather: dict[str, float]
+
+
+ENVIRONMENTS = {
+    "clear": Environment(DRY, "dry", {"sun_altitude_angle": 60.0}),
+    "night": Environment(DRY, "dry", {"sun_altitude_angle": -30.0}),
+    "rain": Environment(
+        0.65,
+        "wet",
+        {
+            "cloudiness": 90.0,
+            "precipitation": 80.0,
+            "precipitation_deposits": 60.0,
+            "wetness": 80.0,
+            "sun_altitude_angle": 45.0,
+        },
+    ),
+    "fog": Environment(DRY, "dry", {"cloudiness": 60.0, "fog_density": 70.0, "sun_altitude_angle": 30.0}),
+    "slippery": Environment(0.25, "snow", {"cloudiness": 80.0, "wetness": 30.0, "sun_altitude_angle": 30.0}),
+}
+MANEUVERS = ("cruise", "turns", "accelerate", "brake", "outages")
+
+
+class RecorderError(Exception):
+    """Recording can't go on; the message states the cause and the remedy."""
+
+
+class LostConnection(RecorderError):
+    """The server stopped answering."""
+
+
+class FailedRun(RecorderError):
+    """This drive failed; another route may succeed."""
+
+
+class Condition(NamedTuple):
+    """Maneuver, environment and number of a drive."""
+
+    maneuver: str
+    environment: str
+    run: int
+
+    @property
+    def name(self) -> str:
+        """Name of the drive and of its folder."""
+        return f"{self.maneuver}-{self.environment}-{self.run:02d}"
+
+
+def _option(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to record; each field is an option of the command line."""
+
+    out: Path = field(metadata={"help": "folder in which to make the drive folders"})
+    host: str = _option("127.0.0.1", "host of the CARLA server")
+    port: int = _option(2000, "port of the CARLA server")
+    maneuvers: tuple[str, ...] = _option(MANEUVERS, ", ".join(MANEUVERS))
+    environments: tuple[str, ...] = _option(tuple(ENVIRONMENTS), ", ".join(ENVIRONMENTS))
+    runs: int = _option(20, "drives of each maneuver in each environment")
+    seed: int = _option(0, "seed of routes, driver and noise")
+    map: str = _option("", "town to load; empty keeps the loaded one")
+    accel_noise: float = _option(0.001, "m/s2, standard deviation of each sample")
+    gyro_noise: float = _option(0.001, "rad/s, standard deviation of each sample")
+    gyro_bias: float = _option(0.001, "rad/s; the constant bias of a run is uniform within +- this")
+    gps_noise: float = _option(0.56, "m per axis, standard deviation of each fix")
+    timeout: float = _option(20.0, "s to wait for an answer")
+    patience: float = _option(120.0, "s to wait for a lost server")
+    resume: bool = _option(False, "keep existing drives and record the missing ones")
+    brake_sweep: bool = _option(False, "first measure which tire_friction gives which friction, and use that")
+
+    def figures(self) -> dict[str, Any]:
+        """Return the options that all drives in one folder must share."""
+        names = ("seed", "accel_noise", "gyro_noise", "gyro_bias", "gps_noise")
+        return {name: getattr(self, name) for name in names}
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    p = argparse.ArgumentParser(
+        prog="sigmaswarm_carla",
+        description="Record the paper's maneuvers from a CARLA server, as drive folders with truth.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    for option in fields(Options):
+        several = isinstance(option.default, tuple)
+        flag = "--" + (option.name[:-1] if several else option.name).replace("_", "-")
+        about: dict[str, Any] = {"dest": option.name, "help": option.metadata["help"]}
+        if option.name == "out":
+            p.add_argument(flag, type=Path, required=True, **about)
+        elif isinstance(option.default, bool):
+            p.add_argument(flag, action="store_true", **about)
+        elif several:
+            p.add_argument(flag, nargs="+", default=option.default, metavar="NAME", **about)
+        else:
+            p.add_argument(flag, type=type(option.default), default=option.default, **about)
+    return p
+
+
+def options_of(arguments: Sequence[str]) -> Options:
+    """Parse and check a command line."""
+    given = vars(parser().parse_args(arguments))
+    for key, known in (("maneuvers", MANEUVERS), ("environments", tuple(ENVIRONMENTS))):
+        given[key] = tuple(dict.fromkeys(given[key]))
+        for name in given[key]:
+            if name not in known:
+                raise RecorderError(f"no {key[:-1]} is called {name!r}; there are {', '.join(known)}")
+    options = Options(**given)
+    if options.runs < 1:
+        raise RecorderError(f"--runs is {options.runs}; choose 1 or more")
+    for name in ("accel_noise", "gyro_noise", "gyro_bias", "gps_noise"):
+        if not 0 <= getattr(options, name) < math.inf:
+            raise RecorderError(f"--{name.replace('_', '-')} is {getattr(options, name)}; choose 0 or more")
+    if not (options.timeout > 0 and options.patience >= 0):
+        raise RecorderError("--timeout and --patience are in s and not negative")
+    return options

@@ -1,0 +1,153 @@
+"""Plan the paper's maneuvers: a path, the legs along it, and the speeds allowed on them."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from .options import GRAVITY, KMH
+from .routes import RUN_OUT, SPACING, Need, Path2D, find_path, straight
+
+
+class Leg(NamedTuple):
+    """A part of a route.
+
+    Attributes
+    ----------
+    length : m
+    speed : m/s, the fastest allowed
+    acceleration, braking : m/s2, both positive
+    lateral : m/s2, in bends
+    wait : s of standstill at its end; 0 drives on
+    ease : s, over which accelerations build up
+    """
+
+    length: float
+    speed: float
+    acceleration: float
+    braking: float
+    lateral: float = 3.0
+    wait: float = 0.0
+    ease: float = 0.6
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A route and how to drive it.
+
+    Attributes
+    ----------
+    path : the route
+    legs : parts of the route
+    target : the paper's figures, units in the names
+    start : m, where the maneuver itself begins, after the warm-up
+    outages : (start, length) s, the former after the maneuver's beginning
+    """
+
+    path: Path2D
+    legs: list[Leg]
+    target: dict[str, float]
+    start: float = 0.0
+    outages: list[tuple[float, float]] = field(default_factory=list)
+
+    @property
+    def length(self) -> float:
+        """Of all legs, m."""
+        return sum(leg.length for leg in self.legs)
+
+
+def plan_maneuver(name: str, friction: float, town: Any, rng: random.Random) -> Plan:
+    """Draw one of the paper's maneuvers and find a route for it.
+
+    The figures are those of `sigmaswarm.simulation.maneuvers`: the paper's, or as much as the friction allows. A
+    maneuver begins with at least 30 m at 5 m/s or more, so that a filter can align.
+    """
+    hard = 0.9 * friction * GRAVITY
+    easy = min(2.5, 0.5 * friction * GRAVITY)
+    if name in ("turns", "outages"):
+        return _plan_bends(name, hard, easy, friction, town, rng)
+    if name == "cruise":
+        kmh = rng.uniform(85, 95) if friction > 0.4 else rng.uniform(60, 70)
+        speed = kmh * KMH
+        push = 1.4 * easy  # straight stretches are rarely long
+        start = 1.1 * speed**2 / 2 / push + 25.0
+        legs = [Leg(start, speed, push, easy), Leg(500.0, speed, push, easy)]
+        target = {"distance_m": 500.0, "speed_kmh": round(kmh, 1)}
+    elif name == "accelerate":
+        warm, speed = (34 if friction > 0.4 else 27) * KMH, 60 * KMH
+        push = min(speed / 5.1, hard)
+        start = 1.15 * warm**2 / easy + 32.0
+        legs = [
+            Leg(start, warm, easy, easy, wait=rng.uniform(1.5, 2.5)),
+            Leg(speed**2 / 2 / push + rng.uniform(60, 90), 1.03 * speed, push, easy, ease=0.15),
+        ]
+        target = {"speed_kmh": 60.0, "time_s": 5.0}
+    else:
+        speed, push = 1.03 * 50 * KMH, min(50 * KMH / 1.85, hard)
+        start = 1.2 * speed**2 / 2 / easy + rng.uniform(40, 60)
+        legs = [
+            Leg(start, speed, easy, push),
+            Leg(speed**2 / 2 / push, speed, easy, push, wait=rng.uniform(2.5, 3.5), ease=0.1),
+            Leg(rng.uniform(20, 30), 30 * KMH, easy, easy),
+        ]
+        target = {"speed_kmh": 50.0, "time_s": 2.0}
+    path = find_path(town, straight(sum(leg.length for leg in legs)), rng)
+    return Plan(path, legs, target, start)
+
+
+def _plan_bends(name: str, hard: float, easy: float, friction: float, town: Any, rng: random.Random) -> Plan:
+    """Plan the maneuvers that turn at junctions: `turns` and `outages`."""
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    before = 35.0 + 1.15 * (34 * KMH) ** 2 / 2 / easy  # m, to pull away and align
+
+    def fits(path: Path2D) -> bool:
+        bends = path.turns
+        if len(bends) < 2 or bends[0].start < before:
+            return False
+        quarters = all(math.radians(70) < abs(t.angle) < math.radians(110) for t in bends[:2])
+        opposite = bends[0].angle * side > 0 > bends[1].angle * side
+        return quarters and opposite and bends[1].end + 40.0 + RUN_OUT < path.length
+
+    calm = {"acceleration": easy, "braking": easy}
+    if name == "turns":
+        need = Need("two turns of 90 degrees, one to each side", before + 240.0, False, fits)
+        path = find_path(town, need, rng)
+        first, second = path.turns[:2]
+        grip = min(4.0, 0.7 * friction * GRAVITY)
+        legs = [Leg(second.end + rng.uniform(30, 40), 40 * KMH, lateral=grip, **calm)]
+        target = {"left_deg": 90.0, "right_deg": -90.0, "peak_lateral_ms2": 4.0}
+        return Plan(path, legs, target, first.start - 10.0)
+    need = Need("way with two turns of 90 degrees", before + 320.0, False, fits)
+    path = find_path(town, need, rng)
+    first, second = path.turns[:2]
+    grip = min(3.5, 0.7 * friction * GRAVITY)
+    legs = [
+        Leg(first.end, 40 * KMH, lateral=grip, **calm),
+        Leg(second.start - first.end, 55 * KMH, min(3.0, hard), min(4.5, 0.8 * hard), grip, ease=0.2),
+        Leg(path.length - RUN_OUT - second.start, 45 * KMH, lateral=grip, **calm),
+    ]
+    windows = [(round(rng.uniform(at, at + 1), 2), round(rng.uniform(3.0, 4.8), 2)) for at in (5.0, 15.0)]
+    target = {f"outage_{i + 1}_s": long for i, (_, long) in enumerate(windows)}
+    return Plan(path, legs, target, first.start - 10.0, windows)
+
+
+def allowed_speed(plan: Plan, sway: Callable[[float], float]) -> list[list[float]]:
+    """Fastest speed at each point of each leg, m/s, from which the car can slow down in time."""
+    profiles: list[list[float]] = []
+    end, after = plan.length, math.inf
+    for leg in reversed(plan.legs):
+        start = end - leg.length
+        ways = [min(start + k * SPACING, end) for k in range(math.ceil(leg.length / SPACING) + 1)]
+        speed: list[float] = []
+        for way in ways:
+            bend = abs(plan.path.curvature[min(round(way / SPACING), len(plan.path.x) - 1)])
+            speed.append(min(leg.speed, math.sqrt(leg.lateral / max(bend, 1e-6))) * (1 + sway(way)))
+        speed[-1] = 0.0 if leg.wait > 0 else min(speed[-1], after)
+        for k in range(len(speed) - 2, -1, -1):
+            speed[k] = min(speed[k], math.sqrt(speed[k + 1] ** 2 + 2 * leg.braking * SPACING))
+        profiles.insert(0, speed)
+        end, after = start, speed[0]
+    return profiles

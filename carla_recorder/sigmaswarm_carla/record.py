@@ -1,0 +1,161 @@
+"""Record all drives, through as many sessions as it takes."""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from .brakes import sweep_brakes
+from .drive import Recording, check_fixes, drive, seed_of
+from .files import Journal, keep_incomplete, write_drive
+from .metadata import describe
+from .options import DRY, ENVIRONMENTS, Condition, FailedRun, LostConnection, Options, RecorderError
+from .plans import plan_maneuver
+from .server import Session, reachable
+from .vehicle import edit_physics, place_car, settle
+
+
+class Progress:
+    """Show progress on standard error: one changing line on a terminal, one line per drive elsewhere."""
+
+    def __init__(self, total: int) -> None:
+        self.total, self.done = total, 0
+        self._began = self._shown = time.monotonic()
+        self._name = ""
+        self._live = sys.stderr.isatty()
+
+    def show(self, name: str, t: float) -> None:
+        """Show that `t` s of a drive are recorded."""
+        now = time.monotonic()
+        if now - self._shown < 0.5 and name == self._name:
+            return
+        rest = ""
+        if self.done:
+            minutes = (now - self._began) / self.done * (self.total - self.done) / 60
+            rest = f", about {minutes:.0f} min to go" if minutes >= 1 else ", less than a minute to go"
+        line = f"drive {self.done + 1} of {self.total}: {name}"
+        if self._live:
+            print(f"\r\033[K{line}, {t:.0f} s{rest}", end="", file=sys.stderr, flush=True)
+        elif name != self._name:
+            print(line + rest, file=sys.stderr, flush=True)
+        self._shown, self._name = now, name
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        self.clear()
+        print(text, file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        """Erase the changing line."""
+        if self._live:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def record(options: Options) -> int:
+    """Record all missing drives; return their number.
+
+    Raises
+    ------
+    RecorderError
+        Complete drives are in `options.out` then, and the data of an incomplete one in its folder ``incomplete``.
+    """
+    journal = Journal(options)
+    conditions = [
+        Condition(maneuver, environment, run)
+        for maneuver in options.maneuvers
+        for environment in options.environments
+        for run in range(options.runs)
+    ]
+    wanted = [each for each in conditions if not (options.out / each.name).exists()]
+    progress = Progress(len(wanted))
+    try:
+        _record(options, journal, wanted, progress)
+    finally:
+        progress.clear()
+    return progress.done
+
+
+def _record(options: Options, journal: Journal, wanted: list[Condition], progress: Progress) -> None:
+    """Record drives, through as many sessions as it takes."""
+    checked, lost = False, 0
+    before: dict[str, Any] = {}
+    while wanted or (options.brake_sweep and not journal.friction):
+        try:
+            with Session(options, before) as session:
+                journal.note(server=session.version, map=session.town.name, geodesy=session.geodesy.report())
+                if not checked:
+                    check_routes(session, wanted)
+                    checked = True
+                if options.brake_sweep and not journal.friction:
+                    journal.note(friction=sweep_brakes(session, progress.say))
+                while wanted:
+                    with session.trouble():
+                        record_one(session, journal, progress, wanted[0])
+                    del wanted[0]
+                    progress.done, lost = progress.done + 1, 0
+        except LostConnection as error:
+            lost += 1
+            here = f"{progress.done} drives of this call are complete in {options.out}"
+            if lost > 3 or not _wait_for(options):
+                _put_in_order(options, before)
+                raise RecorderError(f"{error}; {here}; restart the server and repeat with --resume") from None
+            progress.say(f"warning: {error}; the server is back, going on")
+
+
+def check_routes(session: Session, wanted: Sequence[Condition]) -> None:
+    """Raise RecorderError if the map lacks a route for one of the drives."""
+    for maneuver, friction in sorted({(m, ENVIRONMENTS[e].friction) for m, e, _ in wanted}):
+        with session.trouble():
+            plan_maneuver(maneuver, friction, session.town, random.Random(0))
+
+
+def _wait_for(options: Options) -> bool:
+    """Wait for a lost server to come back."""
+    end = time.monotonic() + options.patience
+    while time.monotonic() < end:
+        if reachable(options.host, options.port, 1.0):
+            time.sleep(min(1.0, options.patience / 10))
+            return True
+        time.sleep(0.2)
+    return False
+
+
+def _put_in_order(options: Options, before: dict[str, Any]) -> None:
+    """Restore a server that still answers, before giving up on it."""
+    if reachable(options.host, options.port, 1.0):
+        with suppress(RecorderError), Session(options, before):
+            pass
+
+
+def record_one(session: Session, journal: Journal, progress: Progress, condition: Condition) -> None:
+    """Record one drive; try other routes where a route fails."""
+    options, name, where = session.options, condition.name, ENVIRONMENTS[condition.environment]
+    session.show_weather(condition.environment)
+    for attempt in range(4):
+        rng = random.Random(seed_of(options.seed, name, "driver", attempt))
+        recording = Recording(name)
+        try:
+            plan = plan_maneuver(condition.maneuver, where.friction, session.town, rng)
+            car = place_car(session, plan.path)
+            settle(session, car)
+            physics = edit_physics(session, car, journal.tire_friction(where.friction), where.friction / DRY)
+            sensors = drive(session, recording, plan, car, physics, rng, lambda t: progress.show(name, t))
+            check_fixes(recording, options.gps_noise)
+            journal.note(physics={condition.environment: physics.dump})
+            about = describe(session, recording, plan, physics, sensors, condition)
+            write_drive(options.out / name, recording, about, options)
+            session.clear()
+            return
+        except FailedRun as error:
+            keep_incomplete(recording, options)
+            session.clear()
+            if attempt == 3:
+                raise RecorderError(f"{error} (four routes tried)") from None
+            progress.say(f"warning: {error}; trying another route")
+        except BaseException:
+            keep_incomplete(recording, options)
+            raise

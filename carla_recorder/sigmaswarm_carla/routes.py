@@ -1,0 +1,170 @@
+"""Find a path in CARLA's map that fits a maneuver."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from .geometry import heading_of, polar, wrap
+from .options import RecorderError
+
+SPACING = 0.5
+"""m, between two points of a path."""
+RUN_OUT = 30.0
+"""m of road beyond a maneuver's end, for the driver's preview and for longer stops."""
+STRAIGHT = math.radians(3.0)
+"""Largest change of heading on a straight stretch."""
+WALKS = 4000
+"""Walks after which a search for a path fails."""
+
+
+class Turn(NamedTuple):
+    """A bend of a path: its beginning and end (m along the path) and its angle (rad, left positive)."""
+
+    start: float
+    end: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class Path2D:
+    """A path along lanes: m east and north, heading rad (not wrapped), curvature 1/m, every `SPACING` m."""
+
+    x: list[float]
+    y: list[float]
+    heading: list[float]
+    curvature: list[float]
+    climb: float
+    start: Any  # the waypoint at its beginning
+
+    @property
+    def length(self) -> float:
+        """In m."""
+        return (len(self.x) - 1) * SPACING
+
+    @property
+    def turns(self) -> list[Turn]:
+        """All bends tighter than 40 m of radius that turn by more than 30 degrees."""
+        found: list[Turn] = []
+        bent = [i for i, c in enumerate(self.curvature) if abs(c) > 1 / 40]
+        while bent:
+            last = 0
+            while (
+                last + 1 < len(bent)
+                and (bent[last + 1] - bent[last]) * SPACING < 3.0
+                and (self.curvature[bent[last + 1]] * self.curvature[bent[0]] > 0)
+            ):
+                last += 1
+            first, end = bent[0], bent[last]
+            angle = self.heading[min(end + 4, len(self.x) - 1)] - self.heading[max(first - 4, 0)]
+            if abs(angle) > math.radians(30):
+                found.append(Turn(first * SPACING, end * SPACING, angle))
+            bent = bent[last + 1 :]
+        return found
+
+    @property
+    def bend(self) -> float:
+        """Largest change of heading from the beginning, rad."""
+        return max(abs(h - self.heading[0]) for h in self.heading)
+
+
+class Need(NamedTuple):
+    """What a maneuver needs of a path: its length (m), straight or not, and a test of a path."""
+
+    what: str
+    length: float
+    straight: bool
+    fits: Callable[[Path2D], bool]
+
+
+def straight(length: float) -> Need:
+    """Need a straight stretch of a length, m, and the run-out."""
+
+    def fits(path: Path2D) -> bool:
+        return path.bend < STRAIGHT
+
+    length += RUN_OUT
+    return Need(f"straight stretch of {length:.0f} m", length, True, fits)
+
+
+def find_path(town: Any, need: Need, rng: random.Random) -> Path2D:
+    """Find a random path in a `carla.Map` that fits.
+
+    Walks from all waypoints of the map, in random order: straight on for a straight need, else six times with a
+    random choice at each junction.
+    """
+    starts = [w for w in town.generate_waypoints(10.0) if not w.is_junction]
+    rng.shuffle(starts)
+    walks = 1 if need.straight else 6
+    longest = 0.0
+    for start in starts[: WALKS // walks]:
+        for _ in range(walks):
+            path = _walk(start, need, rng)
+            longest = max(longest, path.length)
+            if path.length >= need.length and path.climb < 0.04 and need.fits(path):
+                return path
+    longest_is = f"; the longest straight stretch is {longest:.0f} m" if need.straight else ""
+    raise RecorderError(
+        f"the map {town.name} has no {need.what}{longest_is}; load another one, say --map Town06, or leave "
+        "this maneuver out"
+    )
+
+
+def _walk(start: Any, need: Need, rng: random.Random) -> Path2D:
+    """Walk from a waypoint until the path is long enough, ends, or a straight one bends."""
+    points, gone, here = [start], 0.0, start
+    heading = heading_of(start.transform.rotation)
+    while gone < need.length + 2.0:
+        ways = here.next(1.0)
+        if not ways:
+            break
+        there = ways[0]
+        if len(ways) > 1:
+            there = min(ways, key=_turning) if need.straight else rng.choice(ways)
+        if need.straight and abs(wrap(heading_of(there.transform.rotation) - heading)) > STRAIGHT:
+            break
+        a, b = here.transform.location, there.transform.location
+        gone += math.hypot(b.x - a.x, b.y - a.y)
+        here = there
+        points.append(here)
+    return _resample(points)
+
+
+def _turning(way: Any) -> float:
+    """Change of heading, rad, over the first 15 m of a branch."""
+    there = way
+    for _ in range(15):
+        there = (there.next(1.0) or [there])[0]
+    return abs(wrap(heading_of(there.transform.rotation) - heading_of(way.transform.rotation)))
+
+
+def _resample(points: Sequence[Any]) -> Path2D:
+    """Resample waypoints, about 1 m apart, to equal spacing."""
+    places = [polar(p.transform.location) for p in points]
+    headings = [heading_of(points[0].transform.rotation)]
+    for p in points[1:]:
+        headings.append(headings[-1] + wrap(heading_of(p.transform.rotation) - headings[-1]))
+    way, climb = [0.0], 0.0
+    for a, b in zip(places, places[1:]):
+        step = max(math.hypot(b[0] - a[0], b[1] - a[1]), 1e-6)
+        climb = max(climb, abs(b[2] - a[2]) / step if step > 0.5 else 0.0)
+        way.append(way[-1] + step)
+    rows = [(place[0], place[1], heading) for place, heading in zip(places, headings)]
+    resampled = []
+    i = 0
+    for k in range(int(way[-1] / SPACING) + 1):
+        while i < len(way) - 2 and way[i + 1] < k * SPACING:
+            i += 1
+        j = min(i + 1, len(way) - 1)
+        w = 0.0 if len(way) < 2 else (k * SPACING - way[i]) / (way[i + 1] - way[i])
+        resampled.append([a * (1 - w) + b * w for a, b in zip(rows[i], rows[j])])
+    x, y, heading = (list(column) for column in zip(*resampled))
+    # The mean curvature over 3 m: lanes in junctions often begin with a kink.
+    curvature: list[float] = []
+    for k in range(len(x)):
+        first, last = max(k - 3, 0), min(k + 3, len(x) - 1)
+        curvature.append((heading[last] - heading[first]) / max((last - first) * SPACING, SPACING))
+    return Path2D(x, y, heading, curvature, climb, points[0])

@@ -1,0 +1,239 @@
+"""Connect to a CARLA server, prepare it for a recording, and restore it."""
+
+from __future__ import annotations
+
+import re
+import socket
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from .geometry import Geodesy
+from .options import ENVIRONMENTS, TICK, LostConnection, Options, RecorderError
+
+_KEEP: list[Any] = []
+"""Objects of a broken connection: their destructors would wait for the lost server."""
+
+
+def reachable(host: str, port: int, seconds: float) -> bool:
+    """Return true if something accepts connections there within some seconds."""
+    try:
+        socket.create_connection((host, port), seconds).close()
+    except OSError:
+        return False
+    return True
+
+
+def number_of(version: str) -> str:
+    """Return the numbers of a version such as 0.9.14-2-gabc, which client and server must share."""
+    found = re.match(r"\d+\.\d+\.\d+", version)
+    return found.group() if found else version
+
+
+def import_carla() -> Any:
+    """Import the client; raise RecorderError where it is not installed."""
+    try:
+        return import_module("carla")
+    except ImportError as error:
+        raise RecorderError(
+            f"the CARLA client can't be imported ({error}); pip install carla==VERSION, the server's version: "
+            "0.9.14 needs Python 3.8, 0.9.15 3.8 to 3.10, 0.9.16 3.10 to 3.12"
+        ) from None
+
+
+def connect(carla: Any, options: Options) -> Any:
+    """Connect a client of the server's version: another one can kill this process in its next call."""
+    place = f"{options.host}:{options.port}"
+    if not reachable(options.host, options.port, options.timeout):
+        raise RecorderError(
+            f"no CARLA server at {place}; start one (./CarlaUE4.sh -RenderOffScreen), or name --host and --port"
+        )
+    client = carla.Client(options.host, options.port)
+    client.set_timeout(options.timeout)
+    try:
+        server = client.get_server_version()
+    except RuntimeError as error:
+        raise RecorderError(
+            f"what listens at {place} does not answer as CARLA does ({one_line(error)}); "
+            "name the server's --port, or give it time with --timeout"
+        ) from None
+    mine = client.get_client_version()
+    if number_of(mine) != number_of(server):
+        raise RecorderError(
+            f"the server at {place} is CARLA {server}, the client {mine}, and they would not understand each "
+            f"other; pip install carla=={number_of(server)}"
+        )
+    return client
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error's message on one line."""
+    return " ".join(str(error).split())
+
+
+ROLE = "sigmaswarm"
+"""Role name of our actors, by which a later call finds those that a broken one left."""
+SUBSTEP = 0.001
+"""s, of the physics; with CARLA's default the gyro is wrong."""
+SETTINGS: dict[str, Any] = {
+    "synchronous_mode": True,
+    "no_rendering_mode": True,
+    "fixed_delta_seconds": TICK,
+    "substepping": True,
+    "max_substep_delta_time": SUBSTEP,
+    "max_substeps": round(TICK / SUBSTEP),
+}
+"""Settings of the server during a recording."""
+
+
+def _same(found: Any, wanted: Any) -> bool:
+    return found is not None and abs(found - wanted) < 1e-9
+
+
+class Session:
+    """A server prepared for a recording, and restored when the `with` block ends, whatever happens in it.
+
+    Attributes
+    ----------
+    world, town : CARLA's world and map
+    version : the server's
+    geodesy : converts the map's latitudes and longitudes to m
+    """
+
+    def __init__(self, options: Options, before: dict[str, Any]) -> None:
+        """`before` carries the server's original settings and weather from one session to the next."""
+        self.options, self._before = options, before
+        self.actors: list[Any] = []
+        self.carla = import_carla()
+        self.client = connect(self.carla, options)
+        self.version = str(self.client.get_server_version())
+
+    def __enter__(self) -> Session:
+        with self.trouble():
+            self._load_map()
+            self.world = self.client.get_world()
+            self.town = self.world.get_map()
+            self.geodesy = Geodesy.probe(self.carla, self.town)
+            settings = self.world.get_settings()
+            if not self._before:  # else this session resumes after a lost connection
+                self._before.update(settings=self._as_before(settings), weather=self.world.get_weather())
+        try:
+            with self.trouble():
+                self._apply_settings()
+                self.tick()  # a world lists its actors only after a tick
+                self._remove_leftovers()
+        except BaseException:
+            self.restore()
+            raise
+        return self
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        if isinstance(error, LostConnection):
+            _KEEP.extend([self, *self.actors])
+            return
+        trouble = self.restore()
+        if trouble and kind is None:
+            raise RecorderError(trouble)
+        if trouble:
+            print(f"warning: {trouble}", file=sys.stderr)
+
+    @contextmanager
+    def trouble(self) -> Generator[None, None, None]:
+        """Convert the client's errors to LostConnection."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise LostConnection(f"the server stopped answering: {one_line(error)}") from None
+
+    def _load_map(self) -> None:
+        wanted = self.options.map
+        if not wanted:
+            return
+        names = [str(name) for name in self.client.get_available_maps()]
+        if wanted not in [name.split("/")[-1] for name in names]:
+            known = ", ".join(sorted(name.split("/")[-1] for name in names))
+            raise RecorderError(f"the server has no map {wanted!r}; it has {known}")
+        if self.client.get_world().get_map().name.split("/")[-1] != wanted:
+            self.client.set_timeout(max(self.options.timeout, 120.0))
+            self.client.load_world(wanted)
+            self.client.set_timeout(self.options.timeout)
+
+    def _as_before(self, settings: Any) -> Any:
+        """Return the settings to restore: CARLA's defaults where a killed recorder has left ours."""
+        if not all(_same(getattr(settings, name), value) for name, value in SETTINGS.items()):
+            return settings
+        print(
+            "warning: the server still has the settings of a recording that was killed; it gets CARLA's defaults",
+            file=sys.stderr,
+        )
+        return self.carla.WorldSettings()
+
+    def _apply_settings(self) -> None:
+        settings = self.world.get_settings()
+        for name, value in SETTINGS.items():
+            setattr(settings, name, value)
+        self.world.apply_settings(settings)
+        found = self.world.get_settings()
+        for name, value in SETTINGS.items():
+            if not _same(getattr(found, name), value):
+                raise RecorderError(
+                    f"the server did not take {name} = {value}, it has {getattr(found, name)}; restart it "
+                    "without other clients"
+                )
+
+    def _remove_leftovers(self) -> None:
+        """Remove actors of an earlier, broken call, sensors first."""
+        left = [a for a in self.world.get_actors() if a.attributes.get("role_name") == ROLE]
+        for actor in sorted(left, key=lambda a: not a.type_id.startswith("sensor")):
+            actor.destroy()
+
+    def show_weather(self, environment: str) -> None:
+        """Set the weather, which changes no physics (carla#655)."""
+        self.world.set_weather(self.carla.WeatherParameters(**ENVIRONMENTS[environment].weather))
+
+    def tick(self) -> int:
+        """Advance by one frame and return its number."""
+        return int(self.world.tick(self.options.timeout))
+
+    def spawn(self, blueprint: str, attributes: dict[str, str], transform: Any, parent: Any = None) -> Any:
+        """Spawn an actor; `clear` removes it."""
+        definition = self.world.get_blueprint_library().find(blueprint)
+        for name, value in {"role_name": ROLE, **attributes}.items():
+            if definition.has_attribute(name):
+                definition.set_attribute(name, value)
+        actor = self.world.spawn_actor(definition, transform, attach_to=parent)
+        self.actors.append(actor)
+        return actor
+
+    def clear(self) -> None:
+        """Remove all actors. Unless sensors stop first and go before the car, the server may crash."""
+        sensors = [a for a in self.actors if a.type_id.startswith("sensor")]
+        for sensor in sensors:
+            if sensor.is_listening:
+                sensor.stop()
+        if sensors:
+            self.tick()
+        for actor in [*sensors, *(a for a in self.actors if a not in sensors)]:
+            actor.destroy()
+        self.actors.clear()
+
+    def restore(self) -> str:
+        """Restore the world; return a message about what failed, or an empty one."""
+        if not reachable(self.options.host, self.options.port, 2.0):
+            _KEEP.extend([self, *self.actors])
+            return "the server is gone: its settings and weather could not be restored"
+        failed: list[str] = []
+        for what, step in (
+            ("actors", self.clear),
+            ("weather", lambda: self.world.set_weather(self._before["weather"])),
+            ("settings", lambda: self.world.apply_settings(self._before["settings"])),
+        ):
+            try:
+                step()
+            except RuntimeError as error:
+                failed.append(f"{what} ({one_line(error)})")
+        if not failed:
+            self._before.clear()
+        return f"could not restore the server's {', '.join(failed)}; restart it" if failed else ""
