@@ -1,4 +1,4 @@
-"""A seeded generator of odd tables: one known drive, written in the dialects, units, dates, clocks and names of loggers."""
+"""Write a known drive as odd tables, by a seed: dialects, units, dates, clocks and names of loggers."""
 
 import datetime
 from collections.abc import Callable
@@ -16,19 +16,61 @@ G = 9.80665
 AXES = ("x", "y", "z")
 Columns = dict[str, np.ndarray]
 
-ACCELERATION = {"m/s^2": 1.0, "m s^-2": 1.0, "g": G, "mg": G / 1e3, "ug": G / 1e6, "ft/s^2": 0.3048, "cm/s2": 0.01,
-                "mm/s^2": 1e-3, "Gal": 0.01, "parsec/s2": 3e16, "LSB": G / 16384}  # fmt: skip
-RATE = {"rad/s": 1.0, "rad s^-1": 1.0, "deg/s": np.pi / 180, "°/s": np.pi / 180, "dps": np.pi / 180, "mrad/s": 1e-3,
-        "mdps": np.pi / 180e3, "deg/h": np.pi / 648e3, "rpm": np.pi / 30, "rev/s": 2 * np.pi, "deg/min": np.pi / 10800,
-        "counts": np.pi / 180 / 131}  # fmt: skip
+ACCELERATION = {
+    "m/s^2": 1.0,
+    "m s^-2": 1.0,
+    "g": G,
+    "mg": G / 1e3,
+    "ug": G / 1e6,
+    "ft/s^2": 0.3048,
+    "cm/s2": 0.01,
+    "mm/s^2": 1e-3,
+    "Gal": 0.01,
+    "parsec/s2": 3e16,
+    "LSB": G / 16384,
+}
+RATE = {
+    "rad/s": 1.0,
+    "rad s^-1": 1.0,
+    "deg/s": np.pi / 180,
+    "°/s": np.pi / 180,
+    "dps": np.pi / 180,
+    "mrad/s": 1e-3,
+    "mdps": np.pi / 180e3,
+    "deg/h": np.pi / 648e3,
+    "rpm": np.pi / 30,
+    "rev/s": 2 * np.pi,
+    "deg/min": np.pi / 10800,
+    "counts": np.pi / 180 / 131,
+}
 LENGTH = {"m": 1.0, "km": 1e3, "ft": 0.3048, "mm": 1e-3, "cm": 0.01, "mi": 1609.344, "furlong": 201.168}
-SPEED = {"m/s": 1.0, "km/h": 1 / 3.6, "knots": 1852 / 3600, "mph": 0.44704, "cm/s": 0.01, "ft/s": 0.3048,
-         "mm/s": 1e-3, "kph": 1 / 3.6, "warp": 3e8}  # fmt: skip
+SPEED = {
+    "m/s": 1.0,
+    "km/h": 1 / 3.6,
+    "knots": 1852 / 3600,
+    "mph": 0.44704,
+    "cm/s": 0.01,
+    "ft/s": 0.3048,
+    "mm/s": 1e-3,
+    "kph": 1 / 3.6,
+    "warp": 3e8,
+}
 UNKNOWN = ("parsec/s2", "LSB", "counts", "furlong", "warp")
 ANGLE = {"deg": np.pi / 180, "°": np.pi / 180, "rad": 1.0}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": 86400.0}
-SUFFIXES = {"m/s^2": "m_s2", "ft/s^2": "ft_s2", "deg/s": "deg_s", "rad/s": "rad_s", "km/h": "kmh", "m/s": "mps", "°": "deg",
-            "mrad/s": "mrad_s", "deg/h": "deg_h", "cm/s": "cm_s", "°/s": "dps"}  # fmt: skip
+SUFFIXES = {
+    "m/s^2": "m_s2",
+    "ft/s^2": "ft_s2",
+    "deg/s": "deg_s",
+    "rad/s": "rad_s",
+    "km/h": "kmh",
+    "m/s": "mps",
+    "°": "deg",
+    "mrad/s": "mrad_s",
+    "deg/h": "deg_h",
+    "cm/s": "cm_s",
+    "°/s": "dps",
+}
 
 ACC_NAMES = (
     "a{}",
@@ -48,9 +90,18 @@ GYRO_NAMES = (
     "field.angular_velocity.{}",
     "w_RS_S_{}",
 )
-DATES = ("%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%fZ", "%d-%b-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f",
-         "%d.%m.%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f", "%H:%M:%S.%f",
-         "%Y-%m-%dT%H:%M:%S.%f+02:00", "%m/%d/%Y %I:%M:%S.%f %p")  # fmt: skip
+DATES = (
+    "%Y-%m-%d %H:%M:%S.%f",
+    "%Y-%m-%dT%H:%M:%S.%fZ",
+    "%d-%b-%Y %H:%M:%S.%f",
+    "%Y/%m/%d %H:%M:%S.%f",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%m/%d/%Y %H:%M:%S.%f",
+    "%d/%m/%Y %H:%M:%S.%f",
+    "%H:%M:%S.%f",
+    "%Y-%m-%dT%H:%M:%S.%f+02:00",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+)
 
 
 @dataclass
@@ -281,9 +332,31 @@ class Writer:
     # Times.
 
     def pick_clock(self) -> str:
-        clocks = ("s", "ms", "us", "ns", "since start", "millis", "micros", "sec+nsec", "header.stamp", "week+tow", "wrap",
-                  "excel", "datenum", "fraction", "date", "date", "date+time", "coarse", "unit", "s", "us",
-                  "restart" if self.chance(0.3) else "s", "uneven" if self.chance(0.3) else "ms")  # fmt: skip
+        clocks = (
+            "s",
+            "ms",
+            "us",
+            "ns",
+            "since start",
+            "millis",
+            "micros",
+            "sec+nsec",
+            "header.stamp",
+            "week+tow",
+            "wrap",
+            "excel",
+            "datenum",
+            "fraction",
+            "date",
+            "date",
+            "date+time",
+            "coarse",
+            "unit",
+            "s",
+            "us",
+            "restart" if self.chance(0.3) else "s",
+            "uneven" if self.chance(0.3) else "ms",
+        )
         return self.pick(clocks)
 
     def add_time(self, sheet: Sheet, t: np.ndarray) -> None:
@@ -295,8 +368,12 @@ class Writer:
             )
             self.number_time(sheet, name, t, TIME[clock])
         elif clock == "since start":
-            sheet.add(self.__dict__.setdefault("time_name", self.pick(("time since start in ms", "Time since start (ms)"))),
-                      [str(round(v * 1e3)) for v in t + 3])  # fmt: skip
+            sheet.add(
+                self.__dict__.setdefault(
+                    "time_name", self.pick(("time since start in ms", "Time since start (ms)"))
+                ),
+                [str(round(v * 1e3)) for v in t + 3],
+            )
         elif clock in ("millis", "micros"):
             sheet.add(clock, [str(round((v + 3) * (1e3 if clock == "millis" else 1e6))) for v in t])
         elif clock in ("sec+nsec", "header.stamp"):
@@ -385,7 +462,8 @@ class Writer:
         )
         dressing = self.pick(("", "", "padded", "trailing", "trailing all", "quoted", "bom", "crlf"))
         self.note(
-            f"{name}: {separator!r} {style} {dressing}{' decimal comma' if comma else ''}{' units row' if units_row else ''}"
+            f"{name}: {separator!r} {style} {dressing}{' decimal comma' if comma else ''}"
+            f"{' units row' if units_row else ''}"
         )
         cell: Callable[[str], str] = {"padded": "{:>18}".format, "quoted": '"{}"'.format}.get(dressing, str)
         end = separator if dressing.startswith("trailing") else ""

@@ -30,10 +30,19 @@ def write_mat(path: Path) -> Path:
         {"imu": {"t": IMU.time, "fb": FORCE.T, "wb": RATE.T}, "gnss": {"t": GPS.time[:, None], **PLACE}},
         {"log": {"imu": {"time": IMU.time, "acc": FORCE, "gyro": RATE}, "gps": {"time": GPS.time, **PLACE}}},
         {"t": IMU.time, "acc": FORCE, "gyro": RATE, "gps": {"t": GPS.time, **PLACE}},
-        {"imu": {"t": IMU.time, "accel_x": IMU.ax, "accel_y": IMU.ay, "accel_z": IMU.az, "gyro": RATE, "rate_hz": 100.0},
-         "gps": {"t": GPS.time, **PLACE, "name": "F9P"}},
+        {
+            "imu": {
+                "t": IMU.time,
+                "accel_x": IMU.ax,
+                "accel_y": IMU.ay,
+                "accel_z": IMU.az,
+                "gyro": RATE,
+                "rate_hz": 100.0,
+            },
+            "gps": {"t": GPS.time, **PLACE, "name": "F9P"},
+        },
     ],
-)  # fmt: skip
+)
 def test_structs_are_tables(tmp_path: Path, content: dict[str, Any]):
     savemat(tmp_path / "log.mat", content)
     got = imported(tmp_path / "log.mat").drive

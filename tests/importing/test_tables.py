@@ -1,4 +1,4 @@
-"""Dialects of text tables, names and units of columns, forms of latitude and longitude: read right, or one clear line."""
+"""Dialects of tables, names and units of columns, forms of positions: read right, or refused in one line."""
 
 import re
 import shlex
@@ -75,9 +75,13 @@ DIALECTS: dict[str, str] = {
     "trailing separator in the header": table([",".join(HEAD) + ",", *joined(ROWS)]),
     "quotes": table([",".join(f'"{n}"' for n in HEAD), *joined(ROWS, ",", '"{}"')]),
     "byte order mark": "﻿" + table([",".join(HEAD), *joined(ROWS)], "\r\n"),
-    "an index without a name": table([",".join(["", *HEAD]), *(f"{k},{row}" for k, row in enumerate(joined(ROWS)))]),
-    "comments among the rows": table([",".join(HEAD), *joined(ROWS[:50]), "# a marker, pressed", *joined(ROWS[50:])]),
-}  # fmt: skip
+    "an index without a name": table(
+        [",".join(["", *HEAD]), *(f"{k},{row}" for k, row in enumerate(joined(ROWS)))]
+    ),
+    "comments among the rows": table(
+        [",".join(HEAD), *joined(ROWS[:50]), "# a marker, pressed", *joined(ROWS[50:])]
+    ),
+}
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
@@ -87,6 +91,14 @@ def test_dialects(tmp_path: Path, dialect: str):
     got = imported(tmp_path)
     assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
     assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in dialect)
+
+
+@pytest.mark.parametrize("name", ["drive.log", "DATA.DAT", "imu.asc", "data"])
+def test_a_table_of_any_name_is_recognized(tmp_path: Path, name: str):
+    (tmp_path / name).write_text(DIALECTS["lines above"])
+    write_fixes(tmp_path)
+    got = imported(tmp_path / name, gps=tmp_path / "gps.csv")
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
 
 
 def test_a_column_of_another_encoding_in_the_header(tmp_path: Path):
@@ -102,10 +114,13 @@ def test_a_column_of_another_encoding_in_the_header(tmp_path: Path):
         (joined(ROWS), "imu.csv: has no header; its columns are called c1 to c7"),
         ([",".join(UNITS), *joined(ROWS)], "imu.csv: has no header"),
         (["# no names", *joined(ROWS)], "imu.csv: has no header"),
-        ([",".join(HEAD), *joined(ROWS[:60]), ",".join([*ROWS[60], "7"]), *joined(ROWS[61:])], "row 62: has 8 cells and the header 7"),
+        (
+            [",".join(HEAD), *joined(ROWS[:60]), ",".join([*ROWS[60], "7"]), *joined(ROWS[61:])],
+            "row 62: has 8 cells and the header 7",
+        ),
         ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells and the header above it 5"),
     ],
-)  # fmt: skip
+)
 def test_the_first_fault_is_named_and_always_the_same(tmp_path: Path, lines: list[str], said: str):
     (tmp_path / "imu.csv").write_text(table(lines))
     write_fixes(tmp_path)
@@ -153,12 +168,37 @@ def test_a_name_with_backticks(tmp_path: Path):
 
 G = 9.80665
 IMU_UNITS = [
-    *(("a", u, k) for u, k in [("g", G), ("mg", G / 1e3), ("ug", G / 1e6), ("ft/s^2", 0.3048), ("cm/s2", 0.01), ("Gal", 0.01),
-                               ("mm/s^2", 1e-3), ("m s^-2", 1.0), ("m/s/s", 1.0), ("m·s⁻²", 1.0)]),
-    *(("g", u, k) for u, k in [("deg/s", np.pi / 180), ("°/s", np.pi / 180), ("dps", np.pi / 180), ("mdps", np.pi / 180e3),
-                               ("mrad/s", 1e-3), ("deg/h", np.pi / 648e3), ("rpm", np.pi / 30), ("rev/s", 2 * np.pi),
-                               ("rad s^-1", 1.0), ("deg/min", np.pi / 10800)]),
-]  # fmt: skip
+    *(
+        ("a", u, k)
+        for u, k in [
+            ("g", G),
+            ("mg", G / 1e3),
+            ("ug", G / 1e6),
+            ("ft/s^2", 0.3048),
+            ("cm/s2", 0.01),
+            ("Gal", 0.01),
+            ("mm/s^2", 1e-3),
+            ("m s^-2", 1.0),
+            ("m/s/s", 1.0),
+            ("m·s⁻²", 1.0),
+        ]
+    ),
+    *(
+        ("g", u, k)
+        for u, k in [
+            ("deg/s", np.pi / 180),
+            ("°/s", np.pi / 180),
+            ("dps", np.pi / 180),
+            ("mdps", np.pi / 180e3),
+            ("mrad/s", 1e-3),
+            ("deg/h", np.pi / 648e3),
+            ("rpm", np.pi / 30),
+            ("rev/s", 2 * np.pi),
+            ("rad s^-1", 1.0),
+            ("deg/min", np.pi / 10800),
+        ]
+    ),
+]
 
 
 @pytest.mark.parametrize(("letter", "unit", "factor"), IMU_UNITS)
@@ -174,8 +214,17 @@ def test_units_of_the_imu(tmp_path: Path, letter: str, unit: str, factor: float,
 
 @pytest.mark.parametrize(
     ("unit", "factor"),
-    [("km", 1e3), ("ft", 0.3048), ("mm", 1e-3), ("cm", 0.01), ("mi", 1609.344), ("nmi", 1852.0), ("meters", 1.0), ("in", 0.0254)],
-)  # fmt: skip
+    [
+        ("km", 1e3),
+        ("ft", 0.3048),
+        ("mm", 1e-3),
+        ("cm", 0.01),
+        ("mi", 1609.344),
+        ("nmi", 1852.0),
+        ("meters", 1.0),
+        ("in", 0.0254),
+    ],
+)
 def test_units_of_places(tmp_path: Path, unit: str, factor: float):
     (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
     write_fixes(tmp_path, GPS.x / factor, GPS.y / factor, f"t,x [{unit}],y [{unit}]")
@@ -232,8 +281,14 @@ def test_an_unknown_unit_is_refused_and_the_remedy_helps(tmp_path: Path, head: l
 
 @pytest.mark.parametrize(
     ("letter", "per", "unit"),
-    [("a", 16384 / G, ""), ("a", 4096 / G, ""), ("a", 2048 / G, " [LSB]"), ("g", 131 * 180 / np.pi, ""), ("g", 131 * 180 / np.pi, " (counts)")],
-)  # fmt: skip
+    [
+        ("a", 16384 / G, ""),
+        ("a", 4096 / G, ""),
+        ("a", 2048 / G, " [LSB]"),
+        ("g", 131 * 180 / np.pi, ""),
+        ("g", 131 * 180 / np.pi, " (counts)"),
+    ],
+)
 def test_raw_counts_are_refused_and_the_remedy_helps(tmp_path: Path, letter: str, per: float, unit: str):
     mine = [a for a in AXES if a[0] == letter]
     rows = imu_rows(dict.fromkeys(mine, per))
@@ -256,17 +311,33 @@ def ddmm(value: float) -> str:
 
 
 PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = {
-    "radians, named": ("t,lat [rad],lon [rad]", lambda a: repr(float(np.radians(a))), lambda b: repr(float(np.radians(b)))),
-    "radians in the name": ("t,lat_rad,lon_rad", lambda a: repr(float(np.radians(a))), lambda b: repr(float(np.radians(b)))),
+    "radians, named": (
+        "t,lat [rad],lon [rad]",
+        lambda a: repr(float(np.radians(a))),
+        lambda b: repr(float(np.radians(b))),
+    ),
+    "radians in the name": (
+        "t,lat_rad,lon_rad",
+        lambda a: repr(float(np.radians(a))),
+        lambda b: repr(float(np.radians(b))),
+    ),
     "degrees, named": ("t,Latitude (deg),Longitude (deg)", repr, repr),
     "1e-7 degrees": ("t,lat,lon", lambda a: str(round(a * 1e7)), lambda b: str(round(b * 1e7 + 3e9 - 3e9))),
-    "1e-7 degrees, named": ("t,lat [degE7],lon [1e-7 deg]", lambda a: str(round(a * 1e7)), lambda b: str(round(b * 1e7))),
+    "1e-7 degrees, named": (
+        "t,lat [degE7],lon [1e-7 deg]",
+        lambda a: str(round(a * 1e7)),
+        lambda b: str(round(b * 1e7)),
+    ),
     "ddmm.mmmm": ("t,lat,lon", ddmm, ddmm),
     "ddmm.mmmm, named": ("t,lat [ddmm.mmmm],lon [dddmm.mmmm]", ddmm, ddmm),
     "0 to 360": ("t,lat,lon", repr, lambda b: repr(b % 360)),
     "hemispheres": ("t,lat,lat_dir,lon,lon_dir", lambda a: f"{abs(a)!r},N", lambda b: f"{abs(b)!r},W"),
-    "hemispheres of ddmm": ("t,lat,N/S,lon,E/W", lambda a: f"{ddmm(abs(a))},N", lambda b: f"{ddmm(abs(b))},W"),
-}  # fmt: skip
+    "hemispheres of ddmm": (
+        "t,lat,N/S,lon,E/W",
+        lambda a: f"{ddmm(abs(a))},N",
+        lambda b: f"{ddmm(abs(b))},W",
+    ),
+}
 
 
 @pytest.mark.parametrize("form", PLACES)
@@ -322,8 +393,15 @@ def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
     assert any("3 rows with an empty cell left out" in note for note in got.notes)
 
 
-@pytest.mark.parametrize("names", [("Accelerometer", "Gyroscope", "Magnetometer"), ("Acceleration", "AngularVelocity", "MagneticField"),
-                                   ("acc", "gyr", "mag"), ("phone_accel", "phone_gyro", "orientation")])  # fmt: skip
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("Accelerometer", "Gyroscope", "Magnetometer"),
+        ("Acceleration", "AngularVelocity", "MagneticField"),
+        ("acc", "gyr", "mag"),
+        ("phone_accel", "phone_gyro", "orientation"),
+    ],
+)
 @pytest.mark.parametrize("place", ["lat,lon", "x,y"])
 def test_x_y_z_are_of_what_the_table_is_called(tmp_path: Path, names: tuple[str, str, str], place: str):
     for name, letter in zip(names, "agg", strict=True):

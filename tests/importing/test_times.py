@@ -1,4 +1,4 @@
-"""Times in two columns, counters that wrap, clocks that start anew, coarse stamps, days and dates: read right, or refused."""
+"""Times in two columns, counters that wrap, clocks that start anew, coarse stamps, days, dates."""
 
 import datetime
 import re
@@ -63,15 +63,34 @@ TWO_COLUMNS: dict[str, tuple[str, Cells]] = {
         "time,header.stamp.secs,header.stamp.nsecs",
         lambda t: f"{EPOCH + t + 0.3 * (t * 7 % 1):.6f},{split(10**9)(t)}",
     ),
-    "a header's stamp in one column": ("%time,field.header.stamp", lambda t: f"{EPOCH * 10**9},{round(t * 1e9) + EPOCH * 10**9}"),
+    "a header's stamp in one column": (
+        "%time,field.header.stamp",
+        lambda t: f"{EPOCH * 10**9},{round(t * 1e9) + EPOCH * 10**9}",
+    ),
     "week and time of week, s": ("gps_week,tow", exact_week),
-    "week and time of week, ms": ("week,iTOW", lambda t: f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
-                                                        f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"),
-    "WN and TOW [ms]": ("GPS WN,TOW [ms]", lambda t: f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
-                                                    f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"),
-    "date and time": ("Date,Time", lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%Y-%m-%d,%H:%M:%S.%f")),
-    "day and time of day": ("date,utc_time", lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%d.%m.%Y,%H:%M:%S.%f")),
-}  # fmt: skip
+    "week and time of week, ms": (
+        "week,iTOW",
+        lambda t: (
+            f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
+            f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"
+        ),
+    ),
+    "WN and TOW [ms]": (
+        "GPS WN,TOW [ms]",
+        lambda t: (
+            f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
+            f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"
+        ),
+    ),
+    "date and time": (
+        "Date,Time",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%Y-%m-%d,%H:%M:%S.%f"),
+    ),
+    "day and time of day": (
+        "date,utc_time",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%d.%m.%Y,%H:%M:%S.%f"),
+    ),
+}
 
 
 @pytest.mark.parametrize("form", TWO_COLUMNS)
@@ -105,9 +124,15 @@ def test_names_of_times(tmp_path: Path, form: str):
 
 @pytest.mark.parametrize(
     ("name", "scale", "period"),
-    [("micros", 1e6, 2**32), ("millis", 1e3, 2**32), ("millis", 1e3, 2**16), ("t_us", 1e6, 2**32), ("tow_ms", 1e3, 604_800_000),
-     ("time_of_day", 1, 86400)],
-)  # fmt: skip
+    [
+        ("micros", 1e6, 2**32),
+        ("millis", 1e3, 2**32),
+        ("millis", 1e3, 2**16),
+        ("t_us", 1e6, 2**32),
+        ("tow_ms", 1e3, 604_800_000),
+        ("time_of_day", 1, 86400),
+    ],
+)
 @pytest.mark.parametrize("before", [4.0, 11.0])
 def test_counters_that_wrap_go_on(tmp_path: Path, name: str, scale: float, period: int, before: float):
     write(tmp_path, name, lambda t: f"{(round(t * scale, 6) - before * scale) % period:.10g}")
@@ -149,9 +174,17 @@ def test_stated_times_pass_the_same_check(tmp_path: Path, time: str):
         imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time, maps=["gps.t=t-5"])
 
 
-DATES = ("%d-%b-%Y %H:%M:%S.%f", "%Y/%m/%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S.%f", "%d/%m/%Y %H:%M:%S.%f",
-         "%m/%d/%Y %I:%M:%S.%f %p", "%Y-%m-%dT%H:%M:%S.%fZ", "%Y-%m-%d %H:%M:%S.%f+02:00", "%H:%M:%S.%f",
-         "%Y%m%d %H%M%S.%f")  # fmt: skip
+DATES = (
+    "%d-%b-%Y %H:%M:%S.%f",
+    "%Y/%m/%d %H:%M:%S.%f",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d/%m/%Y %H:%M:%S.%f",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+    "%Y-%m-%dT%H:%M:%S.%fZ",
+    "%Y-%m-%d %H:%M:%S.%f+02:00",
+    "%H:%M:%S.%f",
+    "%Y%m%d %H%M%S.%f",
+)
 
 
 @pytest.mark.parametrize("form", DATES)

@@ -65,7 +65,7 @@ class Columns:
             self.chunks.append(usable)
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Null where a logger wrote that it has no value: -999 or 1e10, far from all others, or for both coordinates."""
+        """Null for placeholders: -999 or 1e10 far from all other values, or in both coordinates."""
         texts = {n: compile_expression(t, frame.columns).numbers for n, t in self.part.columns.items()}
         used = {c for n, columns in texts.items() if n not in ("t", "keep") for c in columns}
         numbers = {

@@ -1,4 +1,4 @@
-"""A guess at what the tables of a log are, by the names of their columns, the units in them, and some of their values."""
+"""Guess the roles of a log's tables by the names, units and first values of their columns."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -167,8 +167,8 @@ def _downward(imu: Columns) -> str:
     if float(middle or 0.0) >= 0:  # pyright: ignore[reportArgumentType]
         return ""
     return (
-        f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward and to the right, "
-        "say --mount x=x,y=-y; `sigmaswarm doctor` tells whether it was right"
+        f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
+        "and to the right, say --mount x=x,y=-y; `sigmaswarm doctor` tells whether it was right"
     )
 
 

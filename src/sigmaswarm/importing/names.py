@@ -32,10 +32,19 @@ PARTS_OF_SECONDS = {
     **dict.fromkeys(("msec", "msecs", "millisec", "milliseconds", "millis"), 1e-3),
 }
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
-TIME_OF_WEEK = "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|week_(?:secs?|seconds|time))"
+TIME_OF_WEEK = (
+    "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
+    "week_(?:secs?|seconds|time))"
+)
 
-_ACCELERATION = "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|f|f_?b|a_rs_s|linear"
-_RATE = "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|w_?b|w_rs_s|angular"
+_ACCELERATION = (
+    "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "f|f_?b|a_rs_s|linear"
+)
+_RATE = (
+    "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "w_?b|w_rs_s|angular"
+)
 _STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
 NAMES: tuple[tuple[str, str], ...] = (
     ("t", TIME),

@@ -1,4 +1,4 @@
-"""The fixes' and the truth's places: what is no fix, longitudes beyond 180 degrees, and a first fix far from the rest."""
+"""Positions and headings: rows that are no fix, longitudes beyond 180 degrees, headings of another convention."""
 
 from collections.abc import Callable
 

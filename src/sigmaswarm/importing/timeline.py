@@ -1,4 +1,4 @@
-"""The times of a table made a time line: counters unwrapped, recordings told apart, repeated stamps spread, in order."""
+"""Make a time line of a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -108,11 +108,12 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     if usual < 2 or np.mean(odd) > UNEVEN or np.mean(irregular) > UNEVEN:
         if repeated < 0.1:
             return time, ""
-        lost = len(time) - len(new)
+        lost, rate = len(time) - len(new), usual * SECOND / step
         raise InputError(
-            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and how many share one "
-            f"varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a finer one with "
-            f'--map {role}.t=..., or count rows where the rate is known, as --map "{role}.t=row/{usual * SECOND / step:.6g}"'
+            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and how many "
+            f"share one varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
+            f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
+            f'--map "{role}.t=row/{rate:.6g}"'
         )
     group = np.repeat(np.arange(len(new)), counts)
     place = np.arange(len(time)) - new[group]

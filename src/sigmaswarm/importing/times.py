@@ -176,7 +176,8 @@ def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
         else "not known"
     )
     entry = f"{role}.{column}={written(name.column)}*1.0"
-    return f'column {quoted(name.column)}: the unit {quoted(unit)} is {kind}; give the factor to SI units, as --map "{entry}"'
+    said = f"column {quoted(name.column)}: the unit {quoted(unit)} is {kind}"
+    return f'{said}; give the factor to SI units, as --map "{entry}"'
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
@@ -188,7 +189,7 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
     if not fitting:
         return Found(f"utc({called})")
     if len(fitting) > 1 and fitting[0].startswith("%m/%d") and fitting[1].startswith("%d/%m"):
-        said = f"--time \"utc({called}, '{fitting[1]}')\" where the day comes first, with {fitting[0]} where the month does"
+        said = f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {fitting[0]} if the month does"
         return Found(
             "", fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {said}"
         )
@@ -256,8 +257,8 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     for unit, factor in _likely_units(rows[name], step, role):
         t = "--time" if role == "imu" else f"--map {role}.t="
         return (
-            f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is {step * factor:.4g} s: "
-            f'write {t}{" " if role == "imu" else ""}"{plain[1]}{_factor(factor)}"'
+            f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
+            f'{step * factor:.4g} s: write {t}{" " if role == "imu" else ""}"{plain[1]}{_factor(factor)}"'
         )
     return ""
 

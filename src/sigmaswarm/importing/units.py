@@ -16,7 +16,8 @@ LONGEST = 40
 """Characters of a unit."""
 
 _LENGTHS = {
-    **{"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    **{"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1e3, "cm": 1e-2},
+    **{"mm": 1e-3, "um": 1e-6},
     **{"ft": 0.3048, "feet": 0.3048, "foot": 0.3048, "in": 0.0254, "inch": 0.0254, "yd": 0.9144, "mi": 1609.344},
     **{"mile": 1609.344, "miles": 1609.344, "nmi": 1852.0, "nm": 1852.0, "dm": 0.1},
 }  # fmt: skip
@@ -54,16 +55,17 @@ _WORDS: dict[str, tuple[Dimension, float]] = {
         "micro-g": G / 1e6, "gal": 0.01, "gals": 0.01, "mgal": 1e-5, "mps2": 1.0, "ms2": 1.0, "mpss": 1.0, "ms-2": 1.0,
         "ms^-2": 1.0, "fps2": 0.3048}.items()},
     **{name: ("rate", factor) for name, factor in
-       {"dps": _DEGREE, "mdps": _DEGREE / 1e3, "degps": _DEGREE, "degs": _DEGREE, "radps": 1.0, "rads": 1.0, "mradps": 1e-3,
-        "rpm": math.pi / 30, "dph": _DEGREE / 3600, "cdps": _DEGREE / 100}.items()},
+       {"dps": _DEGREE, "mdps": _DEGREE / 1e3, "degps": _DEGREE, "degs": _DEGREE, "radps": 1.0, "rads": 1.0,
+        "mradps": 1e-3, "rpm": math.pi / 30, "dph": _DEGREE / 3600, "cdps": _DEGREE / 100}.items()},
     **{name: ("speed", factor) for name, factor in
-       {"mps": 1.0, "kmh": 1 / 3.6, "kmph": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600, "kt": 1852 / 3600,
-        "kts": 1852 / 3600, "knot": 1852 / 3600, "knots": 1852 / 3600, "fps": 0.3048, "cmps": 0.01, "mmps": 1e-3}.items()},
+       {"mps": 1.0, "kmh": 1 / 3.6, "kmph": 1 / 3.6, "kph": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600,
+        "kt": 1852 / 3600, "kts": 1852 / 3600, "knot": 1852 / 3600, "knots": 1852 / 3600, "fps": 0.3048, "cmps": 0.01,
+        "mmps": 1e-3}.items()},
     **dict.fromkeys(("dege7", "deg_e7", "1e-7deg", "deg1e-7", "1e7deg", "deg1e7", "deg*1e7", "deg*1e-7", "e7"),
                     ("angle", _DEGREE * 1e-7)),
 }  # fmt: skip
-NONE = ("", "-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu", "unix", "epoch", "local", "body",
-        "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu")  # fmt: skip
+NONE = ("", "-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu", "unix", "epoch", "local",
+        "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu")  # fmt: skip
 """What stands in brackets and is no unit."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
 """Units of a sensor's raw counts."""

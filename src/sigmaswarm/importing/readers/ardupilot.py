@@ -1,7 +1,8 @@
 """ArduPilot's dataflash logs, ``.bin``, through pymavlink.
 
-Messages of ArduPilot, libraries/AP_Logger/LogStructure.h: TimeUS in us since start; IMU in the body's forward, right, down
-(m/s2, rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM the true place of a simulation.
+Messages of ArduPilot, libraries/AP_Logger/LogStructure.h: TimeUS in us since start; IMU in the body's forward, right,
+down (m/s2, rad/s); GPS in degrees, m/s, degrees from north; GPA with the stated accuracies; SIM the true place of a
+simulation.
 """
 
 from collections.abc import Generator

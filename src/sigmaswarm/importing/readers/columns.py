@@ -14,7 +14,7 @@ from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, uneven_row
+from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Source, Table, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
@@ -24,8 +24,8 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a table file by its name, or a folder that holds one."""
-    return bool(_files(path))
+    """Whether it is a table file by its name or its first lines, or a folder that holds one by its name."""
+    return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
 def _files(path: Path) -> list[Path]:
@@ -155,8 +155,8 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
         if (uneven := uneven_row(file, dialect)) is not None:
             row, cells = uneven
             raise InputError(
-                f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or write "
-                "a header with a name for each column"
+                f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or "
+                "write a header with a name for each column"
             ) from None
         raise broken_table(shown_as, shown_as.name, error) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]

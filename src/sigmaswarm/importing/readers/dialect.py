@@ -80,6 +80,16 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
 
 
+def is_table(file: Path) -> bool:
+    """Whether the first lines of a file of any name are rows of at least three cells, most of them numbers."""
+    head = first_bytes(file, 65536)
+    if b"\0" in head:
+        return False
+    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()][-20:]
+    cells = [split(line, _separator(lines)) for line in lines]
+    return len(lines) > 5 and all(len(c) > 2 and sum(map(is_value, c)) > 0.5 * len(c) for c in cells)
+
+
 def _plain(data: Sequence[Sequence[str]], k: int) -> bool:
     """Whether a column holds numbers and no texts with commas, as dates."""
     filled = [row[k].strip() for row in data if k < len(row) and row[k].strip().lower() not in _EMPTY]
@@ -220,8 +230,8 @@ def _header(
 
 def _no_header(shown_as: Path, count: int) -> str:
     return (
-        f"{shown_as.name}: has no header; its columns are called c1 to c{count}: write a header line, as t,ax,ay,az,gx,gy,gz, "
-        "or map them with --map"
+        f"{shown_as.name}: has no header; its columns are called c1 to c{count}: write a header line, as "
+        "t,ax,ay,az,gx,gy,gz, or map them with --map"
     )
 
 

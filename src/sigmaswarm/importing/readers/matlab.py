@@ -1,4 +1,4 @@
-"""MATLAB files, ``.mat`` up to version 7, through SciPy: each struct is a table, and so are loose vectors of one length."""
+"""MATLAB files, ``.mat`` up to version 7, through SciPy: structs and loose vectors of one length are tables."""
 
 import math
 from collections.abc import Generator, Iterator, Mapping

@@ -94,7 +94,7 @@ class MessageLog:
         return replace(guess, roles=found, notes=tuple(dict.fromkeys(notes)), faults=faults)
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
-        """A role's part of messages of an author's own: PX4's, or by names; the time alone where the user maps the rest."""
+        """A role's part of other messages, by PX4's types or by names; the time alone if the rest is mapped."""
         wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
         topics = [topic] if topic else list(self.tables)
         for name in topics:
@@ -108,8 +108,8 @@ class MessageLog:
             return Guess({})
         if role not in choice.mapped:
             raise InputError(
-                f"{self.path}: {topic} ({self.tables[topic].kind}) has nothing that gives {' and '.join(sorted(wanted))} "
-                "by its name; choose another topic, or map it"
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has nothing that gives "
+                f"{' and '.join(sorted(wanted))} by its name; choose another topic, or map it"
             )
         time = time_of(self._sample(topic), role)
         return Guess({role: (Part(topic, {"t": time} if time else {}),)})

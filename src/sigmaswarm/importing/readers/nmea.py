@@ -67,7 +67,8 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
     if _first_day(path, pynmeagps) is None:
         day = date(1970, 1, 1)
         remarks.append(
-            f"{path.name}: no sentence (RMC, ZDA) states the date: times count from midnight UTC; --gps-offset moves them"
+            f"{path.name}: no sentence (RMC, ZDA) states the date: times count from midnight UTC; "
+            "--gps-offset moves them"
         )
     clock: time | None = None
     fix: dict[str, float] = {}
