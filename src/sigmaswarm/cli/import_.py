@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.look import Look
     from sigmaswarm.importing.recipe import Recipe
 
-MOST_UNREAD = 12
+MOST_UNREAD = 100
 """Names of unused columns shown per table."""
 
 _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]

@@ -59,7 +59,7 @@ class Look:
     """What is in the logs of a request, the recipe that would be used, and what that assumes.
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
-    by table, of those that are read, the columns that neither would read.
+    by table, the columns that neither would read.
     """
 
     tables: tuple[Glance, ...]
@@ -73,12 +73,11 @@ class Look:
         """See above."""
         parts = [part for role in self.recipe.roles.values() for part in role]
         said = "\n".join([self.proposal, *(text for part in parts for text in part.columns.values())])
-        read = {part.table for part in parts}
         unread: dict[str, tuple[str, ...]] = {}
         for glance in self.tables:
             names = [r.column for r in glance.ranges]
             left = tuple(c for c in names if not re.search(rf"(?<![\w.]){re.escape(c)}(?![\w.])", said))
-            if left and (glance.table in read or len(left) < len(names)):
+            if left:
                 unread[glance.table] = left
         return unread
 
