@@ -22,6 +22,8 @@ SEED = 0
 """Of the noise of fixes that are made of the truth."""
 MOST_FIXES = 10_000_000
 """That are made of the truth."""
+REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
+"""The columns without which a role makes no drive."""
 LONGEST_OFFSET = 4e9
 """s: 126 years, beyond which times in ns leave 64 bits."""
 
@@ -45,14 +47,10 @@ def assemble(
     InputError
         Something that a drive needs is missing or can't be right.
     """
-    required: dict[Role, tuple[str, ...]] = {
-        "imu": ("ax", "ay", "gz"),
-        "gps": (),
-        "truth": (),
-        "odometer": ("speed",),
-    }
     joined: dict[Role, tuple[Nanoseconds, Values]] = {
-        role: join(parts, role, required[role], say, recording) for role, parts in gathered.items() if parts
+        role: join(parts, role, REQUIRED.get(role, ()), say, recording)
+        for role, parts in gathered.items()
+        if parts
     }
     seconds, zero = _seconds(joined, recipe)
     imu = joined["imu"][1]
@@ -75,6 +73,25 @@ def assemble(
         if truth is None:
             raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
+    drive = Drive(
+        name=name,
+        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
+        gps=Gps(seconds["gps"], **gps),
+        truth=truth,
+        frame="wgs84" if "lat" in gps else "enu",
+        origin=origin,
+        metadata=_metadata(recipe, zero),
+        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
+        if "odometer" in joined
+        else None,
+    )
+    if shortage := shortage_of(drive):
+        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
+    return drive
+
+
+def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
+    """What drive.toml keeps of a recipe, and of the second with which the times begin."""
     metadata: dict[str, Any] = {}
     if zero:
         metadata["time_origin_s"] = zero
@@ -83,21 +100,7 @@ def assemble(
         metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
-    drive = Drive(
-        name=name,
-        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
-        gps=Gps(seconds["gps"], **gps),
-        truth=truth,
-        frame="wgs84" if "lat" in gps else "enu",
-        origin=origin,
-        metadata=metadata,
-        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
-        if "odometer" in joined
-        else None,
-    )
-    if shortage := shortage_of(drive):
-        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
-    return drive
+    return metadata
 
 
 def _with_offset(shortage: str, drive: Drive) -> str:
