@@ -7,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
+from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.reports.figures import figure_of, new_figure, save
 from sigmaswarm.reports.style import LABELS
@@ -14,6 +15,7 @@ from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
+from sigmaswarm.wording import names_shown
 
 
 def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
@@ -58,6 +60,14 @@ def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
         }
         written += [save(f, folder / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
     return written
+
+
+def track_figure(evaluation: Evaluation, drive: str) -> Figure:
+    """Draw the tracks of all methods on one drive."""
+    found = evaluation.drives.get(drive)
+    if found is None or found.picture is None:
+        raise InputError(f"no track of {drive!r}; there are {names_shown(evaluation.drives)}")
+    return tracks(found.picture, LABELS | dict(evaluation.names))
 
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:

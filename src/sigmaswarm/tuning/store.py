@@ -18,6 +18,7 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
 from sigmaswarm.tuning.config import RENAMED
+from sigmaswarm.versions import same_results
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -120,10 +121,10 @@ class ResultFolder:
         except (ValueError, TypeError):
             raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
         wanted = json.loads(json.dumps(config))
-        if saved.get("versions") != wanted.get("versions"):
+        made, now = saved.pop("versions", {}), wanted.pop("versions", {})
+        if not (isinstance(made, dict) and same_results(made, now)):
             raise InputError(
-                f"{config_file}: was started with {_short('versions', saved)}, and this is another; go on with that "
-                "one, or choose another --out"
+                f"{config_file}: was started with other versions, {made}; go on with those, or choose another --out"
             )
         for key in sorted(saved.keys() | wanted.keys()):
             if saved.get(key) != wanted.get(key):
