@@ -131,7 +131,7 @@ def test_the_defaults_are_the_library_s():
 
 
 def test_help_names_every_choice(sigmaswarm):
-    said = "".join(line.strip("│ ") + " " for line in sigmaswarm("simulate", "--help").out.splitlines())
+    said = "".join(line.strip("│ ") + " " for line in sigmaswarm("simulate", "--help-all").out.splitlines())
     for choices in (MANEUVERS, ENVIRONMENTS, IMU_GRADES, GPS_GRADES, VEHICLES, TERRAINS, ODOMETER_GRADES):
         assert [name for name in choices if name not in said] == []
 

@@ -162,7 +162,7 @@ def test_with_enough_seeds_the_table_has_tests(whole):
     assert enough.seeds == 6 == FEWEST_SEEDS
     table = comparison_table(enough)
     assert "Too few" not in table.to_markdown()
-    assert [row[5] for row in table.table.rows] == enough.frame["cost_p"].to_list()
+    assert [row[5] for row in table.rows] == enough.frame["cost_p"].to_list()
     assert signed_rank(np.arange(1.0, FEWEST_SEEDS + 1), np.zeros(FEWEST_SEEDS)) < 0.05
     assert signed_rank(np.arange(1.0, FEWEST_SEEDS), np.zeros(FEWEST_SEEDS - 1)) > 0.05
 
@@ -205,7 +205,7 @@ def test_each_drive_is_aligned_once(monkeypatch: pytest.MonkeyPatch):
         ({"optimizers": ["pso:polish"]}, "'polish' is no setting"),
         ({"optimizers": ["pso:polish=many"]}, "polish = 'many'"),
         ({"optimizers": ["pso:polish=24"]}, "polish = 24 must be less"),
-        ({"optimizers": ["de:inertia=0.5"]}, "inertia is a coefficient of pso"),
+        ({"optimizers": ["de:inertia=0.5"]}, "inertia is an option of the optimizer pso"),
         ({"scales": ["cubic"]}, "cubic"),
         ({"seeds": 0}, "seeds = 0"),
         ({"seed": 3}, "use seeds instead"),

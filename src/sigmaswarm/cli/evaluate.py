@@ -79,6 +79,7 @@ def evaluate(
     from sigmaswarm.learned.folder import load_learned, seen_in
     from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
     from sigmaswarm.tuning.record import FILE, TuningRecord, seen_by
 
     parameters = sigmaswarm.FilterParameters.load(tuning)
@@ -92,7 +93,7 @@ def evaluate(
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     with cluster_at(cluster) as client:
         (read,) = read_datasets(drives, cluster=client, trusted=trust_log)
-        result = sigmaswarm.evaluate(
+        result = evaluate_drives(
             read,
             parameters,
             against=own,
