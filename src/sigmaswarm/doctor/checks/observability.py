@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sigmaswarm.doctor.clock_search import WIDEST
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
-from sigmaswarm.doctor.yaw_fit import LATENESS
 from sigmaswarm.drives.alignment import NoStart, find_start
 
 MORE = "use a drive with turns, starts and stops to check it"
@@ -62,7 +62,9 @@ def _unseen_yaw(evidence: Evidence) -> Finding:
             f"the course changes by {np.degrees(fit.course_change):.0f} deg within 20 s, and no column of the gyro "
             f"follows it: {unchecked}"
         )
-        remedy = f"look up the gyro's unit, and the clocks, where offsets beyond {LATENESS[-1]:.1f} s are not tried"
+        remedy = (
+            f"look up the gyro's unit, and the clocks, where offsets beyond {WIDEST:.0f} s are not searched"
+        )
     else:
         what = (
             f"{shown}, and there it changes by {np.degrees(fit.course_change):.1f} deg within 20 s; "
