@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 from sigmaswarm.drives.checks import remarks_of, shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
-from sigmaswarm.drives.sheet import CSV, FORMS, Sheet
+from sigmaswarm.drives.sheet import CSV, FORMS, LARGEST, Sheet
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
 from sigmaswarm.wording import names_shown, quoted, shown
@@ -186,7 +186,7 @@ def require_name(name: object, where: object) -> None:
 def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
     """Refuse a key of drive.toml that filters look at and can't use."""
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    plain = all(type(v) in (int, float) and abs(v) < 1e300 for v in numbers)
+    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
     length = len(numbers) if isinstance(value, list) else 0
     said = f"{path}: {key} = {value_shown(value)}"
     if not plain or length not in lengths or not numbers:

@@ -16,18 +16,29 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
 from sigmaswarm.wording import names_shown, quoted, shown
 
+LARGEST = 1e7
+"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
 _NO_STD = "leave the column out where no deviation is stated"
+_DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
+    "t": (-1e19, 1e19, "give seconds"),
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
-    "alt": (-1e7, 1e7, "give metres above the ellipsoid"),
-    "x": (-1e7, 1e7, "give metres from an origin near by"),
-    "y": (-1e7, 1e7, "give metres from an origin near by"),
+    "alt": (-LARGEST, LARGEST, "give metres above the ellipsoid"),
+    "x": (-LARGEST, LARGEST, "give metres from an origin near by"),
+    "y": (-LARGEST, LARGEST, "give metres from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
-    "std_x": (1e-6, np.inf, _NO_STD),
-    "std_y": (1e-6, np.inf, _NO_STD),
-    "std_theta": (1e-9, np.inf, _NO_STD),
+    "std_x": (1e-6, LARGEST, _NO_STD),
+    "std_y": (1e-6, LARGEST, _NO_STD),
+    "std_theta": (1e-9, LARGEST, _NO_STD),
+    **dict.fromkeys(
+        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "vx", "vy", "theta"),
+        (-LARGEST, LARGEST, _DAMAGED),
+    ),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
+
+_LONGEST_LEAP = 1e12
+"""Usual intervals between two rows: 300 years at 100 Hz, in any unit of time. A clock that was set jumps by less."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 """What the tables of a drive's folder may be written in."""
@@ -170,12 +181,26 @@ class Sheet:
             i = int(late[0]) + 1
             what = f"is not after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
+        if i := leap(time):
+            what = f"lies absurdly far after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", what, "delete the row with the damaged time")
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         cell = self.cells[column][i]
         value = "" if cell is None else str(cell)
         where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
+
+
+def leap(time: Array) -> int:
+    """Find the first row (n,) that lies absurdly far after the one before; 0 if there is none."""
+    if len(time) < 3:
+        return 0
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    if interval.max() <= _LONGEST_LEAP * usual:
+        return 0
+    return int(np.argmax(interval > _LONGEST_LEAP * usual)) + 1
 
 
 def _parquet(path: Path) -> pl.DataFrame:

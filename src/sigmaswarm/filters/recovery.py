@@ -121,7 +121,10 @@ class Seen:
             return False
         off = np.array([east, north])
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
-        return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
+        try:
+            return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
+        except np.linalg.LinAlgError:  # a fix and a filter that are both certain
+            return True
 
     @property
     def heading_contradicts(self) -> bool | None:
@@ -281,8 +284,11 @@ def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> 
     if not len(imu):
         return None
     drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
-    alignments = Alignments(drive)
-    found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    try:
+        alignments = Alignments(drive)
+        found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    except (ArithmeticError, np.linalg.LinAlgError):  # of samples such as 1e200
+        return None
     if found is None or found.gyro is None or not gyro_bias:
         return found
     return replace(found, gyro=found.gyro.beside(gyro_bias))
