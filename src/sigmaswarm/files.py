@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.limits import require_members, require_regular
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -44,8 +45,10 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
     """Read all arrays of an npz file; a damaged file can raise any exception."""
     import numpy as np  # heavy, and not needed to write text
 
+    require_regular(path)
     # opened here, since np.load leaves a damaged file open
     with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        require_members(path, file.zip.infolist())
         return {name: file[name] for name in file.files}
 
 

@@ -11,6 +11,7 @@ from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.sheet import CSV, FORMS, LARGEST, Sheet
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.geodesy import geodetic_to_enu
+from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
 Frame = Literal["enu", "wgs84"]
@@ -156,8 +157,9 @@ def _read_description(path: Path) -> dict[str, Any]:
         raise DriveError(
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
         )
+    text = _toml_text(path)
     try:
-        about = tomllib.loads(path.read_text("utf-8-sig"))
+        about = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
         raise DriveError(
             f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
@@ -170,6 +172,15 @@ def _read_description(path: Path) -> dict[str, Any]:
         if key in about:
             _require_numbers(about[key], key, lengths, example, path)
     return about
+
+
+def _toml_text(path: Path) -> str:
+    try:
+        return read_toml_text(path)
+    except UnicodeDecodeError as error:
+        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+    except OSError as error:
+        raise DriveError(f"{path} can't be read ({error.strerror})") from None
 
 
 def require_name(name: object, where: object) -> None:

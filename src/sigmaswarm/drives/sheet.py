@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
+from sigmaswarm.limits import LONGEST_LINE, MOST_CELLS, MOST_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
@@ -21,7 +22,6 @@ LARGEST = 1e7
 _NO_STD = "leave the column out where no deviation is stated"
 _DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
-    "t": (-1e19, 1e19, "give seconds"),
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
     "alt": (-LARGEST, LARGEST, "give metres above the ellipsoid"),
     "x": (-LARGEST, LARGEST, "give metres from an origin near by"),
@@ -67,6 +67,7 @@ class Sheet:
     @classmethod
     def read(cls, path: Path) -> "Sheet":
         """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
+        require_regular(path)
         if not path.is_file():
             raise DriveError(
                 f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
@@ -74,6 +75,8 @@ class Sheet:
         if path.suffix == PARQUET:
             cells = _parquet(path)
             return cls(path, cells, np.arange(1, len(cells) + 1))
+        require_text(path)
+        _require_few_columns(path, path.open("rb").readline(LONGEST_LINE).count(b",") + 1)
         cells = _plain_numbers(path)
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
@@ -192,6 +195,13 @@ class Sheet:
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
 
 
+def _require_few_columns(path: Path, count: int) -> None:
+    if count > MOST_COLUMNS:
+        raise DriveError(
+            f"{path}: has {count} columns, more than {MOST_COLUMNS}; leave out what a drive does not need"
+        )
+
+
 def leap(time: Array) -> int:
     """Find the first row (n,) that lies absurdly far after the one before; 0 if there is none."""
     if len(time) < 3:
@@ -206,7 +216,20 @@ def leap(time: Array) -> int:
 def _parquet(path: Path) -> pl.DataFrame:
     """The columns of a Parquet file."""
     try:
-        cells = pl.read_parquet(**one_file(path), hive_partitioning=False)
+        scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
+        schema = scan.collect_schema()
+        _require_few_columns(path, len(schema))
+        rows = int(scan.select(pl.len()).collect().item())  # as the footer says
+        if rows * len(schema) > MOST_CELLS:
+            raise DriveError(
+                f"{path}: says that it has {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
+                "split the drive"
+            )
+        kept = [
+            pl.col(name) if kind.is_numeric() else pl.lit(None, kind).alias(name)
+            for name, kind in schema.items()
+        ]  # others are refused or ignored, whatever they hold
+        cells = scan.select(kept).collect()
     except (*BROKEN, OSError):
         raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
     if cells.is_empty():

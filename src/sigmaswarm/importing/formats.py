@@ -8,7 +8,8 @@ from typing import Protocol, cast
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Source
+from sigmaswarm.importing.source import Source, first_bytes
+from sigmaswarm.limits import require_regular, require_text
 
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
@@ -26,6 +27,9 @@ READERS: dict[str, tuple[str, str]] = {
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
 """By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""
+
+
+_TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
 
 
 class Reader(Protocol):
@@ -54,7 +58,21 @@ def open_log(
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:
         raise InputError(f"{path} is empty; copy the log again")
-    return _reader(form or format_of(path)).open_log(path, limits or Limits())
+    require_regular(path)
+    form = form or format_of(path)
+    for text in _texts(path, form):
+        require_text(text)
+    return _reader(form).open_log(path, limits or Limits())
+
+
+def _texts(path: Path, form: str) -> list[Path]:
+    """The texts in a log that are read line by line or by polars, which would take any line or unpack any size."""
+    if path.is_file():
+        return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
+    inside = path.rglob("*") if form in ("kitti", "comma2k19") else path.iterdir()
+    for file in (files := sorted(file for file in inside if file.suffix.lower() in (".csv", ".tsv", ".txt"))):
+        require_regular(file)
+    return [file for file in files if file.is_file() and first_bytes(file, 4) != b"PAR1"]
 
 
 def format_of(path: Path) -> str:

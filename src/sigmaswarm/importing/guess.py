@@ -8,6 +8,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.source import Guess, Part, Role
+from sigmaswarm.limits import LONGEST_NAME
 from sigmaswarm.wording import names_shown
 
 _TIME = "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc"
@@ -199,6 +200,8 @@ def _find(frame: pl.DataFrame) -> _Found:
 def _split(column: str) -> tuple[str, str]:
     """A column's name in small letters without the unit, and the unit: "Acceleration x (m/s^2)", "gyro_z_dps"."""
     name = column.strip().lower()
+    if len(name) > LONGEST_NAME:  # the patterns' time grows with the square of the length
+        return name[:LONGEST_NAME], ""
     bracketed = re.fullmatch(r"(.*?)\s*[\[(](.*)[\])]\s*", name)
     said = bracketed[2].strip() if bracketed else ""
     name = re.sub(r"[^a-z0-9]+", "_", bracketed[1] if bracketed else name).strip("_")
