@@ -58,8 +58,8 @@ def require_regular(path: Path) -> None:
         raise InputError(f"{path}: is no regular file; copy what it holds into a file, and name that")
 
 
-def require_text(path: Path) -> None:
-    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes.
+def require_text(path: Path) -> bytes:
+    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes; return its first line.
 
     Raises
     ------
@@ -71,6 +71,8 @@ def require_text(path: Path) -> None:
         _require_unpacked(path, file.read(8))
         file.seek(0)
         _require_lines(path, file)
+        file.seek(0)
+        return file.readline()
 
 
 def _require_unpacked(path: Path, head: bytes) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
-from sigmaswarm.limits import LONGEST_LINE, MOST_CELLS, MOST_COLUMNS, require_regular, require_text
+from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LARGEST = 1e7
@@ -75,8 +75,7 @@ class Sheet:
         if path.suffix == PARQUET:
             cells = _parquet(path)
             return cls(path, cells, np.arange(1, len(cells) + 1))
-        require_text(path)
-        _require_few_columns(path, path.open("rb").readline(LONGEST_LINE).count(b",") + 1)
+        _require_few_columns(path, require_text(path).count(b",") + 1)
         cells = _plain_numbers(path)
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
