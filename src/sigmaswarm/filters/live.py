@@ -131,7 +131,9 @@ class LiveFilter:
         if lag is not None and not 0 < lag < np.inf:
             raise InputError(f"lag = {lag}: give a positive number of seconds, or leave it out")
         if not (
-            nominal_interval > 0 and 0 <= max(history, lag or 0) <= MOST_HISTORY * nominal_interval < np.inf
+            nominal_interval > 0
+            and history >= 0
+            and max(history, lag or 0) <= MOST_HISTORY * nominal_interval < np.inf
         ):
             raise InputError(
                 f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: give a positive "

@@ -145,17 +145,18 @@ def _slot(t, start, interval):
 
 
 @_plain
-def is_definite(p, n, factor):
+def is_definite(p, n, factor, first):
     """Whether a covariance of n states is positive semidefinite, but for rounding: by its Cholesky factor.
 
-    p, factor : the upper triangles column by column; the second is written.
+    ``p`` is its upper triangle column by column; that of the factor is written from place ``first`` on.
     """
     for j in range(n):
-        column = j * (j + 1) // 2
-        pivot = p[column + j] * (1.0 + ROUNDING)
+        begin = j * (j + 1) // 2
+        column = first + begin
+        pivot = p[begin + j] * (1.0 + ROUNDING)
         for i in range(j):
-            other = i * (i + 1) // 2
-            left = p[column + i]
+            other = first + i * (i + 1) // 2
+            left = p[begin + i]
             for k in range(i):
                 left -= factor[other + k] * factor[column + k]
             if factor[other + i] > 0.0:
@@ -173,7 +174,7 @@ def is_definite(p, n, factor):
 @_plain
 def _check(v):
     """Fail a filter whose covariance has lost its definiteness."""
-    if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v[FACTOR]):
+    if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
         v[OK] = 0.0
 
 
@@ -592,7 +593,7 @@ def _look_at_covariance(sources):
     def definite(handle):
         """Whether the covariance is positive semidefinite now, between two checks, too."""
         v = memory_at(handle)[1]
-        return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v[FACTOR])
+        return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
 
     return definite
 

@@ -153,7 +153,7 @@ def _note_fix(v, w, now):
 def _check_lanes(v, w):
     """Fail lanes whose covariance has lost its definiteness; the first one is the live filter's, which checks it."""
     for lane in range(1, LANES):
-        if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v[FACTOR]):
+        if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
             w[R.OK, lane] = 0.0
 
 
