@@ -1,21 +1,27 @@
-"""What `fleet.py` asks workers, in a module that they import: a function of a script travels as code instead."""
+"""Functions that `fleet.py` calls on workers, in a module that they import; those of a script travel as code."""
 
 import time
 from collections.abc import Sequence
 from typing import Any
 
-from sigmaswarm.scoring import fleet as scoring
+from sigmaswarm.scoring import remote
 
 
-def forget(kept: Sequence[Any], _: Any) -> None:
-    for one in kept:
-        one.made.clear()
+def forget(drives: Sequence[Any], _: Any) -> int:
+    """Drop all that was prepared."""
+    for drive in drives:
+        drive.results.clear()
+    return len(drives)
 
 
-def timed(kept: Sequence[Any], pool: Any, *sent: Any) -> tuple[Any, float]:
-    """A worker's answer, and the seconds that it took there."""
+def nothing(drives: Sequence[Any], _: Any) -> int:
+    return 0
+
+
+def timed(drives: Sequence[Any], pool: Any, *arguments: Any) -> tuple[Any, float]:
+    """A worker's scores, and the seconds that they took there."""
     began = time.perf_counter()
-    answer = scoring._taken(kept, pool, *sent)
+    answer = remote._taken(drives, pool, *arguments)
     return answer, time.perf_counter() - began
 
 

@@ -1,17 +1,17 @@
-"""Which optimizer, and which way to spend its budget: `compare` on simulated and real drives, for docs/optimizers.md.
+"""Compare optimizers and ways to spend their budget on simulated and real drives, for docs/optimizers.md.
 
     python benchmarks/compare_optimizers.py OUT [--drives ../shared/drives] [--seeds 20] [--only "KITTI, truth-rmse"]
 
-Every comparison is kept in a folder of OUT and resumed if it is there; the page is written from all that are done.
+Every comparison is kept in a folder of OUT, with all measures, and resumed if it is there. `--write` needs all cases.
 """
 
 import argparse
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from sigmaswarm import Comparison, Drive, SigmaswarmWarning, compare, read_drive, simulate, split_time
-from sigmaswarm.experiments.compare.record import COMPARED
+from sigmaswarm.experiments.comparison import COMPARED
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 
 PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
@@ -29,6 +29,14 @@ WAYS = (
 KITTI = ("kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0033", "kitti-09-30-0034", "kitti-09-30-0018")
 MODELS = ("planar5", "planar8")
 BOTH = ("log10", "linear")
+HELD_OUT = {
+    "simulated, scales",
+    "KITTI, truth-rmse",
+    "KITTI turned, truth-rmse",
+    "colorado-1, truth-rmse",
+    "colorado-1, innovation-nll",
+}
+"""Cases of the tables of both scales."""
 
 
 def simulated() -> tuple[list[Drive], list[Drive]]:
@@ -91,41 +99,71 @@ def comparisons(case: str, setting, out: Path, seeds: int) -> Iterator[tuple[str
         yield model, found
 
 
-def table(found: dict[str, Comparison], objective: str) -> str:
-    """One row a contender; for each model what it reached in training, and on held-out drives."""
-    measures = ["cost", "held_out_rmse", "held_out_heading"]
-    if objective != "truth-rmse":
-        measures[1:] = ["held_out_cost", "held_out_rmse"]
-    titles = ["optimizer", "scale", *(f"{model}: {COMPARED[m]}" for model in found for m in measures)]
-    lines = [titles, ["---"] * len(titles)]
-    for rows in zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True):
-        cells = [cell(row, m) for row in rows for m in measures]
-        lines.append([f"`{rows[0]['optimizer']}`", rows[0]["scale"], *cells])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+Found = dict[str, dict[str, Comparison]]
+"""Comparisons by case and model."""
+
+
+def held_out(found: Found, scale: str) -> str:
+    """Tabulate the RMSE on held-out drives, m, by optimizer at one scale; stars compare with pso and log10."""
+    columns = {
+        f"{case.removesuffix(', truth-rmse').removesuffix(', scales')}, {model}": {
+            row["optimizer"]: cell(row, "held_out_rmse")
+            for row in comparison.frame.to_dicts()
+            if row["scale"] == scale
+        }
+        for case, comparisons in found.items()
+        for model, comparison in comparisons.items()
+        if case in HELD_OUT
+    }
+    return markdown(
+        ["optimizer", *columns], ([f"`{name}`", *(c[name] for c in columns.values())] for name in BASE)
+    )
+
+
+def ways(found: dict[str, Comparison]) -> str:
+    """Tabulate ways to spend a budget: cost in training and RMSE on held-out drives, for each model."""
+    measures = ("cost", "held_out_rmse")
+    titles = ["optimizer", *(f"{model}: {COMPARED[m]}" for model in found for m in measures)]
+    rows = zip(*(comparison.frame.to_dicts() for comparison in found.values()), strict=True)
+    rows = (
+        row for row in rows if row[0]["optimizer"] not in BASE[3:]
+    )  # these are in the table of held-out drives
+    return markdown(
+        titles, ([f"`{row[0]['optimizer']}`", *(cell(r, m) for r in row for m in measures)] for row in rows)
+    )
+
+
+def markdown(titles: list[str], rows: Iterable[list[str]]) -> str:
+    return "\n".join("| " + " | ".join(line) + " |" for line in (titles, ["---"] * len(titles), *rows))
 
 
 def cell(row: dict, measure: str) -> str:
     """Median; worst run; a star where it differs from the first row's (p < 0.05 after Holm)."""
     p = row[f"{measure}_p"]
-    digits = 2 if measure == "held_out_heading" else 3
     star = " \\*" if p is not None and p < 0.05 else ""
-    return f"{row[f'{measure}_median']:.{digits}f}; {row[f'{measure}_worst']:.{digits}f}{star}"
+    return f"{row[f'{measure}_median']:.3f}; {row[f'{measure}_worst']:.3f}{star}"
 
 
-def raced(found: dict[str, Comparison]) -> str:
-    """What racing costs and saves, against the same optimizer without it."""
-    lines = [["model", "optimizer", "filter steps", "held-out RMSE: median", "worst run"], ["---"] * 5]
-    for model, comparison in found.items():
-        rows = {row["optimizer"]: row for row in comparison.frame.to_dicts()}
-        for name, row in rows.items():
-            plain = rows.get(name.removesuffix(":racing=true"))
+def raced(found: Found) -> str:
+    """Tabulate what racing costs and saves, against the same optimizer without it."""
+    rows = []
+    for case, model in ((case, model) for case, comparisons in found.items() for model in comparisons):
+        by_name = {
+            row["optimizer"]: row for row in found[case][model].frame.to_dicts() if row["scale"] == "log10"
+        }
+        for name, row in by_name.items():
+            plain = by_name.get(name.removesuffix(":racing=true"))
             if plain is None or plain is row:
                 continue
             changes = (
                 row[f"held_out_rmse_{k}"] / plain[f"held_out_rmse_{k}"] - 1 for k in ("median", "worst")
             )
-            lines.append([model, f"`{name}`", f"{row['steps_share']:.0%}", *(f"{c:+.1%}" for c in changes)])
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) if len(lines) > 2 else ""
+            objective = case.split(", ")[1]
+            cells = (f"{row['steps_share']:.0%}", *(f"{c:+.1%}" for c in changes))
+            rows.append([objective, model, f"`{name.removesuffix(':racing=true')}`", *cells])
+    return markdown(
+        ["objective", "model", "optimizer", "filter steps", "held-out RMSE: median", "worst run"], rows
+    )
 
 
 def write(section: str, text: str) -> None:
@@ -146,13 +184,18 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write docs/optimizers.md")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    for case, setting in cases(options.drives).items():
-        if options.only and case not in options.only:
-            continue
-        found = dict(comparisons(case, setting, options.out, options.seeds))
-        if options.write:
-            parts = [table(found, setting[1]), f"{options.seeds} seeds.", raced(found)]
-            write(case, "\n\n".join(part for part in parts if part))
+    settings = cases(options.drives)
+    chosen = {case: settings[case] for case in options.only or settings}
+    if options.write and not settings.keys() <= chosen.keys() >= HELD_OUT:
+        parser.error("--write needs all cases, with the real drives of --drives")
+    found = {
+        case: dict(comparisons(case, setting, options.out, options.seeds)) for case, setting in chosen.items()
+    }
+    if options.write:
+        write("log10", held_out(found, "log10"))
+        write("linear", held_out(found, "linear"))
+        write("ways", ways(found["simulated, truth-rmse"]))
+        write("racing", raced(found))
 
 
 if __name__ == "__main__":

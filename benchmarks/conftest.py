@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sigmaswarm import datasheet, simulate
+from sigmaswarm import baseline, simulate
 from sigmaswarm.tuning.space import search_space
 
 HERE = Path(__file__).parent
@@ -46,7 +46,7 @@ def parameter_sets(drive):
     """32 sets: what a careful engineer writes, and 31 random ones of the paper's box."""
     space = search_space("planar5", "log10", drive.nominal_interval)
     points = np.random.default_rng(0).uniform(space.low, space.high, (31, len(space.names)))
-    return [datasheet(drive), *space.decode(points)]
+    return [baseline(drive), *space.decode(points)]
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ import numpy as np
 
 from compare_optimizers import colorado
 from sigmaswarm import Drive, SigmaswarmWarning, simulate
-from sigmaswarm.fleets.gathering import held_drives
+from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem
@@ -73,8 +73,8 @@ def search(problem: CarProblem, name: str, seed: int, population: int, budget: i
 
 def rows(train: list[Drive], test: list[Drive], seeds: int) -> Iterator[list[str]]:
     asked = {"model": "planar8", "objective": "truth-rmse"}
-    problem = car_problem(held_drives(train, ())[0], validated_config(TuneConfig, asked))
-    held_out = problem.on(held_drives(test, ())[0])
+    problem = car_problem(datasets_of(train, ())[0], validated_config(TuneConfig, asked))
+    held_out = problem.on(datasets_of(test, ())[0])
     search(problem, "sobol", 0, 16, 16, np.inf)  # machine code is there, and imports are done
     search(problem, "bo", 0, 8, 9, np.inf)
 

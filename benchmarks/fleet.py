@@ -6,7 +6,7 @@
     same       tune, evaluate, study and compare on four workers against threads: the bytes of all files
     faults     five workers killed at random moments of a tuning and of a study, another comes each time; the scheduler
     scaling    two workers of one thread against one, on 16 drives of 30 minutes
-    overhead   what a generation costs beside the filters, by drives and by calls; what that allows (calculated)
+    overhead   what a generation costs beside the filters, by drives
     memory     the client's peak with 16 and 160 drives; a worker's bytes an hour of drive
     thousand   1000 drives of one minute, by the command line, with every line of the logs that warns
 
@@ -32,14 +32,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from distributed.protocol.pickle import dumps
-
-from asked_of_workers import costs, forget, timed
+from asked_of_workers import costs, forget, nothing, timed
 from dask_processes import Processes
 from sigmaswarm import read_drive, simulate, tune, write_drive
-from sigmaswarm.fleets.connection import Cluster, connected
-from sigmaswarm.fleets.fleet import Fleet
-from sigmaswarm.fleets.sources import At
+from sigmaswarm.datasets.cluster import Cluster, connected
+from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
@@ -66,6 +63,10 @@ def drives_of(folder: Path, count: int, seconds: float) -> list[Path]:
             target.symlink_to(made[run % DIFFERENT])
         made.append(target)
     return made
+
+
+def remote(client: Any, drives: Sequence[Path]) -> RemoteDataset:
+    return remote_dataset(Cluster(client), map(source_of, drives))[0]
 
 
 def command(*arguments: object) -> tuple[int, str, str, float]:
@@ -191,20 +192,17 @@ def scaling(folder: Path, repeats: int, minutes: float, generations: int) -> Non
         connected(one.address) as first,
         connected(two.address) as second,
     ):
-        fleets = {
-            1: Fleet.read(Cluster(first), map(At, drives)),
-            2: Fleet.read(Cluster(second), map(At, drives)),
-        }
-        for n, fleet in fleets.items():  # compiles, and makes ready
-            tune(fleet, **config | {"particles": 4, "generations": 1})
+        datasets = {1: remote(first, drives), 2: remote(second, drives)}
+        for n, dataset in datasets.items():  # compiles, and makes ready
+            tune(dataset, **config | {"particles": 4, "generations": 1})
             print(f"{n} worker(s): ready", flush=True)
         for _ in range(repeats):
-            for n, fleet in fleets.items():
-                fleet.ask(forget)  # what was made ready: it counts, too
+            for n, dataset in datasets.items():
+                dataset.call(forget)  # what was made ready: it counts, too
                 running, load = (one, two)[n - 1], os.getloadavg()[0]
                 before = [running.processor(name) for name in running.workers]
                 began, own = time.perf_counter(), time.process_time()
-                cost = tune(fleet, **config).cost
+                cost = tune(dataset, **config).cost
                 took[n].append(time.perf_counter() - began)
                 after = [running.processor(name) for name in running.workers]
                 busy = max(b - a for a, b in zip(before, after, strict=True))
@@ -223,51 +221,34 @@ def overhead(folder: Path, most: int) -> None:
     folders = drives_of(folder, DIFFERENT, 60.0)
     config = TuneConfig(model="planar8", objective="truth-rmse")
     points = np.random.default_rng(0).random((30, 20))
-    print("drives  calls  beside the filters, ms: median, 90%   (30 parameter sets, planar8)")
+    print(
+        "drives  an empty call, ms: median, 90%;  a generation beside the filters (30 parameter sets, planar8)"
+    )
     with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
         client.wait_for_workers(2)
         for count in (count for count in (1, 10, 100, 1000) if count <= most):
-            fleet = Fleet.read(Cluster(client), [At(folders[i % DIFFERENT]) for i in range(count)])
-            ms = 1e3 * np.quantile([_of_dask_alone(fleet) for _ in range(200)], [0.5, 0.9])
-            print(
-                f"Dask alone: a call of {len(fleet.yard.hosts)} workers, {ms[0]:.1f} {ms[1]:.1f}", flush=True
-            )
-            problem = car_problem(fleet, config)
+            dataset = remote(client, [folders[i % DIFFERENT] for i in range(count)])
+            empty = 1e3 * np.quantile([_empty_call(dataset) for _ in range(200)], [0.5, 0.9])
+            problem = car_problem(dataset, config)
             low, high = problem.space.low, problem.space.high
             sets = problem.space.decode(low + points[:, : len(low)] * (high - low))
-            for calls in (2, 10, 100, 1000):
-                if calls <= max(count, 2):
-                    each = [
-                        _overhead(problem.replays, sets, calls) for _ in range(40 if count < 1000 else 12)
-                    ]
-                    ms = 1e3 * np.quantile(each[2:], [0.5, 0.9])
-                    print(f"{count:6d} {min(calls, count):6d}  {ms[0]:8.1f} {ms[1]:8.1f}", flush=True)
-            del problem, fleet
+            each = [_overhead(problem.replays, sets) for _ in range(40 if count < 1000 else 12)]
+            ms = 1e3 * np.quantile(each[2:], [0.5, 0.9])
+            print(f"{count:6d}  {empty[0]:8.1f} {empty[1]:8.1f}  {ms[0]:8.1f} {ms[1]:8.1f}", flush=True)
 
 
-def _of_dask_alone(fleet: Fleet) -> float:
-    """Seconds of a call of each worker's actor, by the methods that Dask gives it, that asks for nothing."""
+def _empty_call(dataset: RemoteDataset) -> float:
+    """Seconds of a call of all workers that does nothing."""
     began = time.perf_counter()
-    for called in [host.actor.drop([]) for host in fleet.yard.hosts.values()]:
-        called.result()
+    dataset.call(nothing)
     return time.perf_counter() - began
 
 
-def _overhead(replays: Any, sets: Sequence[Any], calls: int) -> float:
-    """Seconds of a generation beside those of the busiest worker, with so many calls in all."""
-    yard, sent = replays.held.yard, (*replays._asked, costs, tuple(sets))
+def _overhead(replays: Any, sets: Sequence[Any]) -> float:
+    """Seconds of a generation in addition to those of the busiest worker."""
     began = time.perf_counter()
-    packed, hosts = dumps((timed, sent)), yard.placed(replays.held.drives)
-    begun = [
-        (host, yard.call(host, "ask", packed, part.tolist()))
-        for host, own in hosts
-        for part in np.array_split(np.array(own), min(max(calls // len(hosts), 1), len(own)))
-    ]
-    busy: dict[str, float] = {}
-    for host, future in begun:
-        _, seconds = yard.wait(host, future)
-        busy[host.worker.address] = busy.get(host.worker.address, 0.0) + seconds
-    return time.perf_counter() - began - max(busy.values())
+    answers = replays.dataset.call(timed, replays.passes, replays.check, costs, tuple(sets))
+    return time.perf_counter() - began - max(seconds for _, (_, seconds) in answers)
 
 
 def memory(folder: Path, drives: int | None) -> None:
@@ -277,7 +258,7 @@ def memory(folder: Path, drives: int | None) -> None:
         with Processes(folder / f"dask-{os.getpid()}", 2) as running, connected(running.address) as client:
             client.wait_for_workers(2)
             time.sleep(1)
-            empty = Fleet.read(Cluster(client), [At(place[0])])
+            empty = remote(client, place[:1])
             tune(
                 empty, particles=4, generations=1, model="planar8", out=folder / f"memory-{os.getpid()}-first"
             )

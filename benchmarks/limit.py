@@ -20,12 +20,12 @@ from typing import ClassVar
 import llvmlite.binding as llvm
 import numpy as np
 
-from sigmaswarm import datasheet, simulate
+from sigmaswarm import baseline, simulate
 from sigmaswarm.drives.prepared import prepared
 from sigmaswarm.filters import schedule
 from sigmaswarm.filters.compiled import lanes, layout, measurements, planar5, run
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.groups import Chunk
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.replay import start_replays
 from sigmaswarm.scoring.targets import tracking_replay
@@ -105,7 +105,7 @@ def kernel_call(fixes: bool = True):
     replay = tracking_replay(prepared(drive))
     steps, sample, driving, flags, *others, ends = replay.arrays(False, False, False)
     n_lanes = layout.most_lanes("planar5")
-    rows = start_replays([replay], Chunk.of((datasheet(drive),) * n_lanes))[0]
+    rows = start_replays([replay], KernelArray((baseline(drive),) * n_lanes))[0]
 
     def call():
         run.run_lanes(

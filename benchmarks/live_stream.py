@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm import FilterParameters, InitialState, LiveFilter, LiveSwarm
+from sigmaswarm import FilterParameters, InitialState, LiveFilter, LiveFilterBank
 
 RATE, FIXES_EVERY = 100, 20
 MINUTE = 60 * RATE
@@ -77,7 +77,7 @@ def main() -> None:
     options = parser.parse_args()
     minutes = round(60 * options.hours)
     initial = InitialState(np.zeros(5), np.diag([1.0, 1.0, 0.1, 0.1, 0.01]), 0.0)
-    kind = LiveSwarm if options.swarm else LiveFilter
+    kind = LiveFilterBank if options.swarm else LiveFilter
     filter = kind(PARAMETERS, initial, nominal_interval=1 / RATE)
     began, errors, memory = time.process_time(), [], []
     for error, megabytes in stream(filter, minutes, np.random.default_rng(0)):

@@ -1,7 +1,7 @@
 """Every real drive as training, every other one as test: is a filter ever worse than the fixes that it is given?
 
     python benchmarks/road_matrix.py ../shared/drives --use lateral standstill robust accuracy
-    python benchmarks/road_matrix.py ../shared/drives --model tilted12 --use lateral standstill robust --margin 0
+    python benchmarks/road_matrix.py ../shared/drives --model tilted12 --use lateral standstill robust --inflation 0
 
 Tuned without truth on one drive, tested on each drive that has truth; drives that lack an axis of the model are
 left out. `accuracy` is used where both state one. Prints Markdown tables for the position RMSE over that of the raw
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--model", default="planar8")
     parser.add_argument("--use", nargs="*", default=[])
     parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
-    parser.add_argument("--margin", type=float, help="likewise")
+    parser.add_argument("--inflation", type=float, help="likewise")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     folders = sorted(
@@ -92,7 +92,7 @@ def row(
         if stated not in filters:
             use = [option for option in options.use if option != "accuracy" or stated]
             asked = {"objective": options.objective, "model": options.model, "use": use, "seed": seed}
-            guards = {"prior": options.prior, "margin": options.margin}
+            guards = {"prior": options.prior, "inflation": options.inflation}
             filters[stated] = tune(
                 [replace(training, truth=None)], executor=pool, **asked, **guards
             ).parameters

@@ -37,7 +37,7 @@ from sigmaswarm import (
 )
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.filters.run import replay_of
-from sigmaswarm.filters.smoothing import smoothed_estimates
+from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.measures import MEASURES
 from switches import cases
 
@@ -182,7 +182,7 @@ def ten_hours() -> None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
     before, begun, cpu = peak(), time.perf_counter(), time.process_time()
-    samples = sum(len(piece.time) for piece in smoothed_estimates(replay, p))
+    samples = sum(len(piece.time) for piece in Smoothing(replay, p, recover=True))
     took, cpu = time.perf_counter() - begun, time.process_time() - cpu
     print(
         f"{samples:,} samples: {took:.1f} s ({cpu:.1f} s of processor time, {cpu / samples * 1e6:.2f} us a sample)"

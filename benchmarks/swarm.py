@@ -44,9 +44,9 @@ from sigmaswarm import (
     tune,
 )
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
+from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
-from sigmaswarm.filters.swarm.run import SwarmRun
 from sigmaswarm.scoring.score import PieceErrors
 from sigmaswarm.scoring.targets import outage_replay, outage_windows, tracking_replay
 from sigmaswarm.simulation.gps import GpsGrade
@@ -174,10 +174,10 @@ def measured(
     """Position (m), heading (deg), drift (m), mean NIS."""
     ready = prepared(drive)
 
-    def run(replay: Replay) -> SwarmRun | Recording:
+    def run(replay: Replay) -> BankRun | Recording:
         if method == "fleet":
             return Recording(replay, tuned, recover=True)
-        return SwarmRun(replay, tuned, seed=seed, recover=True, **CHANGES[method])
+        return BankRun(replay, tuned, seed=seed, recover=True, **CHANGES[method])
 
     found = run(tracking_replay(ready))
     errors = PieceErrors(drive.truth, ready.initial)

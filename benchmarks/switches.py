@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--optimizer", default="de")
     parser.add_argument("--as-recorded", action="store_true", help="no rules for frozen fixes and gaps")
     parser.add_argument("--prior", type=float, help="of R; 0: none; by default as tune has it")
-    parser.add_argument("--margin", type=float, help="likewise")
+    parser.add_argument("--inflation", type=float, help="likewise")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     print("| " + " | ".join(TITLES) + " |\n" + "|---" * len(TITLES) + "|")
@@ -92,7 +92,7 @@ def main() -> None:
                     "use": use,
                     "as_recorded": options.as_recorded,
                     "prior": options.prior,
-                    "margin": options.margin,
+                    "inflation": options.inflation,
                 }
                 rows = [
                     measured(

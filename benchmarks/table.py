@@ -157,7 +157,7 @@ def live(measured: dict) -> Iterator[str]:
     rows = {name: "FilterPy, " + name.removeprefix(theirs) for name in measured if name.startswith(theirs)}
     rows |= {name: name.removeprefix(ours) for name in measured if name.startswith(ours)}
     rows["test_live_late"] = "planar5 ukf, fixes 50 ms late"
-    rows["test_swarm planar8 ukf, lateral and standstill"] = "LiveSwarm, sixteen of the one above"
+    rows["test_swarm planar8 ukf, lateral and standstill"] = "LiveFilterBank, sixteen of the one above"
     for name, label in rows.items():
         cells = [
             "{:.2f} (99.9%: {:.1f})".format(

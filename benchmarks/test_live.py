@@ -13,7 +13,7 @@ import pytest
 
 from rival_filterpy import Ekf, Ukf
 from rival_pyswarms import Course
-from sigmaswarm import FilterParameters, LiveFilter, LiveSwarm
+from sigmaswarm import FilterParameters, LiveFilter, LiveFilterBank
 
 SECONDS = 40.0
 NOISE5 = (1e-4, 1e-4, 1e-3, 1e-3, 1e-7)
@@ -129,7 +129,7 @@ def test_live(benchmark, course, name):
 
 @pytest.mark.parametrize("name", ["planar8 ukf, lateral and standstill"])
 def test_swarm(benchmark, course, name):
-    record(benchmark, lambda: run_live(course, FILTERS[name], late=0, kind=LiveSwarm))
+    record(benchmark, lambda: run_live(course, FILTERS[name], late=0, kind=LiveFilterBank))
 
 
 def test_live_late(benchmark, course):

@@ -1,4 +1,4 @@
-"""What the data-sheet filter reaches, which stands beside every tuning: nobody tuned it, and it needs no training.
+"""The scores of the baseline that is compared with every tuning: it needs no training.
 
     python benchmarks/untuned.py ../shared/drives
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from defaults import cases
 from sigmaswarm import FilterParameters, SigmaswarmWarning, evaluate
-from sigmaswarm.doctor.suited import suited
+from sigmaswarm.drives.sensors import suggest_filter
 from sigmaswarm.scoring.drifts import UNTUNED
 from sigmaswarm.tuning.space import search_space
 
@@ -28,15 +28,13 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
-    print(
-        "| tested on | data-sheet filter | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |"
-    )
+    print("| tested on | baseline | position RMSE, m | heading, deg | 5 s drift, m | 30 s drift, m |")
     print("|---" * 6 + "|")
     for name, parts in cases(options.drives).items():
         if ">" in name or "outliers" in name:  # a stranger's drives: what was tuned plays no part here
             continue
         training, test = parts()
-        taken = suited([*training, *test])
+        taken = suggest_filter([*training, *test])
         found = evaluate(test, some_filter(taken.model, taken.use))
         cells = (found.mean(UNTUNED, m) for m in MEASURES)
         told = " | ".join("-" if v is None else f"{v:.2f}" for v in cells)

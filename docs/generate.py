@@ -17,8 +17,10 @@ def commands() -> dict[str, str]:
 
 def _page(name: str) -> str:
     from sigmaswarm.cli.app import app
+    from sigmaswarm.cli.options import full_help
 
-    text = app[name].generate_docs(output_format="markdown", usage_name=f"sigmaswarm {name}")
+    with full_help():
+        text = app[name].generate_docs(output_format="markdown", usage_name=f"sigmaswarm {name}")
     body = text[text.index("```console") :].replace("```console", "```text", 1)
     # Indented examples become blocks that can be copied.
     body = re.sub(

@@ -11,7 +11,7 @@ import pytest
 CHROMIUM = next(
     (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
 )
-DRAWN = ".scatterlayer path.js-line, .scatterlayer path.point, .barlayer path, .boxlayer path.box"
+DRAWN = ".scatterlayer path.js-line, .scatterlayer path.point, g[id^=axes] path"
 
 
 @contextmanager
@@ -43,6 +43,7 @@ class Opened:
         self.page.on("dialog", lambda dialog: self.complaints.append(f"dialog: {dialog.message}"))
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(file.as_uri())
+        self.page.wait_for_selector("body[data-ready]")
 
     def run(self, script: str):
         return self.page.evaluate(script)
@@ -52,7 +53,7 @@ class Opened:
         self.run("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def drawn(self) -> list[int]:
-        """How many lines, points, bars and boxes each plot shows."""
+        """How many lines, points, bars and boxes each chart has, of plotly.js or as SVG."""
         return self.run(
             f"[...document.querySelectorAll('.chart')].map((c) => c.querySelectorAll({DRAWN!r}).length)"
         )
@@ -60,7 +61,7 @@ class Opened:
     def width(self) -> float:
         """px from the left edge to the right end of the page, or of its widest plot."""
         return self.run(
-            "Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll('.main-svg')]"
+            "Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll('.chart svg')]"
             ".map((s) => s.getBoundingClientRect().right))"
         )
 
@@ -71,7 +72,7 @@ class Opened:
         self.page.emulate_media(media="print")
         self.settle()
         return self.run(
-            "Math.max(...[...document.querySelectorAll('.main-svg')].map((s) => s.getBoundingClientRect().width))"
+            "Math.max(...[...document.querySelectorAll('.chart svg')].map((s) => s.getBoundingClientRect().width))"
         )
 
     def check_silence(self) -> None:

@@ -30,6 +30,6 @@ def pytest_xdist_auto_num_workers() -> int:
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures are not drawn, which takes half a second each: where a test is about something else."""
-    from matplotlib.figure import Figure
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(b"a picture"))
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", lambda _, file, **__: file.write(b"a picture"))

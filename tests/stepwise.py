@@ -22,10 +22,11 @@ from sigmaswarm.drives.drive import Drive, Odometer
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import N_STEP, Timeline, build_timeline
-from sigmaswarm.filters import groups, packing, schedule
+from sigmaswarm.filters import packing, schedule
 from sigmaswarm.filters.compiled import layout, run
 from sigmaswarm.filters.compiled.layout import R
 from sigmaswarm.filters.compiled.single import single_step, take_step
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.simulation.gps import find_gps
@@ -92,8 +93,7 @@ class CompiledCars:
         self.rows = np.zeros((len(sets), layout.N_ROWS))
         self.wheels = wheels_at(timeline)
         for part in self.parts:
-            chunk = groups.Chunk.of(tuple(sets[part]))
-            start = groups.start_rows([initial], [timeline.nominal_interval], chunk)[0]
+            start = KernelArray(sets[part]).start([initial], [timeline.nominal_interval])[0]
             self.rows[part, : layout.N_KEPT] = start.T
 
     def step(self, i: int, happens: int, fix: np.ndarray | None, since: float) -> None:

@@ -16,7 +16,7 @@ import sigmaswarm
 from sigmaswarm.cli.compare import compare
 from sigmaswarm.cli.tune import tune
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.options import DEFAULTS, CompareOptions, Option, TuneOptions
+from sigmaswarm.tuning.options import CompareOptions, Option, TuneOptions
 from support import make_drive
 
 PROMISED = [
@@ -43,6 +43,13 @@ def test_every_public_name_is_there():
     for name in sigmaswarm.__all__:
         assert getattr(sigmaswarm, name).__doc__, name
     assert set(sigmaswarm.__all__) <= set(dir(sigmaswarm))
+
+
+@pytest.mark.parametrize("old", ["LiveSwarm", "run_swarm", "datasheet"])
+def test_names_of_0_3_0_still_work_and_name_their_successor(old: str):
+    with pytest.warns(DeprecationWarning, match=f"sigmaswarm.{old} is now (.*)") as warned:
+        found = getattr(sigmaswarm, old)
+    assert found is getattr(sigmaswarm, str(warned[0].message).rsplit(" ", 1)[1])
 
 
 def test_an_unknown_name_is_an_attribute_error():
@@ -160,31 +167,47 @@ def test_truth_never_reaches_a_filter(tmp_path: Path):
 # --- Options of a tuning: said once ---------------------------------------------------------------------------------
 
 
-def test_the_options_are_the_config_s():
-    """Names, types and defaults of what `tune` takes in Python and on the command line, and of what checks them."""
-    hints = get_type_hints(TuneOptions)
-    fields = TuneConfig.model_fields
-    assert set(hints) == set(DEFAULTS) == set(fields)
-    settled = DEFAULTS | {"model": "planar5", "kind": "ukf", "use": ()}  # where no drive has decided
-    assert {name: field.default for name, field in fields.items()} == settled
+def test_type_checkers_know_the_options_of_the_model():
+    """`TuneConfig` states the options; the TypedDict repeats names and types for type checkers."""
+    hints, fields = (
+        get_type_hints(TuneOptions),
+        TuneConfig.model_fields,
+    )
+    assert set(hints) == set(fields)
     plain = {name: Sequence[Option] if name == "use" else field.annotation for name, field in fields.items()}
-    assert plain == hints
-    apart = {
+    assert {n: h for n, h in hints.items() if n != "optimizer"} == {
+        n: p for n, p in plain.items() if n != "optimizer"
+    }
+    assert all(field.description for field in fields.values())
+    assert set(get_type_hints(CompareOptions)) == set(hints) - {
         "seed",
         "optimizer",
         "scale",
         "prior",
-        "margin",
-    }  # what is compared, and what guards a tuning's result
-    assert set(get_type_hints(CompareOptions)) == set(hints) - apart
-    assert TuneConfig().model_dump() == settled
+        "inflation",
+    }
 
 
 @pytest.mark.parametrize(("command", "asked"), [(tune, TuneOptions), (compare, CompareOptions)])
 def test_the_command_line_has_the_options(command, asked: type):
     parameters = inspect.signature(command).parameters
-    assert set(get_type_hints(asked)) <= set(parameters)
-    assert all(parameters[name].default is None for name in get_type_hints(asked))
+    names = asked.__annotations__
+    assert set(names) <= set(parameters)
+    assert all(parameters[name].default is None for name in names)
+
+
+@pytest.mark.parametrize(
+    ("given", "suggested"),
+    [
+        ("n_trials", "trials"), ("random_state", "seed"), ("max_iter", "generations"), ("n_jobs", "executor"),
+        ("n_iterations", "generations"), ("partikles", "particles"), ("valdation", "validation"), ("loss", "objective"),
+    ],
+)  # fmt: skip
+def test_an_unknown_option_suggests_the_right_one(given: str, suggested: str):
+    with pytest.raises(
+        sigmaswarm.InputError, match=rf"{given} = 3: no such option; did you mean {suggested}\?"
+    ):
+        sigmaswarm.tune([DRIVE], **{given: 3})
 
 
 def test_a_type_checker_knows_the_options(tmp_path: Path):

@@ -6,10 +6,10 @@ from functools import partial
 
 from filter_cases import equipped, parameters
 from sigmaswarm.drives.alignment import initial_state
+from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.filters.smoothing import smooth
-from sigmaswarm.filters.swarm.live import LiveSwarm
 
 MODELS = ("tilted12", "planar8", "planar5")  # the longest first
 
@@ -27,7 +27,7 @@ def hindsight(model: str) -> None:
 
 
 def many(model: str) -> None:
-    LiveSwarm(parameters(model), initial_state(equipped()), nominal_interval=0.01)
+    LiveFilterBank(parameters(model), initial_state(equipped()), nominal_interval=0.01)
 
 
 def main() -> None:

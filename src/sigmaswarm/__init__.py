@@ -22,6 +22,7 @@ scaling (Merwe); z, nu, S, K measurement, innovation, its covariance, gain; w, c
 social acceleration of the swarm.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -44,21 +45,20 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
-    from sigmaswarm.experiments.compare.record import Comparison
-    from sigmaswarm.experiments.compare.run import compare
+    from sigmaswarm.experiments.compare import compare
+    from sigmaswarm.experiments.comparison import Comparison
     from sigmaswarm.experiments.study.config import StudyConfig
-    from sigmaswarm.experiments.study.run import Study, run_study
+    from sigmaswarm.experiments.study.study import Study, run_study
+    from sigmaswarm.filters.bank.live import LiveFilterBank
+    from sigmaswarm.filters.bank.run import run_bank
     from sigmaswarm.filters.custom.log import Log
     from sigmaswarm.filters.custom.model import Model, Tunable
-    from sigmaswarm.filters.custom.run import ModelEstimate, run_model
-    from sigmaswarm.filters.custom.smoothing import smooth_model
+    from sigmaswarm.filters.custom.run import ModelEstimate, run_model, smooth_model
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
-    from sigmaswarm.filters.presets import datasheet, preset
+    from sigmaswarm.filters.presets import baseline, preset
     from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
     from sigmaswarm.filters.smoothing import smooth
-    from sigmaswarm.filters.swarm.live import LiveSwarm
-    from sigmaswarm.filters.swarm.run import run_swarm
     from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
     from sigmaswarm.references.reference import reference
     from sigmaswarm.reports.compare import comparison_table
@@ -90,22 +90,21 @@ _HOMES = {
         "SigmaswarmError",
         "SigmaswarmWarning",
     ),
-    "experiments.compare.record": ("Comparison",),
-    "experiments.compare.run": ("compare",),
+    "experiments.comparison": ("Comparison",),
+    "experiments.compare": ("compare",),
     "experiments.study.config": ("StudyConfig",),
-    "experiments.study.run": ("Study", "run_study"),
+    "experiments.study.study": ("Study", "run_study"),
     "filters.custom.log": ("Log",),
     "filters.custom.model": ("Model", "Tunable"),
-    "filters.custom.run": ("ModelEstimate", "run_model"),
+    "filters.custom.run": ("ModelEstimate", "run_model", "smooth_model"),
     "filters.parameters": ("FilterParameters",),
-    "filters.presets": ("datasheet", "preset"),
+    "filters.presets": ("baseline", "preset"),
     "filters.live": ("LiveFilter",),
     "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
     "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
-    "filters.custom.smoothing": ("smooth_model",),
     "filters.smoothing": ("smooth",),
-    "filters.swarm.live": ("LiveSwarm",),
-    "filters.swarm.run": ("run_swarm",),
+    "filters.bank.live": ("LiveFilterBank",),
+    "filters.bank.run": ("run_bank",),
     "references.reference": ("reference",),
     "reports.compare": ("comparison_table",),
     "reports.study": ("save_study", "study_figures", "study_tables"),
@@ -120,6 +119,8 @@ _HOMES = {
     "tuning.tune": ("tune",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
+"""Names of 0.3.0, kept for one release."""
 
 __all__ = [
     "AlignmentError",
@@ -141,7 +142,7 @@ __all__ = [
     "Innovations",
     "InputError",
     "LiveFilter",
-    "LiveSwarm",
+    "LiveFilterBank",
     "Log",
     "Model",
     "ModelEstimate",
@@ -157,11 +158,11 @@ __all__ = [
     "TuneConfig",
     "Tuning",
     "UnscentedKalmanFilter",
+    "baseline",
     "clip",
     "compare",
     "comparison_table",
     "consistency",
-    "datasheet",
     "diagnose",
     "evaluate",
     "initial_state",
@@ -169,12 +170,12 @@ __all__ = [
     "read_drive",
     "reference",
     "repair",
+    "run_bank",
     "run_batch",
     "run_filter",
     "run_innovations",
     "run_model",
     "run_study",
-    "run_swarm",
     "run_textbook",
     "save_study",
     "simulate",
@@ -192,6 +193,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used: `sigmaswarm --help` must not wait for Numba."""
+    if name in _RENAMED:
+        warnings.warn(f"sigmaswarm.{name} is now {_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        return __getattr__(_RENAMED[name])
     if name not in _HOME_OF:
         raise AttributeError(f"module 'sigmaswarm' has no attribute {name!r}")
     value = getattr(import_module(f"sigmaswarm.{_HOME_OF[name]}"), name)

@@ -1,5 +1,6 @@
 """Errors and warnings. Each message is one sentence that states the place and the remedy."""
 
+import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -60,3 +61,8 @@ class DriveWarning(SigmaswarmWarning):
     def __init__(self, message: str, code: str = "") -> None:
         super().__init__(message)
         self.code = code
+
+
+def warn_deprecated(old: str, new: str) -> None:
+    """Warn that a name is deprecated and will be removed in 0.5.0."""
+    warnings.warn(f"{old} is deprecated, use {new}", SigmaswarmWarning, stacklevel=4)

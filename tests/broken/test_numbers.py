@@ -10,7 +10,7 @@ import pytest
 
 from filter_cases import KINDS, parameters
 from fuzzing.live import START, feed, require_sound
-from sigmaswarm import Drive, FilterParameters, LiveFilter, LiveSwarm, read_drive, write_drive
+from sigmaswarm import Drive, FilterParameters, LiveFilter, LiveFilterBank, read_drive, write_drive
 from sigmaswarm.errors import DriveWarning, InputError
 from sigmaswarm.filters.compiled.layout import at
 from sigmaswarm.filters.compiled.live import is_definite
@@ -143,10 +143,10 @@ def test_definiteness_of_special_matrices(matrix: np.ndarray, definite: bool):
     assert is_definite(packed(matrix), 5, np.zeros(15), 0) == definite
 
 
-@pytest.mark.parametrize("swarm", [False, True])
+@pytest.mark.parametrize("bank", [False, True])
 @pytest.mark.parametrize("seed", range(5))
-def test_hostile_sequences(seed: int, swarm: bool):
-    feed(np.random.default_rng([seed, int(swarm)]), swarm=swarm, events=150)
+def test_hostile_sequences(seed: int, bank: bool):
+    feed(np.random.default_rng([seed, int(bank)]), bank=bank, events=150)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -194,7 +194,7 @@ WRONG: list[Any] = [
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=lambda v: str(v)[:20])
-@pytest.mark.parametrize("kind", [LiveFilter, LiveSwarm])
+@pytest.mark.parametrize("kind", [LiveFilter, LiveFilterBank])
 def test_what_is_no_number_is_an_input_error(wrong: Any, kind: type[LiveFilter]):
     live = kind(parameters("planar5", accuracy_scale=0.4), START, nominal_interval=0.01)
     with pytest.raises(InputError):

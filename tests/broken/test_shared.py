@@ -294,7 +294,7 @@ def test_11_one_huge_cell(cell: str, base: Path):
 @pytest.mark.parametrize("part", range(6))
 def test_12_and_20_live_filters(part: int):
     for k in range(5):
-        feed(np.random.default_rng([46, part, k]), swarm=k == 0, events=400)
+        feed(np.random.default_rng([46, part, k]), bank=k == 0, events=400)
 
 
 def test_13_text_for_a_time():

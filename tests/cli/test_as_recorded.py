@@ -27,7 +27,7 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
     same = means[0].tobytes() == means[1].tobytes()
     assert same is as_recorded
     said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder)).out
-    assert ("no filter took 5 of the fixes" in said) is not as_recorded
+    assert ("no filter used 5 of the fixes" in said) is not as_recorded
 
 
 @pytest.mark.usefixtures("unpainted")

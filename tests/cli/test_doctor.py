@@ -10,7 +10,7 @@ import pytest
 
 import sigmaswarm as library
 from doctor.faults import FAULTS, flipped_yaw
-from sigmaswarm.cli.common import held_drives
+from sigmaswarm.cli.common import read_datasets
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import SigmaswarmWarning
@@ -63,7 +63,7 @@ def test_a_mended_copy_is_offered_where_something_can_be_mended_and_its_folder_i
 ):
     def told(folder: Path) -> str:
         with pytest.warns(SigmaswarmWarning) as warned:
-            held_drives([folder], trusted=False)
+            read_datasets([folder], trusted=False)
         (line,) = [str(one.message) for one in warned if "SERIOUS" in str(one.message)]
         return line
 

@@ -29,7 +29,7 @@ def test_export_names_what_it_wrote(sigmaswarm: Command, tuned: Path, here: Path
 def test_lanes_are_checked_against_the_swarm(sigmaswarm: Command, tuned: Path, drives: Path, here: Path):
     drive = drives / "urban-clear-00"
     ended = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 3, "--check", drive)
-    (found,) = re.findall(r"C is within (\S+) of a LiveSwarm without searches", ended.out)
+    (found,) = re.findall(r"C is within (\S+) of a LiveFilterBank without searches", ended.out)
     assert (ended.code, float(found) < 1e-9) == (0, True)
     assert "#define INS_GPS_LANES 3" in Path("c/ins_gps.h").read_text()
     wrong = sigmaswarm("export", tuned, "--to", "c99", "--out", "c", "--lanes", 17)

@@ -13,7 +13,7 @@ import pytest
 from sigmaswarm.drives.writer import write_drive
 from support import make_drive, quickly
 
-HEAVY = ["numba", "polars", "matplotlib", "scipy", "pydantic", "numpy"]
+HEAVY = ["numba", "polars", "matplotlib", "scipy", "numpy"]  # pydantic states the options that help shows
 PROGRAM = "from sigmaswarm.cli import main; main()"
 
 

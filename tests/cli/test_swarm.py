@@ -8,19 +8,19 @@ import polars as pl
 import pytest
 
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.filters.bank.run import run_bank
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.swarm.run import run_swarm
 from sigmaswarm.scoring.score import score_estimate
 from sigmaswarm.scoring.tracks import load_tracks
 
 
 def test_run_writes_the_mixture_and_what_the_swarm_said(sigmaswarm, drives: Path, tuned: Path, here: Path):
     drive = next(drives.iterdir())
-    ended = sigmaswarm("run", tuned, drive, "--out", "estimate.csv", "--swarm", "--json")
+    ended = sigmaswarm("run", tuned, drive, "--out", "estimate.csv", "--bank", "--json")
     assert ended.code == 0
     told = json.loads(ended.out)
     table, p = pl.read_csv(here / "estimate.csv"), FilterParameters.load(tuned)
-    whole = run_swarm(read_drive(drive), p)
+    whole = run_bank(read_drive(drive), p)
     np.testing.assert_allclose(table["x"].to_numpy(), whole.mean[:, 0], rtol=1e-12)
     np.testing.assert_allclose(table["std_theta"].to_numpy(), np.sqrt(whole.covariance[:, 4, 4]), rtol=1e-9)
     said = pl.read_csv(told["swarm"])
@@ -41,7 +41,7 @@ def test_evaluate_has_a_row_for_it_and_so_has_the_page(sigmaswarm, drives: Path,
     scores = json.loads((here / "evaluation" / "scores.json").read_text())
     (row,) = (methods["swarm"] for methods in scores["drives"].values())
     read = read_drive(drive)
-    score = score_estimate(read, run_swarm(read, FilterParameters.load(tuned)))
+    score = score_estimate(read, run_bank(read, FilterParameters.load(tuned)))
     assert row["position_rmse_m"] == score.position_rmse
     assert row["outage_drift_m"] > 0
     (tracks,) = load_tracks(here / "evaluation" / "tracks.npz")

@@ -161,3 +161,12 @@ THIRD_AXES: dict[str, tuple[Callable[[Drive], Drive], set[str]]] = {
     "g": (in_g, {"accelerometer-unit"}),
 }
 """Faults of az, gx and gy, for drives that have them: planar filters do not feel them."""
+
+ROTATIONS = {"gravity", "15 deg", "right and down"}
+"""Faults that are one rotation of the IMU."""
+
+
+def codes_of(fault: str, drive: Drive) -> set[str]:
+    """The codes that must be named; a rotation of six axes is one finding."""
+    six = drive.imu.az is not None and drive.imu.gx is not None
+    return {"mounting"} if six and fault in ROTATIONS else (FAULTS | MORE | THIRD_AXES)[fault][1]

@@ -11,7 +11,7 @@ from sigmaswarm import Drive, Odometer, diagnose, read_drive, repair, simulate
 from sigmaswarm.doctor.checks import odometer as subject
 from sigmaswarm.doctor.evidence import Evidence, gather
 from sigmaswarm.doctor.findings import Diagnosis
-from sigmaswarm.doctor.suited import suited
+from sigmaswarm.drives.sensors import suggest_filter
 from support import DRIVES, needs_shared, quickly
 
 Fault = Callable[[Odometer], Odometer]
@@ -128,8 +128,8 @@ def test_it_is_a_part_of_the_diagnosis_and_of_what_suits_a_log():
     assert "odometer-scale" in diagnosis.codes
     (use,) = (finding for finding in diagnosis.findings if finding.code == "use")
     assert "--use lateral standstill odometer" in use.what
-    assert "odometer" in suited([evidence().drive]).use
-    assert "odometer" not in suited([replace(evidence().drive, odometer=None)]).use
+    assert "odometer" in suggest_filter([evidence().drive]).use
+    assert "odometer" not in suggest_filter([replace(evidence().drive, odometer=None)]).use
 
 
 @needs_shared

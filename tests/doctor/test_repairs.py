@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sigmaswarm
-from doctor.faults import FAULTS, MORE
+from doctor.faults import FAULTS, MORE, codes_of
 from sigmaswarm import Drive
 from support import DRIVES, needs_shared
 
@@ -28,7 +28,8 @@ def drive_of(name: str) -> Drive:
 
 
 def check(name: str, fault: str) -> None:
-    good, (plant, codes) = drive_of(name), (FAULTS | MORE)[fault]
+    good, plant = drive_of(name), (FAULTS | MORE)[fault][0]
+    codes = codes_of(fault, good)
     sick = plant(good)
     mended = sigmaswarm.repair(sick, sigmaswarm.diagnose(sick))
     left = sigmaswarm.diagnose(mended)

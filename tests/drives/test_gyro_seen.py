@@ -9,7 +9,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.gyro_seen import UP, GyroSeen
 from sigmaswarm.filters.compiled.layout import R, state_rows
-from sigmaswarm.filters.groups import Chunk, start_rows
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.packing import unpack_states
@@ -149,7 +149,7 @@ def test_fixes_that_jump_show_no_bias():
 def test_lanes_have_their_own():
     start = initial_state(biased(make_drive(duration=12.0, seed=2), OFF))
     sets = tuple(tuned("tilted12", std) for std in (1e-4, 1e-2, 0.1))
-    rows = start_rows([start], [0.01], Chunk.of(sets))[0]
+    rows = KernelArray(sets).start([start], [0.01])[0]
     means, covariances = unpack_states(rows[state_rows("tilted12")], "tilted12")
     for lane, p in enumerate(sets):
         mean, covariance = started("tilted12", start, p.bias_std[1])

@@ -9,11 +9,10 @@ import polars as pl
 import pytest
 
 from sigmaswarm.cli.convert import convert
-from sigmaswarm.drives.places import drive_places, read_place, sizes_of, without_secrets
-from sigmaswarm.drives.reader import drive_folders, read_drive
+from sigmaswarm.drives.reader import drive_folders, drive_locations, read_drive, read_with_warnings
+from sigmaswarm.drives.urls import without_secrets
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import DriveError, InputError
-from sigmaswarm.fleets.sources import At
 from support import assert_same, drive_variants, make_drive
 
 
@@ -101,11 +100,9 @@ def test_folders_of_drives_may_hold_either(tmp_path: Path, folder: Path):
 def test_a_url_is_read_as_a_folder_is(tmp_path: Path, folder: Path):
     pytest.importorskip("fsspec")
     url = f"file://{tmp_path}"
-    assert drive_places(url) == [f"{url}/good"]
-    assert drive_places(f"{url}/good") == [f"{url}/good"]
-    assert sizes_of(f"{url}/good") == sizes_of(folder)
-    assert At(f"{url}/good").size() == At(folder).size() > 0
-    drive, warned = read_place(f"{url}/good")
+    assert drive_locations(url) == [f"{url}/good"]
+    assert drive_locations(f"{url}/good") == [f"{url}/good"]
+    drive, warned = read_with_warnings(f"{url}/good")
     assert_same(drive, read_drive(folder))
     assert not warned
     cell("imu.parquet", 12, "ax", float("nan"))(folder)

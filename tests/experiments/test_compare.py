@@ -14,8 +14,8 @@ from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.reader import read_drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.compare.record import FEWEST_SEEDS, Comparison
-from sigmaswarm.experiments.compare.run import compare
+from sigmaswarm.experiments.compare import compare
+from sigmaswarm.experiments.comparison import FEWEST_SEEDS, Comparison
 from sigmaswarm.experiments.statistics import holm, signed_rank
 from sigmaswarm.reports.compare import comparison_table, save_comparison
 from sigmaswarm.tuning.batch import run_batch

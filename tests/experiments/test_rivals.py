@@ -7,33 +7,27 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from quick_learners import Quick, QuickNoises, QuickOutages
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.outages import hidden_fixes
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.config import StudyConfig, read_config
-from sigmaswarm.experiments.study.design import Task, make_design
-from sigmaswarm.experiments.study.elsewhere import designs_elsewhere
-from sigmaswarm.experiments.study.lessons import LEAST, lessons
-from sigmaswarm.experiments.study.networks import Training, trainings
-from sigmaswarm.experiments.study.rivals import _gains
-from sigmaswarm.experiments.study.run import Study, StudyProgress, run_study
-from sigmaswarm.experiments.study.scores import RIVAL_LABELS, ScoreTable
+from sigmaswarm.experiments.study.config import METHODS, StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Task, designs_elsewhere, make_design
+from sigmaswarm.experiments.study.networks import LEAST, Training, lessons, trainings
+from sigmaswarm.experiments.study.results import _gains
+from sigmaswarm.experiments.study.scores import ScoreTable
+from sigmaswarm.experiments.study.study import Study, StudyProgress, run_study
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import fit
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.learned.learn import LEARNERS, Finished, Trained
-from sigmaswarm.learned.noise_gru import FEATURES
-from sigmaswarm.learned.outage_lstm import untrained
+from sigmaswarm.learned.learn import LEARNERS
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.study import save_study, study_tables
 from sigmaswarm.scoring.targets import outage_windows, tracking_replay
@@ -60,55 +54,6 @@ TIMED = {
 }
 NETWORKS = ("outage-lstm", "noise-gru")
 REAL = {name: LEARNERS[name] for name in NETWORKS}
-
-
-class Quick:
-    """A learner whose training is a line through points, and whose networks nobody trained: their say is loud."""
-
-    epochs = 6
-    start: ClassVar = {"units": 3, "window": 4.0, "learning_rate": 0.1}
-    box: ClassVar = {}
-
-    def __init__(self, drives, validation, parameters, seed):
-        self.seen = [drive.name for drive in (*drives, *validation)]
-        self.seed = seed
-
-    def train(self, settings, seed, checkpoint, progress):
-        x = np.random.default_rng(seed).normal(size=(30, 3))
-        examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
-        options = {"learning_rate": 0.1, "epochs": 6, "batch": 4, "patience": 6, "seed": seed}
-        found = fit(
-            _square,
-            {"w": np.zeros(3)},
-            examples,
-            examples,
-            **options,
-            checkpoint=checkpoint,
-            progress=progress,
-        )
-        return Trained(found.weights, found)
-
-
-def _square(weights, batch):
-    return ((batch[0] @ weights["w"] - batch[1]) ** 2).mean()
-
-
-class QuickOutages(Quick):
-    def finish(self, settings, weights):
-        rng = np.random.default_rng(self.seed)
-        moved = rng.normal([9.0, 0.0], [3.0, 0.3], (20, 2))
-        made = untrained(rng, ("ax", "gz"), 4.0, 3, rng.normal(size=(20, 40, 4)), moved)
-        return Finished(
-            {**made.weights, "w": weights["w"]}, {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0}
-        )
-
-
-class QuickNoises(Quick):
-    def finish(self, settings, weights):
-        rng = np.random.default_rng(self.seed)
-        made = new_weights(rng, 3, FEATURES, 3, 2)
-        made["head"] = rng.normal(size=(3, 2))
-        return Finished({**made, "w": weights["w"]}, {})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -276,7 +221,7 @@ def test_drives_that_are_too_short_are_told_before_anything_is_tuned(
 def test_the_rivals_stand_in_the_tables(whole: Study):
     tables = {name: table.to_markdown() for name, table in study_tables(whole.results).items()}
     for name in ("table-2", "table-3", "rivals", "elsewhere-1", "elsewhere-2"):
-        for label in RIVAL_LABELS.values():
+        for label in (method.label for method in METHODS.values() if method.rival):
             assert f"| {label} (honest) |" in tables[name], (name, label)
     against = {c.against for c in whole.results.comparisons if c.protocol == "honest"}
     assert {*NETWORKS, "bo-ukf", "pso-fuzzy-ukf"} <= against

@@ -7,7 +7,6 @@ import random
 import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +18,11 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.grid import Tell, run_grid
-from sigmaswarm.experiments.study import run as study_run
-from sigmaswarm.experiments.study.config import BY_DEFAULT, TUNED_METHODS, StudyConfig, read_config
+from sigmaswarm.experiments.grid import run_grid
+from sigmaswarm.experiments.study import study as study_run
+from sigmaswarm.experiments.study.config import BY_DEFAULT, StudyConfig, read_config
 from sigmaswarm.experiments.study.design import Design, make_design
-from sigmaswarm.experiments.study.run import Study, run_study
+from sigmaswarm.experiments.study.study import Study, run_study
 from sigmaswarm.reports.study import save_study
 from sigmaswarm.tuning.racing import MANY
 from sigmaswarm.tuning.search import Search
@@ -62,7 +61,7 @@ def test_killed_five_times_it_ends_in_the_same_bytes(whole: Study, tmp_path: Pat
         "import os, signal, sys\n"
         "from pathlib import Path\n"
         "from sigmaswarm.experiments.study.config import read_config\n"
-        "from sigmaswarm.experiments.study.run import run_study\n"
+        "from sigmaswarm.experiments.study.study import run_study\n"
         "left = int(sys.argv[1])\n"
         "def tell(_):\n"
         "    global left\n"
@@ -92,24 +91,24 @@ def test_finished_trials_are_not_done_again(whole: Study, monkeypatch: pytest.Mo
 
 def test_as_many_tune_side_by_side_as_there_are_cores(whole: Study, monkeypatch: pytest.MonkeyPatch):
     """Python's own number of threads is larger, and they would wait for each other; nor does one worker fork."""
-    asked: list[int] = []
+    seen: list[int] = []
 
-    def forked(one: object, size: int) -> AbstractContextManager[object]:
-        asked.append(size)
-        return nullcontext(one)
+    def grid(*args: object, processes: int, **options: object) -> object:
+        seen.append(processes)
+        return run_grid(*args, processes=processes, **options)  # pyright: ignore
 
     def threads(workers: int) -> ThreadPoolExecutor:
-        asked.append(workers)
+        seen.append(workers)
         return ThreadPoolExecutor(workers)
 
     monkeypatch.setattr(study_run, "cores", lambda: 3)
-    monkeypatch.setattr(study_run, "forked", forked)
+    monkeypatch.setattr(study_run, "run_grid", grid)
     monkeypatch.setattr(study_run, "ThreadPoolExecutor", threads)
     for workers in (None, 1, 2):
         run_study(TINY, whole.folder, resume=True, workers=workers)
     with ThreadPoolExecutor(2) as own:
         run_study(TINY, whole.folder, resume=True, executor=own)
-    assert asked == [3, 3, 1, 0, 2, 2, 0]
+    assert seen == [3, 3, 1, 0, 2, 2, 0]
 
 
 def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
@@ -128,9 +127,8 @@ def test_a_trial_is_what_tune_finds(whole: Study, design: Design):
 
 def test_all_race_or_none(design: Design):
     racing = make_design(TINY.model_copy(update={"racing": True}))
-    variants = [(method, protocol) for method, each in TUNED_METHODS.items() for protocol in each]
-    assert all(racing.tune_config(*variant).racing for variant in variants)
-    assert not any(design.tune_config(*variant).racing for variant in variants)
+    assert all(racing.tune_config(method, protocol).racing for protocol, method in TINY.tuned)
+    assert not any(design.tune_config(method, protocol).racing for protocol, method in TINY.tuned)
 
 
 def test_it_races_by_itself_where_training_drives_are_many():
@@ -154,19 +152,6 @@ def test_what_racing_was_asked_for_is_kept(tmp_path: Path):
         (tmp_path / "study.toml").write_text(config.to_toml())
         assert ("racing" in config.to_toml()) == kept
         assert read_config(tmp_path / "study.toml") == config
-
-
-def test_the_longest_begin_first_and_order_stays():
-    begun: list[str] = []
-
-    def run(task: str, tell: Tell) -> str:
-        begun.append(task)
-        return task.upper()
-
-    with ThreadPoolExecutor(1) as pool:
-        found = run_grid(["a", "ccc", "bb", "dd"], run, pool, effort=len)
-    assert begun == ["ccc", "bb", "dd", "a"]
-    assert list(found.items()) == [("a", "A"), ("ccc", "CCC"), ("bb", "BB"), ("dd", "DD")]
 
 
 def test_the_budget_counts_the_first_generation(whole: Study):

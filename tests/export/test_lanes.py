@@ -1,4 +1,4 @@
-"""Several lanes in C: a `LiveSwarm` without searches, in the same numbers."""
+"""Several lanes in C: a `LiveFilterBank` without searches, in the same numbers."""
 
 import ctypes
 import importlib.util
@@ -25,12 +25,12 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.check import check_export
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.targets import export_filter
+from sigmaswarm.filters.bank.live import LiveFilterBank
+from sigmaswarm.filters.bank.spread import FIXED
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.swarm.live import LiveSwarm
-from sigmaswarm.filters.swarm.spread import FIXED
 from support import DRIVES, make_drive, needs_shared, quickly
 
 CASES = [
@@ -71,8 +71,8 @@ def c_filter(folder: Path, p: FilterParameters, drive: Drive, lanes: int, seed: 
 
 def python_lanes(
     p: FilterParameters, drive: Drive, lanes: int, seed: int = 0, start: InitialState | None = None
-) -> LiveSwarm:
-    swarm = LiveSwarm(
+) -> LiveFilterBank:
+    swarm = LiveFilterBank(
         p, start or start_of(drive), nominal_interval=drive.nominal_interval, lever_arm=[1.0, 0.5, 1.2],
         seed=seed, searches=False, recover=False,
     )  # fmt: skip

@@ -26,7 +26,8 @@ from sigmaswarm.exports.trajectory import (
 )
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.presets import DEFAULTS
-from sigmaswarm.filters.run import Estimate, estimates, replay_of, run_filter
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
 from support import make_drive
 
 STATES = ["x", "y", "vx", "vy", "theta"]
@@ -112,7 +113,9 @@ def test_a_filter_that_fails_on_its_way_leaves_no_file(tmp_path: Path):
     spoiled[-100:] = np.nan
     replay = replay_of(replace(drive, imu=replace(drive.imu, gz=spoiled)))
     with pytest.raises(SigmaswarmError, match="the filter failed at t = 149"):
-        write_pieces(estimates(replay, DEFAULTS), (0.0, 150.0), tmp_path / "e.csv")
+        write_pieces(
+            estimates_of(Recording(replay, DEFAULTS, recover=True)), (0.0, 150.0), tmp_path / "e.csv"
+        )
     assert list(tmp_path.iterdir()) == []
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from exported import SANITIZERS, build, needs_gcc
-from filters.test_recovery import PLANTS, SET, drive_of, rmse, stops_and_goes
+from filters.test_divergence import PLANTS, SET, drive_of, rmse, stops_and_goes
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.exports.c99 import replay_rows

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from filter_cases import KINDS, OPTIONS, parameters
 from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.live import LiveFilter
-from sigmaswarm.filters.swarm.live import LiveSwarm
 
 START = InitialState(np.array([0.0, 0.0, 10.0, 0.0, 0.0]), np.diag([1.0, 1.0, 1.0, 1.0, 0.01]), 100.0)
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1e20, 1e150])
@@ -67,7 +67,9 @@ def hear(live: LiveFilter, calls: list[Call]) -> None:
 @given(calls=st.lists(CALL, max_size=40))
 def test_a_swarm_bears_what_a_filter_bears(option: str, calls: list[Call]):
     p = parameters("planar8", **OPTIONS[option])
-    alone, swarm = (kind(p, START, nominal_interval=0.01, history=0.2) for kind in (LiveFilter, LiveSwarm))
+    alone, swarm = (
+        kind(p, START, nominal_interval=0.01, history=0.2) for kind in (LiveFilter, LiveFilterBank)
+    )
     for filter in (alone, swarm):
         hear(filter, calls)
     counts = [(of.too_late, of.time_jumps, of.frozen) for of in (alone, swarm)]

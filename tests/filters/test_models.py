@@ -11,7 +11,7 @@ from filter_cases import equipped, parameters
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.filters.compiled import layout
 from sigmaswarm.filters.compiled.layout import R
-from sigmaswarm.filters.groups import Chunk, start_rows
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import unpack_states
@@ -52,7 +52,7 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
     p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
                    standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
                    kind=kind, forgetting=0.875)  # fmt: skip
-    rows = start_rows([initial_state(equipped())], [0.01], Chunk.of((p,)))[0, :, 0]
+    rows = KernelArray((p,)).start([initial_state(equipped())], [0.01])[0, :, 0]
     n, second = p.n_states, 0.0 if kind == "ekf" else 1.0
     wanted = {"RX": 0.25, "RY": 0.36, "GATE": 7.0, "LATENCY": 0.125, "R_VELOCITY": 0.3, "R_LATERAL": 0.4,
               "R_ODOMETER": 0.7, "ODOMETER_SCALE": 2.0, "ODOMETER_LATENCY": 0.2,
@@ -74,13 +74,13 @@ def test_all_forms_start_from_the_same_state(name: str):
     assert (
         np.diag(covariance)[5:].tolist() == [0.2**2, 0.2**2, gyro, tilt, tilt, gyro, gyro][: p.n_states - 5]
     )
-    rows = start_rows([initial], [0.01], Chunk.of((p,)))[0]
+    rows = KernelArray((p,)).start([initial], [0.01])[0]
     means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
     off = 1e-15 if MODELS[name].tilts else 0.0  # an attitude is turned into a quaternion and back
     assert np.max(np.abs(means - mean)) <= off
     assert all(c.tolist() == covariance.tolist() for c in covariances)
     mean, covariance = start_of(seen, p)
-    rows = start_rows([seen], [0.01], Chunk.of((p,)))[0]
+    rows = KernelArray((p,)).start([seen], [0.01])[0]
     means, covariances = unpack_states(rows[layout.state_rows(p.model)], p.model)
     np.testing.assert_allclose(means, np.tile(mean, (len(means), 1)), atol=1e-15)
     np.testing.assert_allclose(covariances[0], covariance, atol=1e-18, rtol=1e-13)

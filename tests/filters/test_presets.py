@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet, preset
+from sigmaswarm.filters.presets import baseline, preset
 from sigmaswarm.simulation import ImuGrade, Triad, simulate
 from support import make_drive
 
@@ -23,7 +23,7 @@ def test_paper_is_the_published_optimum():
 
 def test_datasheet_of_an_unknown_sensor():
     p = preset("datasheet", DRIVE)
-    assert p == datasheet(DRIVE)
+    assert p == baseline(DRIVE)
     assert (p.alpha, p.beta, p.kappa) == (0.1, 2.0, 0.0)
     assert p.measurement_noise == pytest.approx((2.1**2, 2.1**2))
     # MPU-6050: 0.24 m/s per root hour, 0.3 deg per root hour; an hour has 3600 s
@@ -35,7 +35,7 @@ def test_datasheet_of_an_unknown_sensor():
 
 def test_datasheet_takes_what_the_drive_states():
     stated = {"gps_std_m": 0.7, "accel_noise_density": 0.02, "gyro_noise_density": 0.001}
-    p = datasheet(replace(DRIVE, metadata=stated))
+    p = baseline(replace(DRIVE, metadata=stated))
     assert p.measurement_noise == pytest.approx((0.49, 0.49))
     assert p.process_noise[2] == pytest.approx(0.02**2 * 0.01)
     assert p.process_noise[4] == pytest.approx(0.001**2 * 0.01)
@@ -43,13 +43,13 @@ def test_datasheet_takes_what_the_drive_states():
 
 def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     """What a tuning has to beat: nothing of it is tuned, and it uses what the tuned filter uses."""
-    plain, dt = datasheet(DRIVE), DRIVE.nominal_interval
-    assert datasheet(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)) == plain
+    plain, dt = baseline(DRIVE), DRIVE.nominal_interval
+    assert baseline(DRIVE, like=FilterParameters(0.5, 1.0, 1.0, [1.0] * 5, [3.0] * 2)) == plain
     q = [1e-3] * 12
     tuned = FilterParameters(
         1.0, 0.0, 0.0, q, [3.0] * 2, "tilted12", kind="ekf", lateral_noise=7.0, rear_axle=3.0, robust_dof=20.0
     )
-    p = datasheet(DRIVE, like=tuned)
+    p = baseline(DRIVE, like=tuned)
     assert (p.model, p.kind, p.nominal_interval) == ("tilted12", "ekf", dt)
     assert p.process_noise[:5] == plain.process_noise and p.measurement_noise == plain.measurement_noise
     accel, gyro = 2 * 0.01**2 / 3600, 2 * np.radians(200 / 3600) ** 2 / 3600
@@ -59,7 +59,7 @@ def test_the_data_sheet_s_filter_of_the_same_model_and_parts():
     )
     assert (p.lateral_noise, p.rear_axle, p.robust_dof) == (pytest.approx(0.04), 1.3, 4.0)
     assert p.standstill_noise is p.odometer_noise is p.gate is p.accuracy_scale is None
-    stated = datasheet(DRIVE, like=replace(tuned, accuracy_scale=5.0, lateral_noise=None))
+    stated = baseline(DRIVE, like=replace(tuned, accuracy_scale=5.0, lateral_noise=None))
     assert (stated.accuracy_scale, stated.rear_axle) == (1.0, 0.0)
     assert stated.measurement_noise == pytest.approx((0.01, 0.01))
 
@@ -70,14 +70,14 @@ def test_the_receiver_s_own_deviation_goes_before_the_file_s():
     drive = replace(
         DRIVE, gps=replace(DRIVE.gps, std_x=std, std_y=np.full(n, 2.5)), metadata={"gps_std_m": 9.0}
     )
-    assert datasheet(drive).measurement_noise == pytest.approx((1.5**2, 2.5**2))
+    assert baseline(drive).measurement_noise == pytest.approx((1.5**2, 2.5**2))
 
 
 def test_the_velocity_spreads_as_the_density_says():
     """Summed over a second, white noise of density s per root Hz makes a velocity of deviation s."""
     grade = ImuGrade("white", accel=Triad(noise_density=0.03))
     drive, exact = (simulate("brake", imu=imu) for imu in (grade, "ideal"))
-    per_second = datasheet(drive).process_noise[2] / drive.nominal_interval
+    per_second = baseline(drive).process_noise[2] / drive.nominal_interval
     std = np.std(np.stack([getattr(drive.imu, a) - getattr(exact.imu, a) for a in ("ax", "ay")]))
     noise = np.random.default_rng(0).normal(0, std, (4000, 100))  # 100 Hz, one second
     assert np.sqrt(per_second) == pytest.approx(np.std(noise.sum(axis=1) * 0.01), rel=0.05)

@@ -16,13 +16,13 @@ from sigmaswarm.drives.drive import Drive, Gps, Imu
 from sigmaswarm.drives.split import clip
 from sigmaswarm.drives.timeline import build_timeline
 from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.filters.divergence import LOOK_INTERVAL
 from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.models import MODELS, planar5
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import LOOK_INTERVAL
 from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.filters.run import Estimate, replay_of, run_filter
-from sigmaswarm.filters.smoothing import Smoothing, smooth, smooth_textbook, smoothed_estimates
+from sigmaswarm.filters.run import Estimate, estimates_of, replay_of, run_filter
+from sigmaswarm.filters.smoothing import Smoothing, smooth, smooth_textbook
 from sigmaswarm.geodesy import wrap_angle
 
 
@@ -236,7 +236,7 @@ def test_a_failure_ends_it_and_what_lies_before_is_smoothed():
     whole = smooth(ill, replace(p, nominal_interval=0.01), initial=began())
     np.testing.assert_allclose(whole.mean[sound], cut.mean, rtol=0, atol=1e-9)
     with pytest.raises(SigmaswarmError, match="failed at t"):
-        list(smoothed_estimates(replay_of(ill, began()), p))
+        list(estimates_of(Smoothing(replay_of(ill, began()), p, recover=True)))
 
 
 def test_no_truth_is_looked_at():
@@ -248,7 +248,7 @@ def test_no_truth_is_looked_at():
 def test_pieces_are_the_whole():
     drive, p = equipped(), parameters("planar8")
     whole = smooth(drive, p)
-    parts = list(smoothed_estimates(replay_of(drive), p))
+    parts = list(estimates_of(Smoothing(replay_of(drive), p, recover=True)))
     assert np.concatenate([part.mean for part in parts]).tobytes() == whole.mean.tobytes()
     assert not np.any(whole.lost)
 

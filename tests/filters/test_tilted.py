@@ -17,7 +17,7 @@ from sigmaswarm.exports.targets import TARGETS, export_filter
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.compiled.lanes import angle_of
 from sigmaswarm.filters.compiled.layout import QUATERNION, R
-from sigmaswarm.filters.groups import Chunk
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import run_steps, start_replays
 from sigmaswarm.filters.run import replay_of
@@ -187,7 +187,7 @@ def test_the_quaternion_keeps_its_norm_for_an_hour():
     replay = replay_of(drive)
     line = replay.timeline
     hour = int(np.ceil(3600 / line.dt.sum()))
-    chunk = Chunk.of((parameters(**ALL),))
+    chunk = KernelArray((parameters(**ALL),))
     rows = start_replays([replay], chunk)[0]
     place = np.zeros(4)
     for _ in range(hour):

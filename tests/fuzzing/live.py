@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 
-from sigmaswarm import FilterParameters, LiveFilter, LiveSwarm
+from sigmaswarm import FilterParameters, LiveFilter, LiveFilterBank
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.live import LiveState
@@ -52,7 +52,7 @@ def require_sound(state: LiveState) -> None:
     assert least > -1e-6, f"indefinite covariance, least eigenvalue of the correlations {least:g}"
 
 
-def feed(rng: np.random.Generator, *, swarm: bool = False, events: int = 800) -> int:
+def feed(rng: np.random.Generator, *, bank: bool = False, events: int = 800) -> int:
     """Feed one filter with a drive that is broken at random; return the number of events.
 
     Raises
@@ -62,7 +62,7 @@ def feed(rng: np.random.Generator, *, swarm: bool = False, events: int = 800) ->
     """
     p = hostile_parameters(rng)
     axes, odd_share = len(MODELS[p.model].imu), rng.choice([0.0, 0.003, 0.03])
-    live = (LiveSwarm if swarm else LiveFilter)(p, START, nominal_interval=0.01, history=0.2)
+    live = (LiveFilterBank if bank else LiveFilter)(p, START, nominal_interval=0.01, history=0.2)
     t = START.time
 
     def number(usual: float) -> object:
@@ -104,7 +104,7 @@ def main() -> int:
     findings, events, began = Counter[str](), 0, time.monotonic()
     for k in range(options.sequences):
         try:
-            events += feed(np.random.default_rng([options.seed, k]), swarm=k % 10 == 9)
+            events += feed(np.random.default_rng([options.seed, k]), bank=k % 10 == 9)
         except Exception as error:
             kind = f"{type(error).__name__}: {' '.join(str(error).split())[:80]}"
             if not findings[kind]:

@@ -19,7 +19,7 @@ from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.learned import outages
 from sigmaswarm.learned.cells import gru, head, lstm, new_weights
 from sigmaswarm.learned.noise_gru import FEATURES, MOST_SCALE, NoiseGru, NoiseRun
-from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, calibrated, untrained
+from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun, untrained
 from sigmaswarm.learned.relative import Begin, Displacements, body_displacement
 from support import make_drive
 
@@ -58,8 +58,8 @@ def test_in_an_outage_pieces_have_the_bits_of_the_whole(model: str):
     p = parameters(model, lateral_noise=0.05)
     one, many = (OutageRun(replay_of(silent()), p, network(), samples=n) for n in (10_000, 33))
     assert one.whole().mean.tobytes() == many.whole().mean.tobytes()
-    assert one.absorbed + one.turned_away == many.absorbed + many.turned_away == 19
-    assert one.absorbed > 0
+    assert one.accepted + one.rejected == many.accepted + many.rejected == 19
+    assert one.accepted > 0
     assert one.failure is None
 
 
@@ -76,7 +76,7 @@ def test_what_comes_later_changes_nothing_before():
 
 def test_an_infinite_inflation_leaves_the_filter_alone():
     p = parameters("planar8")
-    run = OutageRun(replay_of(silent()), p, calibrated(network(), np.inf, 10.0))
+    run = OutageRun(replay_of(silent()), p, replace(network(), inflation=np.inf, unsure=10.0))
     assert run.whole().mean.tobytes() == run_filter(silent(), p).mean.tobytes()
 
 
@@ -124,14 +124,14 @@ def test_a_displacement_is_absorbed_as_by_a_filter_that_keeps_a_clone(
     gain = joint @ h.T @ np.linalg.inv(s)
     innovation = np.array([0.3, -0.1])
     rows = run._rows[0].copy()
-    assert on.absorb(begin, rows, stop, at + innovation, noise)
+    assert on.update(begin, rows, stop, at + innovation, noise)
     mean, covariance = on._state(rows)
     assert not rows[R.FACED].any()
     wanted = (joint - gain @ s @ gain.T)[n:, n:]
     scale = np.sqrt(np.diag(p1))
     np.testing.assert_allclose(minus(mean, plus(x1, gain[n:] @ innovation)) / scale, 0.0, atol=2e-3)
     np.testing.assert_allclose((covariance - wanted) / np.outer(scale, scale), 0.0, atol=2e-3)
-    assert not on.absorb(begin, rows, stop, at + 1e3, noise)  # nobody believes that
+    assert not on.update(begin, rows, stop, at + 1e3, noise)  # nobody believes that
 
 
 def test_a_displacement_says_nothing_of_the_place():
@@ -145,7 +145,7 @@ def test_a_displacement_says_nothing_of_the_place():
     run._steps_to(int(ends[1600]), np.empty((0, 0, 0)))
     on = Displacements(replay, p)
     (x0, p0), (x1, _) = on._state(begin.rows), on._state(run._rows[0])
-    assert on.absorb(begin, run._rows[0], int(ends[1600]), body_displacement(x0, x1), 1e-6 * np.eye(2))
+    assert on.update(begin, run._rows[0], int(ends[1600]), body_displacement(x0, x1), 1e-6 * np.eye(2))
     assert np.linalg.eigvalsh(on._state(run._rows[0])[1][:2, :2])[1] > 0.9 * np.linalg.eigvalsh(p0[:2, :2])[1]
 
 
@@ -168,7 +168,7 @@ def test_an_update_that_leads_away_from_the_displacement_is_left_out():
     for turn in (0.3, 1.0, 2.0):
         c, s = np.cos(turn), np.sin(turn)
         moved = np.array([c * forward - s * left, s * forward + c * left])
-        assert not on.absorb(begin, rows, int(ends[1600]), moved, 1e-2 * np.eye(2))
+        assert not on.update(begin, rows, int(ends[1600]), moved, 1e-2 * np.eye(2))
         assert rows.tobytes() == before.tobytes()
 
 
@@ -203,9 +203,7 @@ def test_outages_are_told_in_time():
 def test_a_drive_without_an_axis_is_refused():
     drive = silent()
     bare = replace(drive, imu=replace(drive.imu, az=None, gx=None, gy=None))
-    with pytest.raises(
-        InputError, match=r"synthetic: its imu.csv has no az, which the network was trained with"
-    ):
+    with pytest.raises(InputError, match=r"synthetic: its imu.csv has no az, an input of the network"):
         OutageRun(replay_of(bare), parameters("planar8"), network())
 
 
@@ -258,4 +256,4 @@ def test_hidden_fixes_count_as_an_outage_too():
     ready = PreparedDrive(drive)
     line = ready.timeline(hidden_fixes(drive.gps.time, [[20.0, 40.0]]))
     run = OutageRun(Replay(line, ready.initial, Targets.none(line)), p, network()).finished()
-    assert run.absorbed + run.turned_away == 19
+    assert run.accepted + run.rejected == 19

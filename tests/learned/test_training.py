@@ -4,12 +4,12 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from filter_cases import OPTIONS, equipped, parameters
+from quick_learners import QuickOutages, square
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.writer import write_drive
 from sigmaswarm.errors import InputError
@@ -21,10 +21,9 @@ from sigmaswarm.learned import noise_training, outage_training
 from sigmaswarm.learned.cells import new_weights
 from sigmaswarm.learned.fitting import exact, fit
 from sigmaswarm.learned.folder import load_learned
-from sigmaswarm.learned.learn import LEARNERS, Finished, Trained, learn
+from sigmaswarm.learned.learn import LEARNERS, learn
 from sigmaswarm.learned.noise_filter import Settings, columns_of, require_supported, run
 from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
-from sigmaswarm.learned.outage_lstm import untrained
 from support import make_drive
 
 pytest.importorskip("optax", reason="JAX and Optax are not installed (extra learned)")
@@ -69,10 +68,6 @@ def test_filters_that_it_is_not_trained_through_are_refused(p, said: str):
         require_supported(p)
 
 
-def _square(weights, batch):
-    return ((batch[0] @ weights["w"] - batch[1]) ** 2).mean()
-
-
 class Stopped(Exception):
     pass
 
@@ -83,7 +78,7 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
     examples = (x[:40], x[:40] @ [1.0, -2.0, 0.5]), (x[40:], x[40:] @ [1.0, -2.0, 0.5])
     options = {"learning_rate": 0.1, "epochs": 30, "batch": 8, "patience": 30, "seed": 4}
     start = {"w": np.zeros(3)}
-    whole = fit(_square, start, *examples, **options)
+    whole = fit(square, start, *examples, **options)
     assert whole.best < 0.01 * whole.losses[0, 1]
 
     def stop(epoch: int, loss: float) -> None:
@@ -92,8 +87,8 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
 
     file = tmp_path / "checkpoint.npz"
     with pytest.raises(Stopped):
-        fit(_square, start, *examples, **options, checkpoint=file, progress=stop)
-    again = fit(_square, start, *examples, **options, checkpoint=file)
+        fit(square, start, *examples, **options, checkpoint=file, progress=stop)
+    again = fit(square, start, *examples, **options, checkpoint=file)
     assert again.weights["w"].tobytes() == whole.weights["w"].tobytes()
     assert again.losses.tobytes() == whole.losses.tobytes()
 
@@ -101,7 +96,7 @@ def test_a_fit_that_is_interrupted_ends_in_the_same_bits(tmp_path: Path):
 def test_one_step_of_adam_is_that_of_the_paper():
     x = np.array([[1.0, 2.0]])
     found = fit(
-        _square,
+        square,
         {"w": np.array([0.5, 0.5])},
         (x, np.array([1.7])),
         (x, np.array([1.7])),
@@ -121,8 +116,8 @@ def test_a_step_that_is_not_finite_is_not_taken():
     example = (x[:1], np.array([1.7]))
     options = {"learning_rate": 0.01, "epochs": 1, "batch": 1, "patience": 5, "seed": 0}
     start = {"w": np.array([0.5, 0.5])}
-    both = fit(_square, start, (x, np.array([1.7, 0.0])), example, **options)
-    alone = fit(_square, start, example, example, **options)
+    both = fit(square, start, (x, np.array([1.7, 0.0])), example, **options)
+    alone = fit(square, start, example, example, **options)
     np.testing.assert_array_equal(both.weights["w"], alone.weights["w"])
 
 
@@ -131,47 +126,15 @@ def drives() -> tuple[Drive, ...]:
     return tuple(make_drive(duration=100.0, seed=s, name=f"drive-{s}") for s in range(2))
 
 
-class Quick:
-    """A learner whose training is a line through points, and whose network an untrained one."""
-
-    epochs = 5
-    start: ClassVar = {"units": 4, "window": 4.0, "learning_rate": 0.1}
-    box: ClassVar = {"units": (2, 3), "window": (1, 3), "learning_rate": (-4, -2)}
-
+class OfBoth(QuickOutages):
     def __init__(self, drives, validation, parameters, seed):
-        assert [d.name for d in (*drives, *validation)] == ["drive-0", "drive-1"]
-
-    def train(self, settings, seed, checkpoint, progress):
-        x = np.random.default_rng(seed).normal(size=(30, 3))
-        examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
-        options = {
-            "learning_rate": settings["learning_rate"],
-            "epochs": 5,
-            "batch": 4,
-            "patience": 5,
-            "seed": seed,
-        }
-        found = fit(
-            _square,
-            {"w": np.zeros(3)},
-            examples,
-            examples,
-            **options,
-            checkpoint=checkpoint,
-            progress=progress,
-        )
-        return Trained(found.weights, found)
-
-    def finish(self, settings, weights):
-        rng = np.random.default_rng(0)
-        moved, units = rng.normal(9.0, 3.0, (20, 2)), int(settings["units"])
-        network = untrained(rng, ("ax", "gz"), settings["window"], units, rng.normal(size=(20, 40, 4)), moved)
-        return Finished(network.weights, {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0})
+        super().__init__(drives, validation, parameters, seed)
+        assert self.seen == ["drive-0", "drive-1"]
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(LEARNERS, "outage-lstm", Quick)
+    monkeypatch.setitem(LEARNERS, "outage-lstm", OfBoth)
 
 
 def test_a_search_that_is_interrupted_ends_in_the_same_bytes(quick, tmp_path: Path):
@@ -224,14 +187,14 @@ def test_the_outage_network_learns_how_fast_the_car_is():
     p = parameters("planar8", lateral_noise=0.05)
     tracks = outage_training.tracks_of(drives(), p, held_back=None)
     examples = outage_training.examples_of(tracks, ("ax", "ay", "gz"), 6.0)
-    options = {"window": 6.0, "units": 6, "learning_rate": 0.01, "seed": 3, "epochs": 8}
-    network, found = outage_training.trained(examples, ("ax", "ay", "gz"), **options)
+    network, lesson = outage_training.lesson(examples, ("ax", "ay", "gz"), window=6.0, units=6, seed=3)
+    given = lesson.loss, lesson.weights, lesson.examples, lesson.held_back
+    options = {"learning_rate": 0.01, "epochs": 8, "batch": 128, "patience": 15, "seed": 3}
+    found, again = fit(*given, **options), fit(*given, **options)
     assert found.best < found.losses[0, 1]
-    assert (
-        outage_training.trained(examples, ("ax", "ay", "gz"), **options)[1].losses.tobytes()
-        == found.losses.tobytes()
-    )
-    moved, variance = network.told(examples.features)
+    assert again.losses.tobytes() == found.losses.tobytes()
+    network = replace(network, weights={**found.weights, **lesson.fixed})
+    moved, variance = network.displacements(examples.features)
     assert moved.shape == variance.shape == examples.moved.shape
     assert (variance > 0).all()
 

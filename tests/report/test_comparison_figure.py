@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sigmaswarm.experiments.compare.run import compare
+from sigmaswarm.experiments.compare import compare
 from sigmaswarm.reports.compare import comparison_figure, save_comparison
 from support import make_drive
 

@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter
-from sigmaswarm.reports.draw.png import figure_of, save
 from sigmaswarm.reports.evaluation import comparison, errors, save_evaluation, tracks
+from sigmaswarm.reports.figures import figure_of, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.tuning import convergence, save_tuning_figures
 from sigmaswarm.reports.views.charts import Axis, Bars, Chart, Look
@@ -81,7 +81,7 @@ def test_tracks_show_the_whole_and_a_close_up():
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("east, m", "north, m")
         assert ax.get_aspect() == 1.0
     assert whole.get_title(loc="left") == "monday"
-    expected = {"raw GPS", "truth", "tuned UKF", "data-sheet filter", "filter starts"}
+    expected = {"raw GPS", "truth", "tuned UKF", "baseline", "filter starts"}
     assert labels(figure) == expected
     drawn = lines(whole)
     np.testing.assert_array_equal(
@@ -90,7 +90,7 @@ def test_tracks_show_the_whole_and_a_close_up():
     np.testing.assert_array_equal(drawn["raw GPS"].get_xydata(), np.column_stack([DRIVE.gps.x, DRIVE.gps.y]))
     np.testing.assert_array_equal(drawn["tuned UKF"].get_xydata(), run_filter(DRIVE, GOOD).mean[:, :2])
     np.testing.assert_array_equal(
-        drawn["data-sheet filter"].get_xydata(), run_filter(DRIVE, datasheet(DRIVE, like=GOOD)).mean[:, :2]
+        drawn["baseline"].get_xydata(), run_filter(DRIVE, baseline(DRIVE, like=GOOD)).mean[:, :2]
     )
     np.testing.assert_array_equal(drawn["filter starts"].get_xydata(), [initial_state(DRIVE).mean[:2]])
     low, high = close.get_xlim()
@@ -112,7 +112,7 @@ def test_errors_show_position_and_heading_over_time():
     assert labels(figure) == {
         "3 sigma of the tuned UKF",
         "tuned UKF",
-        "data-sheet filter",
+        "baseline",
     }
     estimate = run_filter(DRIVE, GOOD)
     at = np.searchsorted(DRIVE.truth.time, estimate.time)
@@ -170,7 +170,7 @@ def test_comparison_has_bars_for_every_method():
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
     said = evaluation.to_dict()["mean"]
-    names = ["tuned UKF", "data-sheet filter", "raw GPS", "IMU only"]
+    names = ["tuned UKF", "baseline", "raw GPS", "IMU only"]
     shown = [m for m in MEASURES if m != "long_outage_drift_m"]  # the drive is too short for it
     for ax, measure in zip(figure.axes, shown, strict=True):
         values = [m[measure] for m in said.values()]

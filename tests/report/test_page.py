@@ -1,5 +1,7 @@
 """The page: made of a folder alone, opened in a real browser, and honest about what it can't read."""
 
+import base64
+import gzip
 import json
 import re
 import shlex
@@ -19,17 +21,22 @@ from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
-from sigmaswarm.reports.draw.html import page as html_page
+from sigmaswarm.records import load_record
 from sigmaswarm.reports.evaluation import copy_tuning
-from sigmaswarm.reports.pages.commands import STATED, tune_command
+from sigmaswarm.reports.page import Report, Section
+from sigmaswarm.reports.page import page as html_page
+from sigmaswarm.reports.pages.commands import DEFAULTS, STATED, tune_command
+from sigmaswarm.reports.pages.evaluation import read_view
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.tuning import save_tuning_figures
+from sigmaswarm.reports.views.charts import Axis, Look, Points
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, METHODS
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.options import DEFAULTS
-from sigmaswarm.tuning.tune import tune, with_guards
+from sigmaswarm.tuning.defaults import with_guards
+from sigmaswarm.tuning.record import TuningRecord
+from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
 NASTY = '<img src=x onerror="alert(1)"></script><script>alert(2)</script> & \'Fri"day\''
@@ -155,14 +162,14 @@ def test_the_evaluation_s_summary_says_the_evaluation_s_figures(folders: tuple[P
     assert said.startswith(
         "On 2 drives the tuned filter"
     )  # evaluated without what the tuning saw: nothing is claimed
-    assert f"{found.mean('tuned', 'position_rmse_m'):.3g} m (RMS)" in said
+    assert f"has a position RMSE of {found.mean('tuned', 'position_rmse_m'):.3g} m: " in said
     better, raw = found.improvement("raw_gps"), found.mean("raw_gps", "position_rmse_m")
-    than_raw = (
-        f"{abs(better):.0f}% {'less' if better >= 0 else 'MORE'} than {METHODS['raw_gps']} ({raw:.3g} m)"
-    )
-    assert said.endswith(
-        f"from the truth: {than_raw}. "
-        f"The data-sheet filter, which nobody tuned, has {found.mean('untuned', 'position_rmse_m'):.3g} m."
+    than_raw = f"{abs(better):.0f}% {'lower' if better >= 0 else 'HIGHER'} than raw GPS ({raw:.3g} m)"
+    sheet = found.mean("untuned", "position_rmse_m")
+    assert than_raw in said and said.endswith(f"than baseline ({sheet:.3g} m).")
+    view = read_view(out, load_record(TuningRecord, out / "tuning.toml"))
+    assert (view.result(), view.scores) == (found.view.result(), found.view.scores), (
+        "from memory as from files"
     )
     table = next(s for s in report.sections if s.title == "Comparison").tables[1]
     assert len(table.rows) == 2 * len(METHODS)
@@ -183,7 +190,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
     assert rows["q_vx"][1:3] == (file["filter"]["process_noise"][2], "m2/s2 per nominal IMU step")
     assert rows["r_y"][1:3] == (file["filter"]["measurement_noise"][1], "m2")
     for name, ends in file["within_1_percent_of_the_cost"].items():
-        assert list(rows[name][3:5]) == ["the box's end" if e == "-" else e for e in ends]
+        assert list(rows[name][3:5]) == ["at the bound" if e == "-" else e for e in ends]
     for touched in file["result"]["touched_bounds"]:
         name = touched.split()[0]
         assert any(name in remark for remark in report.remarks)
@@ -201,7 +208,7 @@ def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path:
     path.write_text(tomli_w.dumps(file))
     rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
     for name, value in zip(("q_vx", "q_vy"), file["filter"]["process_noise"][2:4], strict=True):
-        assert (rows[name][1], *rows[name][3:5]) == (value, 1e-5, "the box's end")
+        assert (rows[name][1], *rows[name][3:5]) == (value, 1e-5, "at the bound")
         assert rows[name][6] == "at its upper bound (10)"
     assert [rows[name][3] for name in ("r_x", "r_y")] == [file["within_1_percent_of_the_cost"]["r_xy"][0]] * 2
     assert rows["q_theta"][6] != rows["q_vx"][6]
@@ -229,7 +236,7 @@ def test_a_tilted_filter_is_tuned_evaluated_and_shown(tmp_path: Path):
     rows = {row[0]: row for row in read_report(tuned).sections[0].tables[0].rows}
     for i, alike in enumerate(together.values()):
         for name in alike:
-            assert rows[name][3:5] == (1e-9 * (i + 1), "the box's end")
+            assert rows[name][3:5] == (1e-9 * (i + 1), "at the bound")
             assert ("at its upper bound" in str(rows[name][6])) == (name in together["q_tilt"])
 
 
@@ -240,7 +247,7 @@ def test_the_page_says_where_the_rear_axle_is(tmp_path: Path):
     file["result"]["touched_bounds"] = ["rear_axle at its upper bound (4)"]
     path.write_text(tomli_w.dumps(file))
     rows = {row[0]: row for row in read_report(tmp_path).sections[0].tables[0].rows}
-    said = "how far the IMU is ahead of the rear axle; negative: behind it"
+    said = "distance from the rear axle forward to the IMU; negative: the IMU is behind it"
     assert rows["rear_axle"][2] == "m"
     assert str(rows["rear_axle"][6]).startswith(said)
     assert "rear axle" not in str(rows["lateral_noise"][6])
@@ -268,9 +275,7 @@ def test_drives_that_were_tuned_on_are_not_called_held_out(
         "On 2 drives (NOT all held out: the tuning saw 30 of the 30 s of monday, in monday)" in report.lead[0]
     )
     assert any("tuned on" in remark for remark in report.remarks)
-    assert (
-        "NaN" not in html_page(report).rsplit("</script>", 3)[0].split('id="data">')[1].split("</script>")[0]
-    )
+    assert "NaN" not in unpacked(html_page(report))
 
 
 def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
@@ -279,13 +284,13 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     found = evaluate(BLIND, FilterParameters.load(folders[0]))
     save(found, folders[0], tmp_path / "e")
     report = read_report(tmp_path / "e")
-    assert any("The drive has no truth" in sentence for sentence in report.lead)
+    assert any(sentence.startswith("blind: without truth") for sentence in report.lead)
     for section in report.sections[:3]:
         for table in section.tables:
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
     scores, spread = report.sections[0].tables
-    assert " placements; a single placement says" in report.lead[0]
+    assert " placements; a single placement gives" in report.lead[0]
     assert [c.title for c in spread.columns[2:]] == ["outages", "5 s outage drift", "a single placement"]
     for row in spread.rows:
         (low, high), drift = row[4], row[3]
@@ -293,11 +298,11 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
     assert [c.title for c in scores.columns] == ["drive", "method", "5 s outage drift"]
     assert [row[1] for row in scores.rows] == [
         "tuned UKF",
-        "data-sheet filter",
+        "baseline",
         "IMU only",
     ]
     assert "NEES" not in report.sections[2].text[0]
-    assert not any("no truth" in sentence for sentence in read_report(folders[1]).lead)
+    assert not any("without truth" in sentence for sentence in read_report(folders[1]).lead)
 
 
 def test_the_commands_repeat_what_was_asked(folders: tuple[Path, Path, Evaluation]):
@@ -322,9 +327,9 @@ OTHER_THAN_USUAL = {
     "objective": "truth-pose", "worst": 0.5, "particles": 7, "generations": 9, "trials": 2, "polish": 50,
     "racing": True, "inertia": 0.6, "cognitive": 1.7, "social": 1.6, "zero_velocity_at_bounds": True, "patience": 7,
     "scale": "linear", "optimizer": "pso", "seed": 3, "model": "planar8", "kind": "ekf", "use": ["lateral", "gate"],
-    "outage_seed": 4, "as_recorded": True, "prior": 0.5, "margin": 0.2,
+    "outage_seed": 4, "as_recorded": True, "prior": 0.5, "inflation": 0.2,
 }  # fmt: skip
-USUAL = {**DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "margin": 0.0}
+USUAL = {**DEFAULTS, **SETTLED, "objective": "truth-rmse", "prior": 0.0, "inflation": 0.0}
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -339,22 +344,22 @@ def test_a_command_names_an_option_that_is_not_at_its_default(name: str):
     [
         ({}, {}),
         ({"prior": 0.0}, {"prior"}),
-        ({"margin": 0.0}, {"margin"}),
-        ({"prior": 1.0, "margin": 0.05}, {}),
+        ({"inflation": 0.0}, {"inflation"}),
+        ({"prior": 1.0, "inflation": 0.05}, {}),
         ({"scale": "linear"}, {}),
         ({"objective": "truth-rmse"}, {}),
-        ({"objective": "truth-rmse", "prior": 1.0, "margin": 0.05}, {"prior", "margin"}),
+        ({"objective": "truth-rmse", "prior": 1.0, "inflation": 0.05}, {"prior", "inflation"}),
     ],
 )
 def test_a_command_names_guards_where_tune_would_settle_for_others(asked: dict, named: set[str]):
     config = with_guards(TuneConfig.model_validate({"objective": "innovation-nll", **asked}))
     said = parsed(tune_command(config.model_dump(), ["a"], [])[0])
-    assert said.keys() & {"prior", "margin"} == set(named)
+    assert said.keys() & {"prior", "inflation"} == set(named)
     assert with_guards(TuneConfig.model_validate(said)) == config
-    without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "margin")}
+    without = {k: v for k, v in config.model_dump().items() if k not in ("prior", "inflation")}
     said = parsed(tune_command(without, ["a"], [])[0])  # of a version that had neither
     again = with_guards(TuneConfig.model_validate(said)).model_dump()
-    assert (again["prior"], again["margin"]) == (0.0, 0.0)
+    assert (again["prior"], again["inflation"]) == (0.0, 0.0)
 
 
 def test_no_command_can_repeat_a_model_of_the_user_s_own():
@@ -367,12 +372,42 @@ def parsed(line: str) -> dict:
     return {name: value for name, value in bound.arguments.items() if name in DEFAULTS}
 
 
+def unpacked(page: str) -> str:
+    """The tracks that a page holds."""
+    return gzip.decompress(base64.b64decode(page.split('id="data">')[1].split("<")[0])).decode()
+
+
 def test_nothing_of_a_drive_s_name_gets_out_of_its_text(folders: tuple[Path, Path, Evaluation]):
     text = html_page(read_report(folders[1]))
+    assert json.loads(unpacked(text))["drives"][0]["name"] == NASTY
     assert "<img" not in text
+    hostile = replace(read_report(folders[0]).sections[1].charts[0], title=NASTY, x=Axis(NASTY))
+    points = Points([1.0], [1.0], Look("#000000"), NASTY, hovers=(NASTY,))
+    shown = html_page(
+        Report(NASTY, (), sections=(Section(NASTY, charts=(replace(hostile, marks=(points,)),)),))
+    )
+    assert "<img" not in shown and "<script>alert" not in shown
+    assert shown.count("&lt;img src=x") == 7, "title twice, section, caption and label, axis, legend, hover"
     assert "<script>alert" not in text
     assert text.count("</html>") == 1
-    assert not re.search(r'(?:src|href)="(?!data:,)', text.split("<script", 1)[0])
+    assert not re.search(r'(?:src|href)="(?!data:,|#)', text.split("<script", 1)[0])
+
+
+def test_a_page_of_many_drives_stays_below_2_mb_and_keeps_the_peaks(folders: tuple[Path, Path, Evaluation]):
+    report = read_report(folders[1])
+    (at,) = (i for i, section in enumerate(report.sections) if section.tracks)
+    view = report.sections[at].tracks
+    assert view is not None
+    many = replace(view, drives=view.drives * 40)
+    sections = tuple(replace(s, tracks=many) if i == at else s for i, s in enumerate(report.sections))
+    text = html_page(replace(report, sections=sections))
+    assert len(text.encode()) < 2e6
+    drawn = json.loads(unpacked(text))["drives"]
+    assert len(drawn) == 80
+    whole, thin = view.drives[0].series["tuned"], drawn[0]["series"]["tuned"]
+    assert 50 <= len(thin["time"]) < len(whole["time"])
+    assert max(thin["position_error"]) == pytest.approx(whole["position_error"].max(), abs=1e-3)
+    assert [thin["time"][0], thin["time"][-1]] == pytest.approx(whole["time"][[0, -1]].tolist(), abs=1e-3)
 
 
 # ---- folders that are none ----

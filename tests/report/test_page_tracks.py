@@ -6,8 +6,8 @@ import pytest
 
 from browsing import Opened
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.reports.draw.html import page as html_page
 from sigmaswarm.reports.evaluation import copy_tuning
+from sigmaswarm.reports.page import page as html_page
 from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.scoring.evaluation import evaluate
 from support import make_drive
@@ -107,7 +107,7 @@ def test_a_drive_without_truth_shows_its_3_sigma_and_says_so(page: Opened):
 
 def test_a_swatch_is_dashed_as_its_line_is(page: Opened):
     for method, name in (
-        ("untuned", "data-sheet filter"),
+        ("untuned", "baseline"),
         ("imu_only", "IMU only"),
         ("tuned", "tuned UKF"),
     ):

@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.run import run_filter
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation, evaluate
@@ -24,6 +24,7 @@ GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0
 PLANAR8 = replace(GOOD, model="planar8", process_noise=(*GOOD.process_noise, 1e-9, 1e-9, 1e-9))
 BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
 METHODS = ["tuned", "untuned", "raw_gps", "imu_only"]
+NAMES = ["tuned UKF", "baseline", "raw GPS", "IMU only"]
 POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
 MEASURES = [*POSITIONS, "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m"]
 DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
@@ -64,7 +65,7 @@ def test_the_json_has_the_form_that_machines_rely_on(evaluation: Evaluation):
 def test_the_tuned_filter_is_called_what_it_is(change: dict, name: str):
     names = evaluate(DRIVES[0], replace(GOOD, **change)).names
     assert list(names) == METHODS
-    assert list(names.values()) == [name, "data-sheet filter", "raw GPS", "IMU only"]
+    assert list(names.values()) == [name, *NAMES[1:]]
 
 
 def all_ends(drive: Drive, start: InitialState, length: float, seed: int = 0) -> list[np.ndarray]:
@@ -101,8 +102,8 @@ def test_drifts_are_of_many_placements_and_say_how_many_and_what_chance_makes(ev
     said = evaluate(drive, GOOD).record.drift_said("outage_drift_m")
     low, high = told.spread("tuned") or (np.nan, np.nan)
     of = f"{told.outages} outages in 8 placements"
-    few = ", all on the same short stretch: another one may say far more"
-    assert said == f"{of}; a single placement says {low:.3g} to {high:.3g} m{few}"
+    few = ", all on the same short stretch: another one may give far more"
+    assert said == f"{of}; a single placement gives {low:.3g} to {high:.3g} m{few}"
     many = {name: {"outage_drift_m": told.model_copy(update={"outages": 8 * 5})}}
     assert few not in evaluation.record.model_copy(update={"drifts": many}).drift_said("outage_drift_m")
     long = make_drive(duration=3600.0, imu_rate=10.0, gps_rate=1.0)
@@ -128,7 +129,7 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     print_evaluation(failed)
     said = capsys.readouterr().out
     assert "(failed)" in said
-    assert "of the tuned filter" not in said
+    assert "drift of the tuned filter" not in said
 
 
 def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: Evaluation):
@@ -136,7 +137,7 @@ def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: E
     said, sound = own.to_dict(), evaluation.to_dict()
     assert list(said["mean"]) == ["against", *METHODS]
     assert own.names["against"] == "other UKF, planar8"
-    assert own.to_frame()["method"].to_list() == ["against", *METHODS] * 2
+    assert own.to_frame()["method"].to_list() == ["other UKF, planar8", *NAMES] * 2
     alone = evaluate(DRIVES, PLANAR8).to_dict()
     for drive in said["drives"]:
         assert said["drives"][drive].pop("against") == pytest.approx(
@@ -150,7 +151,7 @@ def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
     said = evaluation.to_dict()["drives"]
     for drive in DRIVES:
         start = initial_state(drive)
-        sets = [GOOD, datasheet(drive, like=GOOD)]
+        sets = [GOOD, baseline(drive, like=GOOD)]
         batch = Replayer([drive], outages=False).scores(sets)
         short, long = (drifts_of(drive, sets, length) for length in (5.0, 30.0))
         for i, method in enumerate(METHODS[:2]):
@@ -216,7 +217,7 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
     (here,) = (
         evaluation.worse_than_untuned
     )  # `GOOD` is none that was tuned, and the data sheet's suits these drives
-    assert "the data-sheet filter, which nobody tuned: position RMSE 0.8" in here
+    assert "the baseline: position RMSE 0.8" in here
     others = dict.fromkeys(METHODS, Score())
 
     def said(tuned: float, manual: float) -> tuple[str, ...]:
@@ -224,14 +225,13 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         return Evaluation({"town": Evaluated(others | both)}).worse_than_untuned
 
     assert said(47.8, 18.5) == (
-        "the tuned filter is WORSE than the data-sheet filter, which nobody tuned: 5 s outage drift 47.8 m against "
-        "18.5 m",
+        "the tuned filter is WORSE than the baseline: 5 s outage drift 47.8 m against 18.5 m",
     )
     assert said(18.5, 47.8) == said(18.6, 18.5) == ()
     good = Score(position_rmse=0.5, heading_rmse=np.radians(0.4), outage_drift=2.0, long_outage_drift=7.0)
     sheet = replace(good, position_rmse=1.1, heading_rmse=np.radians(0.3), outage_drift=4.0)
     assert Evaluation({"town": Evaluated(others | {"untuned": sheet, "tuned": good})}).worse_than_untuned == (
-        "the tuned filter is worse in 1 of 4 measures than the data-sheet filter, which nobody tuned: heading error "
+        "the tuned filter is worse in 1 of 4 measures than the baseline: heading error "
         "0.4 deg against 0.3 deg",
     )
     farther = replace(sheet, position_rmse=0.4)
@@ -247,6 +247,8 @@ def test_the_mean_is_over_drives_and_equation_5_over_the_means(evaluation: Evalu
             assert said["mean"][method][measure] == pytest.approx(sum(each) / 2, rel=1e-12)
     manual, tuned = (said["mean"][m]["position_rmse_m"] for m in ("untuned", "tuned"))
     assert evaluation.improvement() == pytest.approx((manual - tuned) / manual * 100, rel=1e-12)
+    assert evaluation.mean("baseline", "position_rmse_m") == manual, "also by the printed name"
+    assert evaluation.improvement("baseline") == evaluation.improvement("untuned")
     assert said["improvement_percent"]["untuned"]["position_rmse_m"] == evaluation.improvement()
     sheet = said["mean"]["untuned"]["heading_rmse_deg"]
     expected = (sheet - said["mean"]["tuned"]["heading_rmse_deg"]) / sheet * 100
@@ -266,7 +268,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
     assert found.drives[aside.name].restarts["tuned"] == times
     assert found.to_dict()["restarts"][aside.name]["tuned"] == list(times)
     (said,) = found.restarted
-    assert said.startswith(f"the tuned filter lost its way on {aside.name} and started anew")
+    assert said.startswith(f"the tuned filter diverged on {aside.name} and was reset")
     assert f"t = {times[0]:.1f}" in said
     plain = score_estimate(aside, run_filter(aside, gated))  # what is scored is the filter that starts anew
     rmse = found.value(aside.name, "tuned", "position_rmse_m")
@@ -288,10 +290,22 @@ def test_the_frame_has_a_row_per_drive_and_method(evaluation: Evaluation):
     frame = evaluation.to_frame()
     assert frame.columns == ["drive", "method", *MEASURES]
     assert frame["drive"].to_list() == [d.name for d in DRIVES for _ in METHODS]
-    assert frame["method"].to_list() == METHODS * 2
+    assert frame["method"].to_list() == NAMES * 2, "as the command line prints them"
     said = evaluation.to_dict()["drives"]
     for row in frame.iter_rows(named=True):
-        assert {m: row[m] for m in MEASURES} == said[row["drive"]][row["method"]]
+        assert {m: row[m] for m in MEASURES} == said[row["drive"]][METHODS[NAMES.index(row["method"])]]
+
+
+def test_print_and_the_notebook_show_the_means_and_each_warning_once(evaluation: Evaluation):
+    printed, shown = repr(evaluation), evaluation._repr_html_()
+    assert len(printed.splitlines()) <= 15
+    assert printed.startswith(evaluation.view.result())
+    (warning,) = evaluation.view.warnings()
+    assert "WORSE than the baseline" in warning
+    for text in (printed, shown):
+        assert text.count("WORSE than the baseline") == 1
+        assert all(name in text for name in NAMES)
+    assert all(drive.name in shown for drive in DRIVES)
 
 
 def test_without_truth_only_the_drift_can_be_said():
@@ -344,7 +358,7 @@ def test_the_outages_options_reach_the_outages():
     assert one["outage_drift_m"] not in (other["outage_drift_m"], longer["outage_drift_m"])
     assert one["position_rmse_m"] == other["position_rmse_m"] == longer["position_rmse_m"]
     assert other["outage_drift_m"] == pytest.approx(
-        drifts_of(DRIVES[0], [datasheet(DRIVES[0], like=GOOD)], 5.0, 3)[0], rel=1e-12
+        drifts_of(DRIVES[0], [baseline(DRIVES[0], like=GOOD)], 5.0, 3)[0], rel=1e-12
     )
 
 

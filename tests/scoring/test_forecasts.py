@@ -61,7 +61,7 @@ def by_textbook(drive: Drive, parameters: FilterParameters, hidden: np.ndarray):
             innovation = car.filter.measure(z, np.diag(car.noise.measurement_noise), h)
             found.append((innovation.nu, innovation.variance, bool(line.hides[i])))
             if absorbed:
-                car._absorb_fix(z, np.zeros(2), float(line.end[i]))
+                car._update_with_fix(z, np.zeros(2), float(line.end[i]))
         line.absorbs[i], car.flags[i] = absorbed, fix_flag
     nu, s, hides = zip(*found, strict=True)
     return np.array(nu), np.array(s), np.array(hides)

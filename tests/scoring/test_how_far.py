@@ -32,12 +32,12 @@ def recorded(nis: float, next_one: float) -> ConsistencyRecord:
 @pytest.mark.parametrize(
     ("nis", "next_one", "said"),
     [
-        (2.0, 0.0, "about 0.5 m (RMS), as the filter itself says, and the log bears it out: its"),
-        (2.0, 0.4, "0.5 m (RMS), as the filter itself says, or more: "),
-        (3.0, 0.0, "more than 0.5 m (RMS), as the filter itself says: its forecasts miss the fixes by 1.8 m"),
-        (1.7, 0.0, "0.5 m (RMS), as the filter itself says, or somewhat less: "),
-        (1.7, 0.4, "this log can't tell: perhaps 1.4 m"),
-        (0.2, 0.0, "this log can't tell: perhaps 1.4 m"),
+        (2.0, 0.0, "about 0.5 m (RMS), the filter's own estimate, and the log agrees: the fixes"),
+        (2.0, 0.4, "0.5 m (RMS), the filter's own estimate, or more: "),
+        (3.0, 0.0, "more than 0.5 m (RMS), the filter's own estimate: the fixes deviate from its predictions by 1.8 m"),
+        (1.7, 0.0, "0.5 m (RMS), the filter's own estimate, or somewhat less: "),
+        (1.7, 0.4, "not known, perhaps 1.4 m"),
+        (0.2, 0.0, "not known, perhaps 1.4 m"),
     ],
 )  # fmt: skip
 def test_how_far_off_without_truth_is_the_filters_word_held_against_the_fixes(
@@ -61,4 +61,4 @@ def test_what_a_filter_says_of_itself_is_what_it_is_off_where_the_log_bears_it_o
     (said,) = how_far(blind.record, blind.asked.data)
     assert f"{own:.2g} m (RMS)" in said
     look = first_look(drives[2], tuning.parameters, as_recorded=False)
-    assert said_of_first_look(look).startswith(f"{off:.2g} m RMSE on {drives[2].name} (data-sheet filter ")
+    assert said_of_first_look(look).startswith(f"{off:.2g} m RMSE on {drives[2].name} (baseline ")

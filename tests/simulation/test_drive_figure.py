@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu
-from sigmaswarm.reports.drive_figure import drive_figure
+from sigmaswarm.reports.drive import drive_figure
 from sigmaswarm.simulation import simulate
 
 

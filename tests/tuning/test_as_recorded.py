@@ -5,11 +5,10 @@ from dataclasses import replace
 from filter_cases import parameters, rough
 from sigmaswarm import evaluate, run_filter
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.experiments.study.config import TUNED_METHODS, StudyConfig
+from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.design import make_design
 from sigmaswarm.tuning.batch import run_batch
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.paper import PAPER
+from sigmaswarm.tuning.config import PAPER, TuneConfig
 from sigmaswarm.tuning.problem import car_problem
 
 
@@ -46,5 +45,4 @@ def unfrozen(drive):
 def test_the_papers_protocol_is_as_recorded():
     assert PAPER["as_recorded"] is True
     design = make_design(StudyConfig(maneuvers=("turns",), environments=("clear",), runs=2))
-    for method, protocols in TUNED_METHODS.items():
-        assert all(design.tune_config(method, protocol).as_recorded for protocol in protocols)
+    assert all(design.tune_config(method, protocol).as_recorded for protocol, method in design.config.tuned)

@@ -8,19 +8,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.doctor.suited import suited
 from sigmaswarm.drives.drive import Drive, Odometer
-from sigmaswarm.drives.noise import has_white_errors
 from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.sensors import has_white_errors, suggest_filter
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import FilterKind
 from sigmaswarm.filters.parameters import FilterParameters, clash
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.simulation.scenarios import simulate
+from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.defaults import objective_for, with_filter
-from sigmaswarm.tuning.paper import papers_config
-from sigmaswarm.tuning.scale import said_of_scale
+from sigmaswarm.tuning.diagnostics import said_of_scale
 from sigmaswarm.tuning.space import OPTIONS
 from sigmaswarm.tuning.tune import tune
 from support import DRIVES, make_drive, needs_shared
@@ -48,7 +47,7 @@ def wheeled(drive: Drive) -> Drive:
 
 
 def chosen(*drives: Drive) -> tuple[str, tuple[str, ...]]:
-    found = suited(drives)
+    found = suggest_filter(drives)
     return found.model, found.use
 
 
@@ -67,7 +66,7 @@ def test_the_rule_is_what_the_log_has():
 )
 def test_six_columns_are_not_always_six_axes(up: float, turning: float):
     assert chosen(six(PLAIN, up, turning))[0] == "planar8"
-    assert suited([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
+    assert suggest_filter([six(PLAIN, up, turning)]).because == "az, gx or gy of the IMU look wrong"
 
 
 def test_of_several_drives_what_all_have_counts():
@@ -81,7 +80,7 @@ def test_of_several_drives_what_all_have_counts():
 
 def test_it_looks_neither_at_truth_nor_at_errors():
     noisy = replace(PLAIN, truth=None, gps=replace(PLAIN.gps, x=PLAIN.gps.x + 30.0 * np.arange(FIXES)))
-    assert suited([noisy]) == suited([PLAIN])
+    assert suggest_filter([noisy]) == suggest_filter([PLAIN])
 
 
 def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = None) -> Drive:
@@ -96,7 +95,7 @@ def noisy(drive: Drive, std: float, name: str = "noisy", stated: float | None = 
 
 def test_where_fixes_err_anew_each_time_forecasts_over_seconds_are_asked_for_too():
     long = make_drive(duration=60.0)
-    auto = partial(objective_for, asked="auto", model="tilted12")
+    auto = partial(objective_for, objective="auto", model="tilted12")
     forecasts = "0.5 innovation-t + 0.5 forecast-t"
     white, copying = noisy(long, 1.0), noisy(long, 0.05, "copying")
     assert auto([white]) == forecasts
@@ -141,18 +140,18 @@ def test_what_the_user_gives_stays():
     given, said = with_filter({"use": ("gate",)}, [six(PLAIN)])
     assert (given, said) == (
         {"use": ("gate",), "model": "tilted12"},
-        "tilted12 with gate, as asked: six IMU axes",
+        "tilted12 with gate, as given: six IMU axes",
     )
     given, said = with_filter({"model": "planar8"}, [six(PLAIN)])
     assert given == {"model": "planar8", "use": CAR}
     assert said == (
-        "planar8 with lateral, standstill, robust, as asked: tilted12 is what suits the logs: six IMU axes"
+        "planar8 with lateral, standstill, robust, as given: tilted12 suits the logs: six IMU axes"
     )
     assert with_filter({"model": "planar8", "use": ()}, [PLAIN])[0]["use"] == ()
     given, said = with_filter({"model": "planar5"}, [PLAIN])  # as the paper has it
     assert given["use"] == ()
-    assert said.startswith("planar5 with position fixes alone, as asked: the paper's;")
-    assert with_filter(papers_config({}), [six(PLAIN)]) == (papers_config({}), "")
+    assert said.startswith("planar5 with position fixes alone, as given: the paper's model;")
+    assert with_filter(paper_options({}), [six(PLAIN)]) == (paper_options({}), "")
 
 
 @given(
@@ -201,7 +200,7 @@ def test_tune_takes_it_and_its_result_says_what_it_was():
 def test_real_logs(name: str, options: str):
     from sigmaswarm import read_drive
 
-    assert suited([read_drive(DRIVES / name)]).options == options
+    assert suggest_filter([read_drive(DRIVES / name)]).options == options
 
 
 # --- the covariance's scale -----------------------------------------------------------------------------------------

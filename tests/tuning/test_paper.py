@@ -3,7 +3,7 @@
 import pytest
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.tuning.paper import papers_config
+from sigmaswarm.tuning.config import paper_options
 from sigmaswarm.tuning.tune import tune
 from support import make_drive
 
@@ -33,4 +33,4 @@ def test_what_contradicts_it_is_refused(option: dict):
 
 
 def test_what_agrees_with_it_is_welcome():
-    assert papers_config({"scale": "linear", "use": [], "trials": 20})["trials"] == 20
+    assert paper_options({"scale": "linear", "use": [], "trials": 20})["trials"] == 20

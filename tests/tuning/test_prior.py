@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sigmaswarm import Drive, run_batch, simulate, tune
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.defaults import with_guards
 from sigmaswarm.tuning.prior import prior_costs, receiver_std
-from sigmaswarm.tuning.tune import with_guards
 
 SEARCH = {"particles": 12, "generations": 8, "model": "planar8", "kind": "ekf"}
 DRIVE = simulate("urban", duration=60.0, gps="white-1m")
@@ -82,7 +82,7 @@ def test_the_receivers_own_word_comes_first():
 def test_a_receiver_that_smooths_its_fixes_is_not_copied():
     drive = smoothed(DRIVE)
     copied, held = (
-        tune(drive, objective="innovation-nll", prior=prior, margin=0.0, **SEARCH) for prior in (0.0, 1.0)
+        tune(drive, objective="innovation-nll", prior=prior, inflation=0.0, **SEARCH) for prior in (0.0, 1.0)
     )
     assert max(copied.parameters.measurement_noise) < 0.1**2
     assert min(held.parameters.measurement_noise) > 0.5**2
@@ -94,7 +94,7 @@ def test_a_receiver_that_smooths_its_fixes_is_not_copied():
 
 
 def test_what_it_adds_is_the_costs_difference():
-    tuning = tune(DRIVE, objective="innovation-t", margin=0.0, **SEARCH)
+    tuning = tune(DRIVE, objective="innovation-t", inflation=0.0, **SEARCH)
     plain = run_batch([DRIVE], [tuning.parameters], objective="innovation-t").costs[0]
     assert tuning.config.prior == 1.0
     assert "the prior of R" in tuning.to_dict()["result"]["objective_meaning"]
@@ -102,21 +102,21 @@ def test_what_it_adds_is_the_costs_difference():
 
 
 @pytest.mark.parametrize(
-    ("asked", "prior", "margin"),
+    ("asked", "prior", "inflation"),
     [
         ({"objective": "innovation-nll"}, 1.0, 0.05),
         ({"objective": "innovation-t + 0.1 nis"}, 1.0, 0.05),
         ({"objective": "innovation-t", "scale": "linear"}, 1.0, 0.0),
-        ({"objective": "innovation-t", "prior": 0.0, "margin": 0.0}, 0.0, 0.0),
-        ({"objective": "innovation-t", "prior": 0.3, "margin": 0.2}, 0.3, 0.2),
+        ({"objective": "innovation-t", "prior": 0.0, "inflation": 0.0}, 0.0, 0.0),
+        ({"objective": "innovation-t", "prior": 0.3, "inflation": 0.2}, 0.3, 0.2),
         ({"objective": "truth-pose"}, 0.0, 0.0),
         ({"objective": "innovation-nll + 0.2 nees"}, 0.0, 0.0),
         ({"objective": "gps-rmse"}, 0.0, 0.0),
     ],
 )
-def test_it_stands_where_truth_has_no_say(asked, prior, margin):
+def test_it_stands_where_truth_has_no_say(asked, prior, inflation):
     config = with_guards(TuneConfig(**asked))
-    assert (config.prior, config.margin) == (prior, margin)
+    assert (config.prior, config.inflation) == (prior, inflation)
 
 
 def test_metres_and_nats_do_not_add_up():
@@ -126,7 +126,7 @@ def test_metres_and_nats_do_not_add_up():
 
 def test_a_validation_is_no_matter_of_what_a_receiver_states():
     far = replace(simulate("urban", duration=60.0, gps="white-1m", seed=4), metadata={"gps_std_m": 20.0})
-    tuning = tune(DRIVE, objective="innovation-nll", validation=far, margin=0.0, **SEARCH)
+    tuning = tune(DRIVE, objective="innovation-nll", validation=far, inflation=0.0, **SEARCH)
     assert tuning.validation is not None
     assert (
         tuning.validation.cost == run_batch([far], [tuning.parameters], objective="innovation-nll").costs[0]

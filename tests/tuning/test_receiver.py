@@ -66,9 +66,9 @@ def test_a_tuning_without_truth_says_so_and_one_with_truth_does_not():
     blind = tune(stating(BLIND, 30.0), model="planar5", particles=2, generations=1)
     assert blind.remarks[0].startswith("TO DO: DON'T USE IT")  # two random filters are no search
     assert "the receiver states 30 m" in blind.remarks[1]
-    assert blind.to_dict()["result"]["doubts"] == list(blind.doubts)
+    assert blind.to_dict()["result"]["warnings"] == list(blind.warnings)
     seen = tune(stating(DRIVE, 30.0), particles=2, generations=1)
-    assert not [doubt for doubt in seen.doubts if "the receiver states" in doubt]
+    assert not [doubt for doubt in seen.warnings if "the receiver states" in doubt]
 
 
 def test_the_doctor_leaves_a_smooth_receiver_its_stated_deviation():

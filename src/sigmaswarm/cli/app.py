@@ -1,18 +1,17 @@
-"""The `sigmaswarm` command: its subcommands, and how errors are told."""
+"""The `sigmaswarm` command: its subcommands, its exit codes and its error messages."""
 
 import logging
 import sys
 import traceback
 import warnings
 from tempfile import NamedTemporaryFile
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
-from cyclopts import App, CycloptsError, MissingArgumentError
+from cyclopts import App, CycloptsError, MissingArgumentError, Parameter, UnknownOptionError
 
 import sigmaswarm
 from sigmaswarm.cli import terminal
 from sigmaswarm.cli.compare import compare
-from sigmaswarm.cli.completion import completion
 from sigmaswarm.cli.convert import convert
 from sigmaswarm.cli.demo import demo
 from sigmaswarm.cli.doctor import doctor
@@ -20,6 +19,7 @@ from sigmaswarm.cli.evaluate import evaluate
 from sigmaswarm.cli.export import export
 from sigmaswarm.cli.import_ import import_
 from sigmaswarm.cli.learn import learn
+from sigmaswarm.cli.options import HELP_ALL, has_more
 from sigmaswarm.cli.plot import plot
 from sigmaswarm.cli.record_carla import record_carla
 from sigmaswarm.cli.reference import reference
@@ -47,32 +47,58 @@ A drive is a folder with imu.csv, gps.csv, drive.toml and, where known, truth.cs
 Another kind of log? `sigmaswarm import LOG --show` looks at it, and with `--out DRIVE` makes a drive of it.
 
 No drives at hand? `sigmaswarm simulate --out drives` makes some; `sigmaswarm demo` shows the whole way in a minute.""",
+    help_flags=("--help", "-h", HELP_ALL),
     help_format="markdown",
     suppress_keyboard_interrupt=False,
 )
+PLAIN = Parameter(negative=(), consume_multiple=1)
 for command in (
     doctor, tune, learn, compare, evaluate, report, study, run, export, split, convert, reference, simulate,
-    record_carla, plot, demo,
+    record_carla, plot, demo, import_,
 ):  # fmt: skip
-    app.command(command)
-app.command(import_, name="import")
+    name = command.__name__.strip("_").replace("_", "-")
+    more = f"`sigmaswarm {name} {HELP_ALL}` shows all options." if has_more(command) else None
+    app.command(command, name=name, default_parameter=PLAIN, help_epilogue=more)
+
+
+def completion(shell: Literal["bash", "zsh", "fish", "powershell"], /) -> None:
+    """Print a shell's completion script for commands, options and values.
+
+    Nothing is installed or written.
+
+    Examples:
+
+        source <(sigmaswarm --completion bash)
+        sigmaswarm --completion bash > ~/.local/share/bash-completion/completions/sigmaswarm
+        sigmaswarm --completion fish > ~/.config/fish/completions/sigmaswarm.fish
+
+    Parameters
+    ----------
+    shell
+        Your shell.
+    """
+    print(app.generate_completion(shell=shell))
+
+
 app.command(completion, name="--completion")
 
 
 def main() -> NoReturn:
     """Run the command line and exit.
 
-    0: done. 1: the doctor is alarmed. 2: the user's mistake. 3: something unforeseen. 130: interrupted.
+    Exit codes: 0 success, 1 the doctor found serious faults, 2 wrong input, 3 unforeseen error, 130 interrupted.
     """
     warnings.showwarning = _show_warning
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home it would tell where its cache is
+    logging.getLogger("matplotlib").setLevel(
+        logging.ERROR
+    )  # it reports its cache folder when there is no home
     terminal.prepare()
     terminal.tell_of_compiling()
     code = _run()
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
-    except OSError as error:  # what was printed last found no reader, or no room
+    except OSError as error:  # the reader of the output is gone, or the disk is full
         terminal.mute()
         if not isinstance(error, BrokenPipeError):
             code = _told(2, f"the output: {error.strerror or error}")
@@ -80,14 +106,14 @@ def main() -> NoReturn:
 
 
 def _run() -> int:
-    """Run a command; the code to exit with."""
+    """Run a command and return the exit code."""
     try:
         app(exit_on_error=False, print_error=False, console=terminal.console())
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except (SigmaswarmError, CycloptsError) as error:
         hint = "; see --help" if isinstance(error, CycloptsError) else ""
-        said = _forgotten_out(error) or terminal.one_line(error).removesuffix(".")
+        said = _missing_out(error) or _other_name(error) or terminal.one_line(error).removesuffix(".")
         return _told(2, f"{said}{hint}")
     except KeyboardInterrupt:
         saved = (
@@ -99,10 +125,8 @@ def _run() -> int:
         return _told(130, f"interrupted{saved}")
     except BrokenPipeError:  # `sigmaswarm ... | head` is no mistake
         terminal.mute()
-    except (
-        OSError
-    ) as error:  # no permission, a network drive that is gone: nothing to be mended in the library
-        if not error.filename:  # all files that are written here are named
+    except OSError as error:  # no permission, a network drive that is gone
+        if not error.filename:  # the output itself
             terminal.mute()
         return _told(2, f"{error.filename or 'the output'}: {error.strerror or error}")
     except Exception as error:
@@ -116,7 +140,7 @@ def _told(code: int, said: str) -> int:
 
 
 def _unforeseen(error: Exception) -> int:
-    """Tell a defect, or a lack of memory, in one line that names the file with the whole story."""
+    """Report a defect, or a lack of memory, in one line that names the file with the traceback."""
     what = "not enough memory" if isinstance(error, MemoryError) else f"{type(error).__name__}: {error}"
     try:
         with NamedTemporaryFile("w", prefix="sigmaswarm-", suffix=".txt", delete=False) as file:
@@ -127,14 +151,26 @@ def _unforeseen(error: Exception) -> int:
     return _told(3, f"unforeseen: {terminal.one_line(what)}{where}")
 
 
-def _forgotten_out(error: Exception) -> str | None:
-    """What to say where --out is left out altogether; its value alone missing is told by Cyclopts."""
+def _missing_out(error: Exception) -> str | None:
+    """Explain that --out is missing altogether; Cyclopts explains a missing value."""
     if not isinstance(error, MissingArgumentError) or error.keyword or "Did you mean" in str(error):
         return None
     if error.argument is None or error.argument.name != "--out" or error.argument.tokens:
         return None
     what = "file" if "run" in (error.command_chain or ()) else "folder"
     return f"--out is missing: name a {what} for the result"
+
+
+def _other_name(error: Exception) -> str | None:
+    """Suggest our option for a name that other libraries give it."""
+    if not isinstance(error, UnknownOptionError):
+        return None
+    from sigmaswarm.tuning.config import SYNONYMS
+
+    given = (error.token.keyword or error.token.value).partition("=")[0]
+    name = SYNONYMS.get(given.strip("-").replace("-", "_"))
+    known = {name for argument in error.argument_collection for name in argument.names}
+    return f"Unknown option: {given}. Did you mean --{name}?" if f"--{name}" in known else None
 
 
 _default_showwarning = warnings.showwarning

@@ -1,12 +1,10 @@
-"""What several commands share: reading drives, tables, progress, JSON."""
+"""Reading drives and printing results, for several commands."""
 
 import json
-import math
 import warnings
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from sigmaswarm.files import finite
@@ -15,81 +13,80 @@ from sigmaswarm.wording import TO_DO
 if TYPE_CHECKING:
     from distributed import Client
     from rich.console import Console
-    from rich.progress import Progress, ProgressColumn
 
     from sigmaswarm import Drive, Evaluation
-    from sigmaswarm.drives.places import Place
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.drives.reader import Location
     from sigmaswarm.errors import SigmaswarmWarning
-    from sigmaswarm.fleets.held import Held
-    from sigmaswarm.tuning.search import Progress as TuningProgress
 
 
-def read_known(place: "Place") -> "Drive":
-    """Read a drive that was imported, checked or tuned on before: its gaps have been told, and are not told again."""
-    from sigmaswarm.drives.places import read_place
+def read_known(place: "Location") -> "Drive":
+    """Read a drive that was imported, checked or tuned on before, without warning of its gaps again."""
+    from sigmaswarm.drives.reader import read_with_warnings
 
-    drive, warned = read_place(place)
+    drive, warned = read_with_warnings(place)
     warn_of_reading(warned, gaps=False)
     return drive
 
 
 def warn_of_reading(warned: "Iterable[SigmaswarmWarning]", *, gaps: bool) -> None:
-    """Tell what was found while a drive was read; ``gaps``: those, too."""
+    """Print the warnings of reading a drive, those about gaps only with ``gaps``."""
     for warning in warned:
         if gaps or not getattr(warning, "code", "").endswith("-gap"):
             warnings.warn(warning, stacklevel=3)
 
 
-def read_drives(places: "Sequence[Place]") -> "list[Drive]":
-    """Read drives that are known; a folder of drive folders stands for all of them."""
-    from sigmaswarm.drives.places import listed_places
+def read_drives(places: "Sequence[Location]") -> "list[Drive]":
+    """Read drives as `read_known` does; a folder of drive folders stands for all of them."""
+    from sigmaswarm.drives.reader import all_drive_locations
 
-    return [read_known(place) for place in listed_places(places)]
+    return [read_known(place) for place in all_drive_locations(places)]
 
 
 @contextmanager
 def cluster_at(address: str | None) -> "Generator[Client | None]":
-    """A client of the cluster at an address, until the block ends; None where none is named."""
+    """Connect to the cluster at an address until the block ends; None without an address."""
     if address is None:
         yield None
         return
-    from sigmaswarm.fleets.connection import connected
+    from sigmaswarm.datasets.cluster import connected
 
     with connected(address) as client:
         yield client
 
 
-def held_drives(
-    *groups: "Sequence[Place]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
-) -> "list[Held]":
-    """Groups of drives, read where they are held: by a cluster's workers, or here.
+def read_datasets(
+    *groups: "Sequence[Location]", cluster: "Client | None" = None, trusted: bool = True, gaps: bool = False
+) -> "list[Dataset]":
+    """Read groups of drives on a cluster's workers or in this process.
 
-    Those that are not ``trusted`` are shown to the doctor, who says in a line what is serious. ``gaps``: tell them.
+    Drives that are not ``trusted`` are checked for serious faults. ``gaps`` prints warnings about gaps.
     """
     from sigmaswarm.cli.findings import warn_of_serious
-    from sigmaswarm.drives.places import listed_places, read_place
-    from sigmaswarm.fleets.connection import Cluster
-    from sigmaswarm.fleets.fleet import Fleet, fleet_groups
-    from sigmaswarm.fleets.held import Here
+    from sigmaswarm.cli.progress import progress_bar
+    from sigmaswarm.datasets.cluster import Cluster
+    from sigmaswarm.datasets.dataset import LocalDataset
+    from sigmaswarm.datasets.remote import remote_datasets
+    from sigmaswarm.drives.reader import all_drive_locations, read_with_warnings
 
-    listed = [listed_places(places) for places in groups]
+    locations = [all_drive_locations(group) for group in groups]
     if cluster is None:
-        read = [[read_place(place) for place in places] for places in listed]
-        held: list[Held] = [Here([drive for drive, _ in group]) for group in read]
+        read = [[read_with_warnings(location) for location in group] for group in locations]
+        datasets: list[Dataset] = [LocalDataset([drive for drive, _ in group]) for group in read]
         warned = [warning for group in read for _, more in group for warning in more]
     else:
         with progress_bar("reading", "drives, remaining") as show:
-            held = [*fleet_groups(Cluster(cluster), listed, progress=show)]
-        warned = [warning for fleet in held if isinstance(fleet, Fleet) for warning in fleet.warned]
+            remote, warned = remote_datasets(Cluster(cluster), locations, progress=show)
+        datasets = [*remote]
     warn_of_reading(warned, gaps=gaps)
     if not trusted:
-        for drives, places in zip(held, listed, strict=True):
-            warn_of_serious(drives, places)
-    return held
+        for drives, group in zip(datasets, locations, strict=True):
+            warn_of_serious(drives, group)
+    return datasets
 
 
 def tuned_as_recorded(tuning: Path) -> bool:
-    """Whether a filter was tuned with frozen fixes absorbed and gaps in the IMU taken for steps like others."""
+    """Read from a tuning if the filter was tuned without preprocessing."""
     import tomllib
 
     file = tuning / "tuning.toml" if tuning.is_dir() else tuning
@@ -97,7 +94,7 @@ def tuned_as_recorded(tuning: Path) -> bool:
 
 
 def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float, ...]:
-    """So many numbers of an option, written with commas."""
+    """Parse an option of ``count`` numbers separated by commas."""
     from sigmaswarm.errors import InputError
 
     try:
@@ -110,7 +107,7 @@ def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float,
 
 
 def stdout() -> "Console":
-    """Where results go."""
+    """Return the console for results."""
     from sigmaswarm.cli.terminal import console
 
     return console(soft_wrap=True)
@@ -121,200 +118,36 @@ def print_json(content: Any) -> None:
     print(json.dumps(finite(content), indent=2))
 
 
-@contextmanager
-def tuning_progress(title: str) -> "Generator[Callable[[TuningProgress], None]]":
-    """Show a tuning's progress, with the time that remains, on stderr; yields tune's callback."""
-    counted = "generations, best cost {task.fields[cost]}, remaining"
-    with progress_bar(title, counted, "getting ready", cost="-") as show:
-        yield lambda progress: show(progress.done, progress.total, cost=f"{progress.best_cost:.3f}")
-
-
-@contextmanager
-def progress_bar(
-    title: str, counted: str, waiting: str = "", **fields: Any
-) -> Generator[Callable[..., None]]:
-    """A bar on stderr, with the time that remains; yields the function that moves it: done, total, fields.
-
-    ``waiting`` says on a terminal what is going on until there is progress.
-    """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(counted),
-        TimeRemainingColumn(),
-    )
-    with _late_bar(columns, waiting) as bar:
-        task = bar.add_task(title, total=None, **fields)
-
-        def show(done: int, total: int, **changed: Any) -> None:
-            bar.start()
-            bar.update(task, total=total, completed=done, **changed)
-
-        yield show
-
-
-@contextmanager
-def percent_bar(title: str) -> Generator[Callable[[float], None]]:
-    """A bar on stderr, with the time that remains; yields the function that moves it: the share that is done."""
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with _late_bar(columns) as bar:
-        task = bar.add_task(title, total=1.0)
-
-        def show(done: float) -> None:
-            bar.start()
-            bar.update(task, completed=done)
-
-        yield show
-
-
-@contextmanager
-def _late_bar(columns: "Sequence[ProgressColumn]", waiting: str = "") -> "Generator[Progress]":
-    """A bar that shows nothing before there is progress: a mistake is to be told in one line."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    status = console.status(waiting) if waiting and console.is_terminal else None
-
-    class Late(Progress):
-        def start(self) -> None:
-            if status:
-                status.stop()
-            super().start()
-
-    bar = Late(*columns, console=console)
-    if status:
-        status.start()
-    try:
-        yield bar
-    finally:
-        if status:
-            status.stop()
-        if bar.live.is_started:
-            bar.stop()
-
-
 def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
-    """A tuning's, each in a line: those that ask for action begin with TO DO, the others are notes."""
+    """Print the remarks on a tuning, one per line; those that ask for action begin with TO DO."""
     for remark in remarks:
         stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
 
 
-def print_evaluation(
-    evaluation: "Evaluation",
-) -> None:
-    """The comparison as a table: every drive, the mean, and what the tuning improved; why it has gaps."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
+def print_evaluation(evaluation: "Evaluation") -> None:
+    """Print the scores of every drive, the mean, the consistency, and the remarks on them."""
+    from dataclasses import replace
 
-    from sigmaswarm.drives.fingerprint import START_RULE
-    from sigmaswarm.scoring.drifts import OWN, UNTUNED
-    from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_UNTUNED
-    from sigmaswarm.scoring.remarks import how_far, partly_scored, said_of_drives
+    from sigmaswarm.scoring.remarks import said_of_drives
 
-    console, record = stdout(), evaluation.record
-    methods, known = record.told(evaluation.names, evaluation.measures)
-    measures, names = {m: evaluation.measures[m] for m in known}, {m: evaluation.names[m] for m in methods}
-    # What a terminal of 80 columns holds: no rules between columns, and a drive's name in a row of its own.
-    table = Table(
-        title=f"On {said_of_drives(evaluation.asked.data)} (lower is better)",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        padding=(0, 1, 0, 0),
+    console, view = stdout(), evaluation.view
+    scores, mean = view.drive_table(), view.mean_table()
+    if len(view.scores.drives) > 1:
+        strong = scores.strong | {len(scores.rows) + i for i in mean.strong}
+        scores = replace(scores, rows=scores.rows + mean.rows, strong=strong)
+    title = f"On {said_of_drives(view.setup.data)} (lower is better)"
+    console.print(replace(scores, caption=title).to_rich(grouped=True))
+    consistency = replace(
+        view.consistency_table(), caption="Consistency of the tuned filter (NIS and NEES: 2)"
     )
-    table.add_column("method", overflow="fold", min_width=12)
-    for measure in measures.values():
-        table.add_column("\n".join(wrap(measure.heading, 8)), justify="right", overflow="fold")
-
-    def row(name: str, method: str, values: "Iterable[float | None]") -> None:
-        table.add_row(name, *map(_number, values), style="bold" if method == "tuned" else None)
-
-    for drive in evaluation.scores:
-        table.add_row(Text(drive, "italic"))
-        for method, name in names.items():
-            failed = " (failed)" if evaluation.scores[drive][method].failed else ""
-            row(name + failed, method, (evaluation.value(drive, method, m) for m in measures))
-        table.add_section()
-    if len(evaluation.scores) > 1:
-        table.add_row(Text("mean", "italic"))
-        for method, name in names.items():
-            row(name, method, (evaluation.mean(method, m) for m in measures))
-    console.print(table)
-    late = {n: s for n, f in evaluation.drives.items() if (s := f.record.scored_from_s) and s > 5.0}
-    if late:
-        starts = ", ".join(f"{s:.0f} s into {name}" for name, s in late.items())
-        console.print(f"Filters start, and scores with them, {starts}: at {START_RULE}.")
-    for said in partly_scored(evaluation.asked.data):
-        console.print(f"{said[0].upper()}{said[1:]}.")
-    without_truth = [
-        name for name, found in evaluation.drives.items() if not found.data.get("has_truth", True)
-    ]
-    if without_truth:
-        console.print(
-            f"{', '.join(without_truth)} {'has' if len(without_truth) == 1 else 'have'} no truth.csv: only the drift "
-            "over outages, against hidden fixes whose own errors are in it, and the consistency can be told.",
-        )
-    for said in how_far(record, evaluation.asked.data):
-        console.print(f"{said}.")
-    for name, found in evaluation.drives.items():
-        if found.frozen:
-            console.print(
-                f"{name}: no filter took {found.frozen} of the fixes for positions: frozen, they repeat an earlier one "
-                "though the car may have moved."
-            )
-    _print_consistency(evaluation, console)
-    for over in (OWN, UNTUNED, "raw_gps"):
-        improvement = evaluation.improvement(over) if over in evaluation.names else None
-        if improvement is not None:
-            console.print(
-                f"Position RMSE {abs(improvement):.1f}% {'lower' if improvement >= 0 else 'HIGHER'} "
-                f"than {evaluation.names[over]}."
-            )
-    for name, measure in measures.items():
-        drift = evaluation.mean("tuned", name)  # None, too, where the filter failed but in no outage
-        if drift is not None and (spread := record.drift_said(name)):
-            console.print(f"{measure.title} of the tuned filter: {drift:.3g} m over {spread}.")
-    console.print(f"{HOW_UNTUNED}.")
-    if OWN not in evaluation.names:
-        console.print(f"{HOW_AGAINST}.")
-    for said in (*evaluation.worse_than_raw, *evaluation.worse_than_untuned, *evaluation.restarted):
-        console.print(f"{said[0].upper()}{said[1:]}.")
-
-
-def _print_consistency(evaluation: "Evaluation", console: "Console") -> None:
-    """Whether the tuned filter's covariances say what its errors are: the figures, and what they mean."""
-    from rich.table import Table
-
-    from sigmaswarm.scoring.consistency import verdicts
-
-    table = Table(title="Do its forecasts miss the fixes (NIS), its errors the truth (NEES), as it says?")
-    table.title_justify = "left"
-    table.add_column("drive")
-    for title in ("mean NIS\n(2)", "inside 95%\ngate", "mean NEES\n(2)", "correlation to\nthe next fix (0)"):
-        table.add_column(title, justify="right")
-    for drive, c in evaluation.consistency.items():
-        cells = ["-"] * 4
-        if c is not None:
-            cells = [
-                _number(c.mean_nis),
-                f"{c.inside_gate:.0%}",
-                _number(c.mean_nees),
-                f"{c.autocorrelation[0]:+.2f}",
-            ]
-        table.add_row(drive, *cells)
-    console.print(table)
-    for said in verdicts([c and c.summary for c in evaluation.consistency.values()]).values():
-        console.print(f"{said[0].upper()}{said[1:]}.")
-
-
-def _number(value: float | None) -> str:
-    if value is None or math.isnan(value):
-        return "-"
-    return f"{value:.2f}" if value < 100 else f"{value:.0f}"
+    for text in view.coverage():
+        console.print(text)
+    console.print(consistency.to_rich())
+    for text in (
+        *view.verdicts().values(),
+        view.result(),
+        *view.drifts(),
+        *view.explanations(),
+        *view.warnings(),
+    ):
+        console.print(text)

@@ -1,35 +1,39 @@
 """`sigmaswarm compare`."""
 
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import Annotated, Any
 
-from cyclopts import Parameter, validators
+from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
+from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
+from sigmaswarm.tuning.options import SEEDS, Scale
 
-from sigmaswarm.cli.options import takes
-from sigmaswarm.tuning.options import DEFAULTS, SEEDS, CompareOptions, Scale
+APART = ("seed", "optimizer", "scale", "prior", "inflation")
+"""What is compared, and what only guards a tuning's result."""
 
 
-@takes(CompareOptions, DEFAULTS)
+@options_of(
+    TuneConfig, shown=("objective", "particles", "generations", "model"), apart=APART, by_data=DECIDED_LATER
+)
 def compare(
-    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Places,
     /,
     *,
     out: Path,
-    optimizers: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    scales: Annotated[list[Scale] | None, Parameter(consume_multiple=1, negative=())] = None,
+    optimizers: list[str] | None = None,
+    scales: list[Scale] | None = None,
     seeds: int = SEEDS,
-    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
-    cluster: str | None = None,
-    resume: Annotated[bool, Parameter(negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
-    **options: Unpack[CompareOptions],
+    validation: list[str] | None = None,
+    workers: Workers = None,
+    cluster: Annotated[Cluster, MORE] = None,
+    resume: bool = False,
+    json: Json = False,
+    **options: Any,
 ) -> None:
-    """Compare optimizers: the same budget on the same drives, over many seeds.
+    """Compare optimizers with the same budget on the same drives.
 
     OUT gets comparison.md (a table with intervals and paired tests), comparison.csv, runs.csv, curves.csv,
-    comparison.png, times.csv and every single tuning. What it says holds for these drives; other seeds would give
-    the same within the intervals, other drives need not.
+    comparison.png, times.csv and all tunings. The result holds for these drives; other seeds would give the same
+    within the intervals, other drives need not.
 
     Examples:
 
@@ -39,40 +43,32 @@ def compare(
 
     Parameters
     ----------
-    drives
-        Drive folders to tune on, or folders that hold drive folders; or URLs of such.
     out
         Folder for the tables, the figure and all runs.
     optimizers
-        pso, ga, ga-pso, de, cma-es, bo, nelder-mead, random, sobol. Settings of one's own follow a colon:
-        pso:polish=300 or pso:particles=10,generations=30,trials=5. Particles x generations x trials must be the
-        same for all. The others are tested against the first one. By default all but bo, nelder-mead and sobol.
+        Names, with settings after a colon, as pso:polish=300; all need the same budget. The first is the reference.
     scales
         log10, linear or both; log10 by default.
     seeds
-        Runs of each.
+        Runs of each optimizer.
     validation
-        Drives held back from the search, to see what the results are worth on others.
+        Drives that the search does not see, to measure the results on others.
     workers
-        Threads; all cores by default. With --cluster, tunings side by side. The result does not depend on it.
-    cluster
-        A Dask cluster whose workers read the drives, hold them and do the work: tcp://host:8786, a scheduler file, or
-        local:4 for so many processes of this machine. Nor does the result depend on it.
+        Threads, or with --cluster simultaneous tunings; all cores by default. The result does not depend on it.
     resume
-        Go on with a comparison that was interrupted; the result is the same, but for the times.
-    json
-        Print the table for machines.
+        Continue an interrupted comparison; the result is the same, except for the times.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, held_drives, print_json, progress_bar, stdout
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, stdout
+    from sigmaswarm.cli.progress import progress_bar
+    from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.reports.compare import comparison_table, save_comparison
     from sigmaswarm.tuning.defaults import with_filter
 
     chosen = {"optimizers": optimizers, "scales": scales}
     with cluster_at(cluster) as client:
-        read, held_out = held_drives(drives, validation or [], cluster=client)
-        said = with_filter({**options}, [*read.of_each(equipment), *held_out.of_each(equipment)])[1]
+        read, held_out = read_datasets(drives, validation or [], cluster=client)
+        said = with_filter(options, [*read.map(sensors_of), *held_out.map(sensors_of)])[1]
         with progress_bar("comparing", "tunings, remaining") as show:
             comparison = sigmaswarm.compare(
                 read,

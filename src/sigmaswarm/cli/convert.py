@@ -5,16 +5,18 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 
 def convert(
     *drives: Annotated[str, Parameter(name="DRIVE... OUT")],
     to: Literal["parquet", "csv"] = "parquet",
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Write drives in another form: Parquet is smaller and far quicker to read, CSV is what people and others read.
+    """Convert drives between Parquet and CSV.
 
-    Both hold the same bits, and every command takes either. What sigmaswarm does not know, columns of other names, is
-    left behind, and said.
+    Parquet is smaller and much faster to read; both hold the same bits, and every command reads either. Columns that
+    sigmaswarm does not know are dropped with a warning.
 
     Examples:
 
@@ -25,15 +27,15 @@ def convert(
     Parameters
     ----------
     drives
-        Drive folders or URLs, or folders that hold drive folders; last the folder in which the drives are made.
+        Drive folders or URLs, or folders of drive folders; last, the folder for the converted drives.
     to
         parquet or csv.
-    json
-        Print what was written for machines.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.drives.places import TABLES, is_url, listed_places
+    from sigmaswarm.drives.reader import all_drive_locations
+    from sigmaswarm.drives.table_files import TABLES
+    from sigmaswarm.drives.urls import is_url
     from sigmaswarm.errors import InputError
 
     if len(drives) < 2:
@@ -44,7 +46,7 @@ def convert(
     out, written = Path(last), dict[str, Path]()
     if any((out / table).exists() for table in TABLES):
         raise InputError(f"{last}: is a drive; name, last, the folder in which the converted drives are made")
-    for place in listed_places(given):
+    for place in all_drive_locations(given):
         drive = read_known(place)
         if drive.name in written:
             raise InputError(

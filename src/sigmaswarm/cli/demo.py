@@ -1,18 +1,17 @@
 """`sigmaswarm demo`."""
 
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter, validators
+from sigmaswarm.cli.options import Json, Seed
 
 
 def demo(
     *,
     out: Path = Path("demo"),
-    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    seed: Seed = 0,
+    json: Json = False,
 ) -> None:
-    """Show the whole way in a minute: simulate drives, tune on some, evaluate on others.
+    """Simulate drives, tune on some and evaluate on the others, in a minute.
 
     Example:
 
@@ -21,19 +20,18 @@ def demo(
     Parameters
     ----------
     out
-        Folder for drives, tuning and pictures; what an earlier demo left in it is replaced.
+        Folder for drives, tuning and pictures; the results of an earlier demo are replaced.
     seed
-        Decides drives and tuning.
-    json
-        Print the scores for machines.
+        Seed of the drives and the tuning.
     """
     import shutil
 
     import sigmaswarm
-    from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout, tuning_progress
-    from sigmaswarm.cli.report import save_page
+    from sigmaswarm.cli.common import print_evaluation, print_json, print_remarks, stdout
+    from sigmaswarm.cli.progress import tuning_progress
     from sigmaswarm.errors import InputError
     from sigmaswarm.reports.evaluation import save_evaluation
+    from sigmaswarm.reports.pages.folders import save_page
     from sigmaswarm.reports.tuning import save_tuning_figures
     from sigmaswarm.scoring.tracks import compared, picture_of
     from sigmaswarm.tuning.defaults import with_filter

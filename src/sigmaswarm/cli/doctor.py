@@ -5,21 +5,23 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 if TYPE_CHECKING:
     from sigmaswarm import Drive
 
 
 def doctor(
-    drives: Annotated[list[Path], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Annotated[list[Path], Parameter(name="DRIVE")],
     /,
     *,
     fix: Path | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Check logs before anybody tunes on them: signs, units, axes, clocks, noise, gaps.
+    """Check drives for wrong signs, units, axes, clocks, noise and gaps.
 
-    It compares what the IMU felt with how the fixes moved; truth is not looked at. Exit code 0: nothing
-    serious; 1: something serious (with --fix: something serious is left in a copy); 2: a drive can't be read.
+    The IMU is compared with the motion of the fixes; truth is not used. Exit code 0: no serious fault; 1: a serious
+    fault (with --fix: one that remains in a copy); 2: a drive can't be read.
 
     Examples:
 
@@ -31,11 +33,9 @@ def doctor(
     Parameters
     ----------
     drives
-        Drive folders, or folders that hold drive folders.
+        Drive folders, or folders of drive folders.
     fix
-        Folder in which a mended copy of each drive is made; the drives themselves stay as they are.
-    json
-        Print the findings for machines.
+        Folder for a repaired copy of each drive; the drives themselves are not changed.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, stdout

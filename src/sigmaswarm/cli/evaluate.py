@@ -4,7 +4,9 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cyclopts import Parameter, validators
+from cyclopts import Parameter
+
+from sigmaswarm.cli.options import Cluster, Json, Places, Seed, TrustLog
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
@@ -12,25 +14,25 @@ if TYPE_CHECKING:
 
 def evaluate(
     tuning: Annotated[Path, Parameter(name="TUNING")],
-    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Places,
     /,
     *,
     against: Path | None = None,
     out: Path | None = None,
     outage_length: float = 5.0,
-    outage_seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
-    as_recorded: Annotated[bool, Parameter(negative=())] = False,
-    trust_log: Annotated[bool, Parameter(negative=())] = False,
-    smooth: Annotated[bool, Parameter(negative=())] = False,
-    swarm: Annotated[bool, Parameter(negative=())] = False,
-    cluster: str | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    outage_seed: Seed = 0,
+    as_recorded: bool = False,
+    trust_log: TrustLog = False,
+    smooth: bool = False,
+    swarm: bool = False,
+    cluster: Cluster = None,
+    json: Json = False,
 ) -> None:
-    """Compare a tuned filter with the same by data sheet, raw GPS, IMU only, and with another one.
+    """Evaluate a tuned filter on drives.
 
-    Use drives that the tuning never saw. All methods start at the same moment from the same state. Without
-    truth only the drift over outages can be told, against the fixes that were hidden, and whether the filter's
-    forecasts miss the fixes by as much as it says.
+    It is compared with the baseline, raw GPS, IMU only and, with --against, another filter. Use drives that the tuning
+    never saw. All methods start at the same time from the same state. Without truth the scores are the drift over
+    outages, against the hidden fixes, and the consistency of the innovations.
 
     Examples:
 
@@ -45,42 +47,31 @@ def evaluate(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network is compared then.
-    drives
-        Drive folders, or folders that hold drive folders; or URLs of such.
+        A tuning.toml, or the folder that holds it; also a folder of `sigmaswarm learn`.
     against
-        A second tuning to compare with, its folder or its tuning.toml; or a filter of your own, of any model: a file
-        with its parameters in a table [filter], as in a tuning.toml.
+        A second tuning to compare with, or a file with your own parameters in a table [filter].
     out
-        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` makes a page of.
+        Folder for scores.csv, scores.json, figures, and what `sigmaswarm report` needs.
     outage_length
-        Seconds without fixes, after which the drift is measured.
+        Length of the outages at whose end the drift is measured, s.
     outage_seed
-        Places the outages: again and again, as often as the drive has room for.
+        Seed of the outage windows.
     as_recorded
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
-        was tuned so is evaluated so.
-    trust_log
-        Don't ask the doctor whether something is seriously wrong with the drives.
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
-        Also compare the tuned filter in hindsight, each of its estimates with all fixes known, later ones too.
+        Also evaluate the smoothed estimates of the tuned filter.
     swarm
-        Also compare a swarm of the tuned filter: sixteen side by side, differently tuned, whose mixture drives.
-    cluster
-        A Dask cluster whose workers read the drives and do the work: tcp://host:8786, a scheduler file, or local:4 for
-        so many processes of this machine. The result does not depend on it.
-    json
-        Print the scores for machines.
+        Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
     """
     from functools import partial
 
     import sigmaswarm
     from sigmaswarm.cli.common import (
         cluster_at,
-        held_drives,
         print_evaluation,
         print_json,
         print_remarks,
+        read_datasets,
         stdout,
         tuned_as_recorded,
     )
@@ -100,7 +91,7 @@ def evaluate(
     if not 0 < outage_length < inf:
         raise InputError(f"--outage-length must be positive and finite (is {outage_length:g})")
     with cluster_at(cluster) as client:
-        (read,) = held_drives(drives, cluster=client, trusted=trust_log)
+        (read,) = read_datasets(drives, cluster=client, trusted=trust_log)
         result = sigmaswarm.evaluate(
             read,
             parameters,
@@ -124,7 +115,7 @@ def evaluate(
         return
     print_evaluation(result)
     if (tuned := load_record(TuningRecord, file).result) is not None:
-        print_remarks(tuned.doubts)
+        print_remarks(tuned.warnings)
     for path in written:
         stdout().print(f"wrote {path}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
@@ -132,7 +123,7 @@ def evaluate(
 
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
-    """Say which drives the tuning has seen: scores on them flatter it."""
+    """Warn of drives that the tuning has seen: scores on them are too good."""
     import warnings
 
     from sigmaswarm.errors import SigmaswarmWarning

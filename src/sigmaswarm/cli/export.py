@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 if TYPE_CHECKING:
     from sigmaswarm.exports.check import Checked
 
@@ -18,14 +20,14 @@ def export(
     to: Literal["filterpy", "c99", "robot_localization"],
     out: Path,
     replay: Path | None = None,
-    check: Annotated[list[Path] | None, Parameter(consume_multiple=1, negative=())] = None,
+    check: list[Path] | None = None,
     lanes: int = 1,
     seed: int = 0,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Write a tuned filter for use elsewhere.
+    """Export a tuned filter as C, as a Python script or for robot_localization.
 
-    Trajectories are written by `sigmaswarm run`; this writes the filter itself.
+    Trajectories are written by `sigmaswarm run`.
 
     Examples:
 
@@ -39,22 +41,17 @@ def export(
     tuning
         A tuning.toml, or the folder that holds it.
     to
-        filterpy: a script that needs NumPy and FilterPy only. c99: a C library without allocation, and a program
-        that replays a drive. robot_localization: parameters to start from; its model is another one.
+        filterpy: a Python script. c99: a C library. robot_localization: initial parameters for its model.
     out
-        Folder to write to; made if missing.
+        Folder to write to; created if missing.
     replay
-        c99: a drive to write as the replay program's input.
+        c99: a drive, written as input of the replay program.
     check
-        c99: drives to run the C over, built by this machine's compiler and called from Python; prints how far it is
-        from `sigmaswarm run` at most on each.
+        c99: drives on which the compiled C is compared with `sigmaswarm run`.
     lanes
-        c99: up to 16 filters, differently tuned, run side by side, and their mixture is the estimate: the swarm of
-        `sigmaswarm run --swarm`, without its searches.
+        c99: number of filters in a filter bank, 1 to 16, without its searches.
     seed
-        Of what the lanes differ in, beyond those that each swarm has.
-    json
-        Print the written files, and what --check found, for machines.
+        Seed of the variants in the filter bank.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_drives, read_known, stdout, tuned_as_recorded
@@ -87,7 +84,7 @@ def export(
 
 def _found(checked: "Checked", lanes: int) -> str:
     """One line on a drive."""
-    library = "sigmaswarm run" if lanes == 1 else "a LiveSwarm without searches"
+    library = "sigmaswarm run" if lanes == 1 else "a LiveFilterBank without searches"
     line = f"{checked.drive}: C is within {checked.double.state:.1e} of {library} in any state (relative, above 1)"
     single = checked.single
     if single is None:

@@ -1,4 +1,4 @@
-"""A diagnosis on the terminal, for every command that has one to show."""
+"""A diagnosis on the terminal."""
 
 import shlex
 import warnings
@@ -7,40 +7,40 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sigmaswarm.cli.common import stdout
+from sigmaswarm.cli.terminal import console
 from sigmaswarm.wording import counted
 
 if TYPE_CHECKING:
+    from sigmaswarm.datasets.dataset import Dataset
     from sigmaswarm.doctor.findings import Diagnosis, Finding
-    from sigmaswarm.drives.places import Place
-    from sigmaswarm.fleets.held import Held
+    from sigmaswarm.drives.reader import Location
 
 _STYLES = {"serious": "bold red", "warning": "yellow", "note": "dim"}
 
 
 def print_diagnosis(diagnosis: "Diagnosis") -> None:
-    """Print what the doctor found about one drive, the serious ones first."""
+    """Print the findings about one drive, the serious ones first."""
     from rich.table import Table
     from rich.text import Text
 
-    console = stdout()
-    console.print(Text.assemble((diagnosis.drive, "bold"), f": {_summary(diagnosis)}"))
+    out = console(soft_wrap=True)
+    out.print(Text.assemble((diagnosis.drive, "bold"), f": {_summary(diagnosis)}"))
     table = Table.grid(padding=(0, 2, 0, 0))
     table.add_column(width=9)
     table.add_column(overflow="fold")
     for finding in diagnosis.findings:
         style = _STYLES[finding.severity]
         table.add_row(Text(f"  {finding.severity}", style), Text(_said(finding)))
-    console.print(table)
-    console.print()
+    out.print(table)
+    out.print()
 
 
-def warn_of_serious(drives: "Held", places: "Sequence[Place]") -> None:
-    """Say in a line of each drive what the doctor finds serious: a filter would learn it."""
+def warn_of_serious(drives: "Dataset", places: "Sequence[Location]") -> None:
+    """Warn of the serious faults of each drive, one line per drive."""
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.errors import SigmaswarmWarning
 
-    for diagnosis, folder in zip(drives.of_each(diagnose), places, strict=True):
+    for diagnosis, folder in zip(drives.map(diagnose), places, strict=True):
         if diagnosis.serious:
             codes = ", ".join(f.code for f in diagnosis.findings if f.severity == "serious")
             message = (
@@ -50,10 +50,10 @@ def warn_of_serious(drives: "Held", places: "Sequence[Place]") -> None:
             warnings.warn(message, SigmaswarmWarning, stacklevel=2)
 
 
-def mending(diagnosis: "Diagnosis", folder: "Place") -> tuple[str, Path | None]:
-    """The command for a drive with serious findings, and the mended copy that it makes.
+def mending(diagnosis: "Diagnosis", folder: "Location") -> tuple[str, Path | None]:
+    """Return the command that repairs a drive, and the folder of the repaired copy.
 
-    Where none of them can be mended, the command that says what to do about them, and None.
+    If no fault can be repaired, return the command that explains them, and None.
     """
     command = f"sigmaswarm doctor {shlex.quote(str(folder))}"
     if not any(f.severity == "serious" and f.repair for f in diagnosis.findings):
@@ -70,7 +70,7 @@ def _summary(diagnosis: "Diagnosis") -> str:
 
 
 def _said(finding: "Finding") -> str:
-    """Fault, place, confidence and remedy in three lines; a note is one line."""
+    """Format a finding as three lines: fault, place with confidence, remedy; a note as one line."""
     what = f"{finding.what[0].upper()}{finding.what[1:]}."
     if finding.severity == "note":
         return f"{what} [{finding.where}]"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import MORE, Json
 from sigmaswarm.wording import shown
 
 if TYPE_CHECKING:
@@ -16,9 +17,8 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.recipe import Recipe
 
 MOST_UNREAD = 12
-"""Names of columns, in a table's line of those that nobody reads."""
+"""Names of unused columns shown per table."""
 
-_Flag = Annotated[bool, Parameter(negative=())]
 _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
 
@@ -27,38 +27,43 @@ def import_(
     /,
     *,
     out: Path | None = None,
-    show: _Flag = False,
+    show: bool = False,
     format: str | None = None,
     gps: Path | None = None,
     truth: Path | None = None,
-    odometer: Path | None = None,
-    map: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
+    odometer: Annotated[Path | None, MORE] = None,
+    map: list[str] | None = None,
     time: str | None = None,
     recipe: Path | None = None,
-    save_recipe: Path | None = None,
+    save_recipe: Annotated[Path | None, MORE] = None,
     imu_topic: Annotated[str | None, Parameter(name=("--imu-topic", "--imu-table"))] = None,
     gps_topic: Annotated[str | None, Parameter(name=("--gps-topic", "--gps-table"))] = None,
-    velocity_topic: Annotated[str | None, Parameter(name=("--velocity-topic", "--velocity-table"))] = None,
-    truth_topic: Annotated[str | None, Parameter(name=("--truth-topic", "--truth-table"))] = None,
-    odometer_topic: Annotated[str | None, Parameter(name=("--odometer-topic", "--odometer-table"))] = None,
-    receive_times: _Flag = False,
+    velocity_topic: Annotated[
+        str | None, MORE, Parameter(name=("--velocity-topic", "--velocity-table"))
+    ] = None,
+    truth_topic: Annotated[str | None, MORE, Parameter(name=("--truth-topic", "--truth-table"))] = None,
+    odometer_topic: Annotated[
+        str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))
+    ] = None,
+    receive_times: Annotated[bool, MORE] = False,
     mount: _Values = None,
-    gps_offset: float | None = None,
-    truth_offset: float | None = None,
-    odometer_offset: float | None = None,
-    origin: _Values = None,
-    lever_arm: _Values = None,
-    gps_from_truth: _Values = None,
-    max_rows: int | None = None,
-    max_columns: int | None = None,
-    max_unpacked_mb: int | None = None,
-    name: str | None = None,
-    overwrite: _Flag = False,
-    json: _Flag = False,
+    gps_offset: Annotated[float | None, MORE] = None,
+    truth_offset: Annotated[float | None, MORE] = None,
+    odometer_offset: Annotated[float | None, MORE] = None,
+    origin: Annotated[_Values, MORE] = None,
+    lever_arm: Annotated[_Values, MORE] = None,
+    gps_from_truth: Annotated[_Values, MORE] = None,
+    max_rows: Annotated[int | None, MORE] = None,
+    max_columns: Annotated[int | None, MORE] = None,
+    max_unpacked_mb: Annotated[int | None, MORE] = None,
+    name: Annotated[str | None, MORE] = None,
+    overwrite: Annotated[bool, MORE] = False,
+    json: Annotated[Json, MORE] = False,
 ) -> None:
-    """Make a drive of a log: ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs, phones.
+    """Import a log as a drive.
 
-    The format is found out by looking. Begin with --show, which writes nothing.
+    ROS bags, MCAP, CSV, Parquet, data sets, receivers, flight logs and phones; the format is detected. Begin with
+    --show, which writes nothing.
 
     Examples:
 
@@ -70,31 +75,28 @@ def import_(
     Parameters
     ----------
     source
-        The log, a file or a folder. It holds the IMU, and often all.
+        The log, a file or a folder, with the IMU and often everything else.
     out
-        The drive's folder, to be made.
+        Folder of the new drive.
     show
-        Show tables or topics, rates, ranges and what would be done; write nothing.
+        Show tables or topics, rates, ranges and the planned import; write nothing.
     format
-        The source's format, where looking finds the wrong one: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea,
-        px4, sensor-logger, phyphox, gnss-logger, csv.
+        Format if the detected one is wrong: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, sensor-logger,
+        phyphox, gnss-logger, csv.
     gps
-        A log of its own for the fixes.
+        Separate log of the fixes.
     truth
-        A log of its own for the truth; fixes of a good receiver will do.
+        Separate log of the truth, or of a good receiver's fixes.
     odometer
-        A log of its own for the wheels' speed.
+        Separate log of the wheel speed.
     map
-        column=expression for a drive's columns, as "ax=-acc_y*9.80665"; "gps.t=stamp", "truth.x=east" and
-        "odometer.speed=kmh/3.6" say whose,
-        "az=" leaves a column out.
+        column=expression for a drive's columns, as "ax=-acc_y*9.80665", "gps.t=stamp"; "az=" leaves a column out.
     time
-        Expression of the time in s, in SOURCE's tables, as "stamp*1e-9" or "utc(date)".
+        Expression of the time in SOURCE's tables, s, as "stamp*1e-9" or "utc(date)".
     recipe
-        A recipe that was saved before. Where a role has several tables, the others are interpolated to the first one's
-        times; course, theta and lon are angles and go the short way round.
+        A saved recipe.
     save_recipe
-        File for the recipe, to be used again.
+        File in which the recipe is saved.
     imu_topic
         Topic or table of the IMU.
     gps_topic
@@ -104,35 +106,33 @@ def import_(
     truth_topic
         Topic or table of the truth.
     odometer_topic
-        Topic or table of the wheels' speed, m/s forward.
+        Topic or table of the wheel speed, m/s forward.
     receive_times
-        Take the times at which messages were received, not their headers' stamps.
+        Use the times at which messages were received, not their headers' stamps.
     mount
-        How the IMU sits in the vehicle: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
+        Orientation of the IMU: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
     gps_offset
-        Seconds to add to the fixes' times.
+        Added to the fixes' times, s.
     truth_offset
-        Seconds to add to the truth's times.
+        Added to the truth's times, s.
     odometer_offset
-        Seconds to add to the odometer's times.
+        Added to the odometer's times, s.
     origin
         lat,lon,alt of the local frame; the first fix by default.
     lever_arm
         From the IMU to the antenna, m forward,left,up.
     gps_from_truth
-        rate,noise: make fixes of the truth, at so many Hz with so many m of white noise, as 5,1.
+        rate,noise: make fixes from the truth, Hz and m of white noise, as 5,1.
     max_rows
-        Rows of a table that are read at most; 10 million by default, 28 hours at 100 Hz.
+        Largest number of rows of a table; 10 million by default, 28 hours at 100 Hz.
     max_columns
-        Columns of all tables that are looked at, at most; 100 000 by default.
+        Largest number of columns of all tables; 100 000 by default.
     max_unpacked_mb
-        MB that a chunk, or the files that are wanted of a zip, may become when unpacked; 1000 by default.
+        Largest unpacked size of a chunk or of a zip's files, MB; 1000 by default.
     name
         The drive's name; the folder's by default.
     overwrite
-        Replace a drive that is there.
-    json
-        Print what was found or written for machines.
+        Replace an existing drive.
     """
     from sigmaswarm.cli.common import numbers_of
     from sigmaswarm.errors import InputError
@@ -199,9 +199,10 @@ def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":
 def _import(
     request: Any, out: Path, name: str, save_recipe: Path | None, overwrite: bool, json: bool
 ) -> None:
-    """Import and write; say what was assumed."""
-    from sigmaswarm.cli.common import percent_bar, print_json, stdout
+    """Import and write; print the assumptions."""
+    from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.cli.findings import mending, print_diagnosis
+    from sigmaswarm.cli.progress import percent_bar
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive

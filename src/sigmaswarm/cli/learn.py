@@ -22,11 +22,11 @@ def learn(
     resume: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
-    """Train a network beside a tuned filter, as a rival of the filter alone. No truth is needed.
+    """Train a network that helps a tuned filter, as a rival of the filter alone. No truth is needed.
 
-    outage-lstm forecasts how far the car comes while there are no fixes. noise-gru scales Q and R by how well the last
-    fixes were forecast; it is trained through planar5 and planar8. OUT holds the filter, too: `sigmaswarm run` and
-    `evaluate` take it as they take a tuning. Training needs the extra `learned`; what is trained runs without.
+    outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and is
+    trained through planar5 and planar8. OUT includes the filter: `sigmaswarm run` and `evaluate` read it as a tuning.
+    Training needs the extra `learned`; a trained network does not.
 
     Examples:
 
@@ -40,25 +40,26 @@ def learn(
     network
         outage-lstm or noise-gru.
     tuning
-        A tuning.toml, or the folder that holds it.
+        A tuning.toml, or its folder.
     drives
-        Drive folders to learn from, or folders that hold drive folders.
+        Drive folders to learn from, or folders of drive folders.
     out
-        Folder for learned.toml and weights.npz, and for the filter.
+        Folder for learned.toml, weights.npz and the filter.
     validation
-        Drives held back, which end the training in time and say how sure the network may be; by default the last
-        quarter of each drive; of outage-lstm, if there are three or more, the last third of them.
+        Held-out drives for early stopping and calibration; by default the last quarter of each drive, or for
+        outage-lstm, of three drives or more, the last third of them.
     search
-        How many settings (units, window, learning rate) to try beside the usual ones.
+        Number of further settings (units, window, learning rate) to try.
     seed
         Same seed, same result.
     resume
-        Go on with a training that was interrupted; the result is the same as without the interruption.
+        Continue an interrupted training; the result is the same as without interruption.
     json
-        Print learned.toml for machines.
+        Print learned.toml as JSON.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import print_json, progress_bar, read_drives, stdout
+    from sigmaswarm.cli.common import print_json, read_drives, stdout
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 
@@ -78,7 +79,7 @@ def learn(
             search=search,
             seed=seed,
             resume=resume,
-            progress=lambda told: show(told.done, told.total, loss=f"{told.loss:.3f}"),
+            progress=lambda now: show(now.done, now.total, loss=f"{now.loss:.3f}"),
         )
     record = learned.record
     if json:
@@ -92,9 +93,9 @@ def learn(
     console.print(f"loss on {training.held_back}: {training.loss:.4f}, untrained {training.loss_before:.4f}")
     if record.kind == "outage-lstm":
         console.print(
-            f"its variances are multiplied by {net.inflation:.3g}, as hidden fixes ask for"
+            f"calibration: factor {net.inflation:.3g} of its variances"
             if net.inflation
-            else "note: hidden fixes are likeliest without it, so the filter absorbs none of its forecasts"
+            else "note: hidden fixes are most likely without the network, so the filter does not use its forecasts"
         )
     console.print(f"learned:  {out / 'learned.toml'}, {out / 'weights.npz'}")
     console.print(f"next:     sigmaswarm evaluate {quote(str(out))} HELD_OUT_DRIVE...")

@@ -1,33 +1,95 @@
-"""Options of a command that are said elsewhere: made of a TypedDict's types and meanings, and of the defaults."""
+"""Options that several commands share, options from a pydantic model, and what a short help leaves out."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from types import NoneType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+import sys
+from collections.abc import Callable, Collection, Generator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import NoneType, UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
-from cyclopts import Parameter
-from typing_extensions import Doc
+from cyclopts import Group, Parameter, validators
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+HELP_ALL = "--help-all"
+_full = ContextVar("full help", default=False)
 
 
-def takes(asked: type, defaults: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command with ``**options`` the options of a TypedDict; it gets those that the user gave.
+@contextmanager
+def full_help() -> Generator[None]:
+    """Show all options in the help of commands until the block ends."""
+    token = _full.set(True)
+    try:
+        yield
+    finally:
+        _full.reset(token)
+
+
+class _MoreOptions(Group):
+    """Options that `--help` leaves out and `--help-all` shows."""
+
+    @property
+    def show(self) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return _full.get() or HELP_ALL in sys.argv
+
+
+MORE = Parameter(group=_MoreOptions("More options"))
+"""Marks an option that the short help leaves out."""
+AT_LEAST_1 = Parameter(validator=validators.Number(gte=1))
+AT_LEAST_0 = Parameter(validator=validators.Number(gte=0))
+Seed = Annotated[int, AT_LEAST_0]
+Places = Annotated[
+    list[str], Parameter(name="DRIVE", help="Drive folders or URLs, or folders of drive folders.")
+]
+Workers = Annotated[
+    int | None,
+    AT_LEAST_1,
+    Parameter(help="Threads; all cores by default. The result does not depend on it."),
+]
+Cluster = Annotated[
+    str | None,
+    Parameter(
+        help="Dask cluster that reads the drives and does the work: tcp://host:8786, a scheduler file, or local:4."
+    ),
+]
+TrustLog = Annotated[bool, Parameter(help="Skip the check of the drives for serious faults.")]
+Json = Annotated[bool, Parameter(help="Print the result as JSON.")]
+
+
+def options_of(
+    model: type[BaseModel],
+    *,
+    shown: Collection[str],
+    apart: Collection[str] = (),
+    by_data: Collection[str] = (),
+    renamed: dict[str, str] | None = None,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command with ``**options`` the fields of a model as options; it gets those that the user gave.
 
     Parameters
     ----------
-    asked : type
-        A TypedDict; each of its types carries a `Doc`.
-    defaults : mapping
-        What the help says of an option that is left out, by its name.
+    model : type
+        States each option's type, default and help.
+    shown : collection of str
+        Fields in the short help.
+    apart : collection of str
+        Fields that are no options of the command.
+    by_data : collection of str
+        Fields whose default is not a constant, and so is not shown.
+    renamed : dict, optional
+        Deprecated names and the current ones.
     """
-    hints: dict[str, Any] = get_type_hints(asked, include_extras=True)
+    old = {new: name for name, new in (renamed or {}).items()}
+    fields = {name: field for name, field in model.model_fields.items() if name not in apart}
     added = [
         inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
-            annotation=_annotation(name, hint, defaults[name]),
+            annotation=_annotation(name, field, old.get(name), name in shown, name not in by_data),
         )
-        for name, hint in hints.items()
+        for name, field in fields.items()
     ]
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
@@ -36,7 +98,7 @@ def takes(asked: type, defaults: Mapping[str, Any]) -> Callable[[Callable[..., N
         parameters = [*required, *added, *(p for p in own if p not in required)]
 
         def run(*arguments: Any, **named: Any) -> None:
-            command(*arguments, **{k: v for k, v in named.items() if k not in hints or v is not None})
+            command(*arguments, **{k: v for k, v in named.items() if k not in fields or v is not None})
 
         run.__name__, run.__doc__ = command.__name__, command.__doc__
         run.__annotations__ = {p.name: p.annotation for p in parameters}
@@ -46,15 +108,28 @@ def takes(asked: type, defaults: Mapping[str, Any]) -> Callable[[Callable[..., N
     return decorated
 
 
-def _annotation(name: str, hint: Any, default: Any) -> Any:
-    """What Cyclopts reads: the type, and how an option is given and explained."""
-    kind, said = get_args(hint)[0], next(extra for extra in get_args(hint)[1:] if isinstance(extra, Doc))
-    look: dict[str, Any] = {"help": said.documentation, "show_default": False}
-    if kind is bool:
-        look["negative"] = ()
-    elif get_origin(kind) is Sequence:
+def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, constant: bool) -> Any:
+    """Type and `Parameter` of a field, for Cyclopts."""
+    kind, option = _plain(field.annotation), name.replace("_", "-")
+    look: dict[str, Any] = {"help": " ".join((field.description or "").split()), "show_default": False}
+    if get_origin(kind) is tuple:
         kind = list[get_args(kind)[0]]
-        look |= {"consume_multiple": 1, "negative": f"--{name}-nothing"}
-    elif default is not None:
-        look["show_default"] = lambda _: str(default)  # pyright: ignore[reportUnknownLambdaType]
-    return Annotated[kind if NoneType in get_args(kind) else kind | None, Parameter(**look)]
+        look["negative"] = f"--{option}-nothing"
+    elif kind is not bool and constant and field.default is not None:
+        look["show_default"] = lambda _: str(field.default)  # pyright: ignore[reportUnknownLambdaType]
+    if old:
+        look["alias"] = f"--{old.replace('_', '-')}"
+    return Annotated[kind | None, Parameter(**look), *(() if shown else (MORE,))]
+
+
+def _plain(annotation: Any) -> Any:
+    """The first type of a union: None and what only Python can pass are left out."""
+    if get_origin(annotation) in (Union, UnionType):
+        return next(member for member in get_args(annotation) if member is not NoneType)
+    return annotation
+
+
+def has_more(command: Callable[..., None]) -> bool:
+    """Check if the short help of a command leaves options out."""
+    hints = inspect.get_annotations(command).values()
+    return any(MORE in getattr(hint, "__metadata__", ()) for hint in hints)

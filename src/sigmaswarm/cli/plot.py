@@ -5,17 +5,19 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 
 def plot(
     drive: Annotated[Path, Parameter(name="DRIVE")],
     /,
     *,
     out: Path | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Draw a drive on one page: path, speed, IMU, fixes and outages.
+    """Plot the path, speed, IMU, fixes and outages of a drive.
 
-    Of a simulated drive it also shows what was wanted and achieved.
+    For a simulated drive the plot also shows the target speed.
 
     Examples:
 
@@ -28,13 +30,10 @@ def plot(
         A drive folder.
     out
         NAME.png; by default the drive's name, in the current folder.
-    json
-        Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, read_known, stdout
-    from sigmaswarm.reports.draw.png import save
-    from sigmaswarm.reports.drive_figure import drive_figure
-    from sigmaswarm.reports.style import check_file
+    from sigmaswarm.reports.drive import drive_figure
+    from sigmaswarm.reports.figures import check_file, save
 
     if out is not None:
         check_file(out)

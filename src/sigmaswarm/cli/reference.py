@@ -6,6 +6,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
 
 
@@ -20,13 +22,13 @@ def reference(
     accuracy: float = 0.1,
     fix_std: float | None = None,
     seed: int = 0,
-    overwrite: Annotated[bool, Parameter(negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    overwrite: bool = False,
+    json: Json = False,
 ) -> None:
-    """Make truth of a good receiver (RTK) that drove along: its fixes smoothed with the drive's IMU.
+    """Compute truth from a good receiver (RTK) on the same vehicle.
 
-    The new drive is the old one with a truth.csv at the IMU's times, which states its standard deviations, and has gaps
-    where it does not know: float solutions, and outages too long for the IMU to bridge.
+    Its fixes are smoothed with the drive's IMU. The new drive gets a truth.csv at the IMU's times, with standard
+    deviations, and with gaps at float solutions and at outages too long for the IMU to bridge.
 
     Examples:
 
@@ -39,27 +41,25 @@ def reference(
     drive
         The drive folder, with the IMU and the cheap receiver's fixes.
     fixes
-        The good receiver's log (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder with its fixes. Of RTKLIB, NMEA and UBX
-        the fixed solutions are taken.
+        The good receiver's log (RTKLIB, NMEA, UBX, CSV, ...), or a drive folder; fixed solutions are used.
     out
-        Folder of the new drive, to be made.
+        Folder of the new drive.
     lever_arm
         From the IMU to the good receiver's antenna, m forward,left,up; none by default.
     offset
-        Seconds to add to the good receiver's times.
+        Added to the good receiver's times, s.
     accuracy
-        m: rows of truth that are not known to this standard deviation per axis are left out.
+        Largest standard deviation per axis of a row of truth, m; others are left out.
     fix_std
-        m per axis: the least standard deviation of a fix, whatever it states; that of fixes that state none.
+        Smallest standard deviation per axis of a fix, m; also that of fixes without one.
     seed
-        Decides the tuning for the good receiver, and which fixes are hidden to see how sure the truth is.
+        Seed of the tuning for the good receiver and of the hidden fixes.
     overwrite
-        Replace a drive that is there.
-    json
-        Print what was made for machines.
+        Replace an existing drive.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import numbers_of, print_json, read_known, stdout, tuning_progress
+    from sigmaswarm.cli.common import numbers_of, print_json, read_known, stdout
+    from sigmaswarm.cli.progress import tuning_progress
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 
     arm = None if lever_arm is None else numbers_of(lever_arm, 3, "--lever-arm", "0.9,-0.4,1.2")

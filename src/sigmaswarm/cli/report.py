@@ -5,18 +5,20 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 
 def report(
     folder: Annotated[Path, Parameter(name="FOLDER")],
     /,
     *,
     out: Path | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Make one HTML page of a folder of results: a summary, and the evidence to explore.
+    """Write an HTML page on a folder of results.
 
-    The page needs no network and no other file. The folder is one that `sigmaswarm tune`, `sigmaswarm evaluate` or
-    `sigmaswarm study` wrote.
+    The page needs no network and no other file. The folder is one of `sigmaswarm tune`, `sigmaswarm evaluate` or
+    `sigmaswarm study`.
 
     Examples:
 
@@ -29,29 +31,12 @@ def report(
         A folder of results.
     out
         NAME.html; by default page.html in that folder.
-    json
-        Print what was written for machines.
     """
     from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.reports.pages.folders import save_page
 
     file = save_page(folder, out)
     if json:
         print_json({"out": str(file)})
     else:
         stdout().print(f"wrote {file}")
-
-
-def save_page(folder: Path, out: Path | None = None) -> Path:
-    """Make the page of a folder of results, by default in it; the file."""
-    from sigmaswarm.files import write_whole
-    from sigmaswarm.reports.draw.html import page
-    from sigmaswarm.reports.pages.folders import read_report
-    from sigmaswarm.reports.style import check_file
-
-    if out is not None:
-        check_file(out, ".html")
-    read = read_report(folder)
-    file = out or folder / "page.html"
-    check_file(file, ".html")
-    write_whole(file, page(read))
-    return file

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from sigmaswarm import Estimate
-    from sigmaswarm.filters.swarm.run import SwarmRun
+    from sigmaswarm.filters.bank.run import BankRun
 
 
 NOT_WORTH_TELLING = 5.0
@@ -27,7 +27,7 @@ def run(
     before: Path | None = None,
     as_recorded: Annotated[bool, Parameter(negative=())] = False,
     smooth: Annotated[bool, Parameter(negative=())] = False,
-    swarm: Annotated[bool, Parameter(negative=())] = False,
+    bank: Annotated[bool, Parameter(name=["--bank", "--swarm"], negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
     """Run a tuned filter over a drive and write its estimates.
@@ -42,13 +42,13 @@ def run(
         sigmaswarm run tuned drives/friday --out estimate.kml --origin 49.011,8.416
         sigmaswarm run tuned drives/friday --out estimate.ros2 --beside friday.mcap
         sigmaswarm run tuned drives/friday --out smoothed.csv --smooth
-        sigmaswarm run tuned drives/friday --out estimate.csv --swarm
+        sigmaswarm run tuned drives/friday --out estimate.csv --bank
 
     Parameters
     ----------
     tuning
         A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network then helps the filter,
-        unless it is smoothed or a swarm.
+        unless with --smooth or --bank.
     drive
         A drive folder.
     out
@@ -66,12 +66,12 @@ def run(
         Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
         was tuned so is run so.
     smooth
-        Estimates in hindsight: each knows all fixes, later ones too. Where the filter started anew smoothing ends, and
-        begins again behind it.
-    swarm
-        Run sixteen filters side by side, differently tuned, whose mixture is the estimate, and which follow a change of
-        sensors or surroundings. Beside --out NAME.csv comes NAME.swarm.csv, what the swarm said of itself each second,
-        and NAME.swarm.toml, the filter that it settled on.
+        Smoothed estimates: each uses all fixes, later ones too. Smoothing ends, and begins again, where the filter was
+        reset.
+    bank
+        Run a bank of sixteen filters with different parameters. Their mixture is the estimate; it follows a change of
+        sensors or surroundings. Next to --out NAME.csv it writes NAME.swarm.csv, a log of the bank each second, and
+        NAME.swarm.toml, the filter that it settled on. --swarm is the deprecated name.
     json
         Print a summary for machines.
     """
@@ -88,14 +88,17 @@ def run(
         write_fixes,
         write_pieces,
     )
-    from sigmaswarm.filters.run import estimates, estimates_of, replay_of
-    from sigmaswarm.filters.smoothing import smoothed_estimates
-    from sigmaswarm.filters.swarm.run import SwarmRun
+    from sigmaswarm.filters.bank.run import BankRun
+    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.run import estimates_of, replay_of
+    from sigmaswarm.filters.smoothing import Smoothing
     from sigmaswarm.learned.folder import load_learned
 
-    if smooth and swarm:
-        raise InputError("--smooth and --swarm exclude each other: a swarm has no hindsight; leave one out")
-    learned = None if smooth or swarm else load_learned(tuning)
+    if smooth and bank:
+        raise InputError(
+            "--smooth and --bank exclude each other: a filter bank is not smoothed; leave one out"
+        )
+    learned = None if smooth or bank else load_learned(tuning)
     place = _place(origin) if origin else None
     parameters = sigmaswarm.FilterParameters.load(tuning)
     read = read_known(drive)
@@ -111,36 +114,36 @@ def run(
     began = time_origin_of(read)
     as_recorded = as_recorded or tuned_as_recorded(tuning)
     replay = replay_of(read, as_recorded=as_recorded)
-    if swarm:
-        _check_swarm_files(out, (truth, before))
+    if bank:
+        _check_bank_files(out, (truth, before))
     time = replay.timeline.imu_time
     first, last = float(time[0]), float(time[-1])
     restarts: list[float] = []
-    swarming = SwarmRun(replay, parameters, recover=True, as_recorded=as_recorded) if swarm else None
-    if swarming is not None:
-        found = estimates_of(swarming, swarming.initial)
+    bank_run = BankRun(replay, parameters, recover=True, as_recorded=as_recorded) if bank else None
+    if bank_run is not None:
+        found = bank_run
     elif learned is not None:
-        found = estimates_of(learned.run(replay, parameters, recover=True), replay.initial)
+        found = learned.run(replay, parameters, recover=True)
     else:
-        found = (smoothed_estimates if smooth else estimates)(replay, parameters)
-    pieces = _watched(found, restarts)
+        found = (Smoothing if smooth else Recording)(replay, parameters, recover=True)
+    pieces = _watched(estimates_of(found), restarts)
     write_pieces(pieces, (first, last), out, origin=place, time_origin=began, beside=beside, name=read.name)
     fixes = write_fixes(read, first, before, origin=place, time_origin=began) if before else 0
     if truth and true:
         write_estimate(true, truth, origin=place, time_origin=began, name=f"{read.name}: truth")
-    said = {} if swarming is None else _save_swarm(swarming, out)
+    said = {} if bank_run is None else _save_bank(bank_run, out)
     if json:
         ends = {"start_s": first, "end_s": last}
         print_json({"out": str(out), "estimates": len(time), **ends, "restarts_s": restarts, **said})
     else:
         if restarts:
             at = ", ".join(f"{t:.2f}" for t in restarts)
-            stdout().print(f"the filter lost its way and started anew at t = {at} s")
+            stdout().print(f"the filter diverged and was reset at t = {at} s")
         stdout().print(
             f"wrote {len(time)} {'smoothed ' if smooth else ''}estimates from {first:.2f} s to {last:.2f} s to {out}"
         )
         for sentence in said.get("said", ()):
-            stdout().print(f"the swarm: {sentence}")
+            stdout().print(f"the filter bank: {sentence}")
         for name in ("swarm", "settled"):
             if name in said:
                 stdout().print(f"wrote {said[name]}")
@@ -156,35 +159,37 @@ def run(
             )
 
 
-def _swarm_files(out: Path) -> tuple[Path, Path]:
-    """Beside the estimates: what the swarm said of itself, and the filter that it settled on."""
+def _bank_files(out: Path) -> tuple[Path, Path]:
+    """Files next to the estimates: the log of a filter bank, and the filter that it settled on."""
     return out.with_name(f"{out.stem}.swarm.csv"), out.with_name(f"{out.stem}.swarm.toml")
 
 
-def _check_swarm_files(out: Path, others: Sequence[Path | None]) -> None:
-    """Refuse, before any work, what could not be written or would hide another file."""
+def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
+    """Refuse, before any work, files that can't be written or would replace another one."""
     from sigmaswarm.errors import InputError
 
-    for file in _swarm_files(out):
+    for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
             what = "is a folder" if file.is_dir() else "is also asked for by another option"
-            raise InputError(f"{file}: the swarm writes it beside {out}, and it {what}; take another --out")
+            raise InputError(
+                f"{file}: the filter bank writes it next to {out}, and it {what}; take another --out"
+            )
 
 
-def _save_swarm(run: "SwarmRun", out: Path) -> dict[str, Any]:
-    """Write what a swarm said of itself, and what it settled on, beside the estimates; for machines, what and where."""
+def _save_bank(run: "BankRun", out: Path) -> dict[str, Any]:
+    """Write the log of a filter bank, and the filter that it settled on; gives a summary for --json."""
     from sigmaswarm.files import write_whole
 
-    log, spread = run.log, run.swarm.spread
-    log_file, filter_file = _swarm_files(out)
+    log, spread = run.log, run.bank.spread
+    log_file, filter_file = _bank_files(out)
     write_whole(log_file, log.to_frame().write_csv())
     spread.parameters(log.settled).save(filter_file)
-    said = [*spread.said(log.settled)]
+    said = [*spread.warnings(log.settled)]
     return {"swarm": str(log_file), "settled": str(filter_file), "said": said}
 
 
 def _watched(pieces: "Iterator[Estimate]", restarts: list[float]) -> "Iterator[Estimate]":
-    """The pieces; when the filter started anew is noted as they pass."""
+    """Pass the pieces on, and collect the times of resets."""
     for piece in pieces:
         restarts.extend(piece.restarts)
         yield piece

@@ -4,41 +4,39 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import Parameter, validators
+from sigmaswarm.cli.options import AT_LEAST_1, MORE, Cluster, Json, Seed, Workers
 
 JITTER = 0.002
 """s, standard deviation of a sample's time with --jitter."""
 VIBRATION = 1.0
-"""The level of two recordings of real cars."""
-
-_Names = Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())]
-_Flag = Annotated[bool, Parameter(negative=())]
+"""Vibration level of two recordings of real cars."""
 
 
 def simulate(
     *,
     out: Path,
-    maneuver: _Names = None,
-    environment: _Names = None,
-    runs: Annotated[int, Parameter(validator=validators.Number(gte=1))] = 20,
+    maneuver: list[str] | None = None,
+    environment: list[str] | None = None,
+    runs: Annotated[int, AT_LEAST_1] = 20,
     imu: str = "icm-20602",
     gps: str = "ublox-m8",
-    vehicle: str = "model3",
-    seed: Annotated[int, Parameter(validator=validators.Number(gte=0))] = 0,
+    vehicle: Annotated[str, MORE] = "model3",
+    seed: Seed = 0,
     duration: float | None = None,
-    jitter: _Flag = False,
-    vibration: _Flag = False,
-    gnss_degradation: _Flag = False,
-    terrain: str = "flat",
+    jitter: Annotated[bool, MORE] = False,
+    vibration: bool = False,
+    gnss_degradation: Annotated[bool, MORE] = False,
+    terrain: Annotated[str, MORE] = "flat",
     odometer: str | None = None,
-    workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
-    cluster: str | None = None,
-    resume: _Flag = False,
-    json: _Flag = False,
+    workers: Annotated[Workers, MORE] = None,
+    cluster: Annotated[Cluster, MORE] = None,
+    resume: bool = False,
+    json: Json = False,
 ) -> None:
-    """Make drives with known truth: a Tesla Model 3, the paper's maneuvers and weathers, real sensors' errors.
+    """Simulate drives with known truth.
 
-    By default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
+    The car is a Tesla Model 3; maneuvers and weathers are the paper's; sensor errors are those of real sensors. By
+    default the paper's 25 conditions, 20 runs of each. The same seed gives the same bytes.
 
     Examples:
 
@@ -50,7 +48,7 @@ def simulate(
     Parameters
     ----------
     out
-        Folder in which the drive folders are made. It must not hold drives yet.
+        Folder for the drive folders; it must not hold drives yet.
     maneuver
         cruise, turns, accelerate, brake, outages: the paper's, all by default. urban: minutes of mixed driving.
     environment
@@ -65,33 +63,25 @@ def simulate(
     vehicle
         model3, or model3-carla with CARLA's pedals and weak brakes.
     seed
-        Decides routes and noise.
+        Seed of routes and noise.
     duration
-        Seconds of an urban drive, 30 or more; 180 by default.
+        Duration of an urban drive, s, at least 30; 180 by default.
     jitter
         Let the sensors' clocks jitter by 2 ms.
     vibration
-        Let road and engine shake the IMU as in two recordings of real cars.
+        Add road and engine vibration to the IMU, as in two recordings of real cars.
     gnss_degradation
-        Let weather spoil the fixes: an assumption, no measurement is behind its factors.
+        Degrade the fixes by the weather; an assumption without measurements behind it.
     terrain
-        flat, rolling or hilly: hills and banked roads tilt the car, and let gravity into the IMU's level axes. The
-        way in the map's plane is that of the flat road.
+        flat, rolling or hilly; hills and banked roads tilt the car.
     odometer
-        pulses (counted, so coarse and zero when slow), can (fine, 83 Hz) or ideal: the rear wheels' speed with a scale
-        error and their slip, as odometer.csv. None by default.
-    workers
-        Threads; all cores by default. The result does not depend on it.
-    cluster
-        A Dask cluster whose workers make the drives, which are written here: tcp://host:8786, a scheduler file, or
-        local:4 for so many processes of this machine. Nor does the result depend on it.
+        pulses (counted, coarse), can (fine, 83 Hz) or ideal: wheel speed with scale error and slip. None by default.
     resume
-        Keep the drives that are there and make those that are missing.
-    json
-        Print what was written for machines.
+        Keep existing drives and simulate the missing ones.
     """
     import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
+    from sigmaswarm.cli.common import cluster_at, print_json, stdout
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import drive_name
@@ -138,7 +128,7 @@ def simulate(
 
 
 def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]) -> set[str]:
-    """Names of the drives that are there and stay; whatever is in the way is told before any work."""
+    """Return the names of existing drives to keep; refuse anything else in the way before any work."""
     from sigmaswarm.errors import InputError
 
     there = next(path for path in (out, *out.parents) if path.exists())
@@ -156,7 +146,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, options: dict[str, Any]
 
 
 def _require_made_with(file: Path, options: dict[str, Any]) -> None:
-    """Refuse to go on beside a drive that other options made."""
+    """Refuse to continue a folder whose drives were made with other options."""
     import tomllib
 
     from sigmaswarm.errors import InputError

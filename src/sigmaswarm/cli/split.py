@@ -5,6 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.options import Json
+
 
 def split(
     drive: Annotated[Path, Parameter(name="DRIVE")],
@@ -13,9 +15,9 @@ def split(
     out: Path,
     train_fraction: float | None = None,
     at: float | None = None,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    json: Json = False,
 ) -> None:
-    """Split one long drive in time: the first part to tune on, the rest to test on.
+    """Split a drive in time into a part to tune on and a part to test on.
 
     Example:
 
@@ -28,13 +30,11 @@ def split(
     drive
         A drive folder.
     out
-        Folder in which the two drive folders are made.
+        Folder for the two drive folders.
     train_fraction
-        Share of the drive's time that goes to the first part; 0.7 by default.
+        Share of the drive's time in the first part; 0.7 by default.
     at
-        s on the drive's clock (`t` in its files): split there, as where the doctor saw a pause.
-    json
-        Print what was written for machines.
+        Time of the split on the drive's clock (`t` in its files), s.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout

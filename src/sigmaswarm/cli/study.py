@@ -1,12 +1,9 @@
 """`sigmaswarm study`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
-
-if TYPE_CHECKING:
-    from sigmaswarm.experiments.study.run import Study
 
 _Flag = Annotated[bool, Parameter(negative=())]
 _Count = Annotated[int | None, Parameter(validator=validators.Number(gte=1))]
@@ -23,7 +20,7 @@ def study(
     generations: _Count = None,
     seed: Annotated[int | None, Parameter(validator=validators.Number(gte=0))] = None,
     per_condition: _Flag = False,
-    racing: bool | None = None,
+    racing: Annotated[bool | None, Parameter(negative="--no-racing")] = None,
     rivals: _Flag = False,
     learn_minutes: Annotated[float | None, Parameter(validator=validators.Number(gte=2))] = None,
     elsewhere: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
@@ -32,14 +29,14 @@ def study(
     resume: _Flag = False,
     json: _Flag = False,
 ) -> None:
-    """Run the paper's whole experiment, and put its tables beside the paper's.
+    """Run the paper's experiment, and write its tables next to the paper's.
 
-    Simulates the drives, tunes in every trial on another 70% of them, and scores all methods on the rest: IMU only,
-    raw GPS, EKF, adaptive UKF and UKF by hand, PSO-UKF as in the paper, with the same budget tuned EKF, adaptive UKF
-    and planar8, and what `tune` takes by itself. Two protocols stand side by side. paper: scored against the GPS,
-    linear search. honest: scored against truth, logarithmic search.
+    Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
+    manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
+    budget, and the default filter of `tune`. There are two protocols. paper: cost against the GPS, linear search.
+    honest: cost against truth, logarithmic search.
 
-    Killed at any moment, it goes on with --resume and ends in the same bytes.
+    A killed study continues with --resume and ends in the same bytes.
 
     Examples:
 
@@ -53,51 +50,52 @@ def study(
     Parameters
     ----------
     out
-        Folder for study.toml, results.json, scores.csv, tables, figures, what `sigmaswarm report` makes a page of,
-        and the tunings of all trials.
+        Folder for study.toml, results.json, scores.csv, tables, figures, the data of `sigmaswarm report`, and the
+        tunings of all trials.
     config
         A study.toml to start from; the paper's study by default.
     drives
         Your own drive folders, with truth, instead of simulated drives; or URLs of such.
     trials
-        Repetitions, each with its own split and swarm; 20 by default.
+        Number of repetitions, each with its own split and swarm; 20 by default.
     runs
         Simulated drives of each maneuver in each environment; 20 by default.
     particles
         Size of the swarm; 30 by default.
     generations
-        Moves of the swarm, the first placement included; 50 by default.
+        Moves of the swarm, including the first placement; 50 by default.
     seed
-        Decides drives, splits and swarms.
+        Seed of drives, splits and swarms.
     per_condition
-        Tune each condition by itself instead of one filter for all.
+        Tune one filter for each condition instead of one for all.
     racing
-        Drop the worse candidates of a generation after a few drives. By default where each tuning has 96 training
-        drives or more, where it takes a fifth of the time; --no-racing tries all on all, as the paper does.
+        Drop the worse candidates of a generation after a few drives; it takes a fifth of the time. The default with
+        96 training drives or more; --no-racing runs all on all drives, as the paper does.
     rivals
-        Beside all others tune a UKF whose noises fuzzy rules scale, and a UKF by Bayesian optimization, of at most 100
-        evaluations; and train two networks, outage-lstm and noise-gru, beside planar8 in each trial. Drift over 15, 30
-        and 60 s, what everything takes, drives of another sensor grade and another car, and learning curves are told,
-        too. Needs JAX, Optax and scikit-learn: pip install 'sigmaswarm[learned,bo]'.
+        Also tune a UKF with fuzzy rules for its noises, and a UKF by Bayesian optimization with at most 100
+        evaluations, and train the networks outage-lstm and noise-gru for planar8 in each trial. Adds drift over 15, 30
+        and 60 s, data and times, drives of another sensor grade and another car, and learning curves. Needs JAX, Optax
+        and scikit-learn: pip install 'sigmaswarm[learned,bo]'.
     learn_minutes
-        Of driving that a network learns from, drawn from the trial's training drives; 20 by default. With --rivals.
+        Minutes of driving that a network learns from, drawn from the training drives; 20 by default. With --rivals.
     elsewhere
-        With --rivals, drives with truth, of other sensors or another car than those of --drives; without --drives they
-        are simulated by default.
+        With --rivals, drives with truth of other sensors or another car than those of --drives; simulated by default
+        without --drives.
     workers
-        Processes, or threads where none can be forked; all cores by default. With --cluster, tunings side by side. The
-        result does not depend on it.
+        Processes on Linux, else threads; all cores by default. With --cluster, tunings at a time. The result does not
+        depend on it.
     cluster
-        A Dask cluster whose workers make or read the drives, hold them and do the work: tcp://host:8786, a scheduler
-        file, or local:4 for so many processes of this machine. Nor does the result depend on it.
+        A Dask cluster whose workers make or read the drives and do the work: tcp://host:8786, a scheduler file, or
+        local:4 for four processes of this machine. The result does not depend on it.
     resume
-        Go on with a study that was interrupted; what is finished is not done again.
+        Continue an interrupted study.
     json
         Print results.json.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json, progress_bar, stdout
+    from sigmaswarm.cli.common import cluster_at, print_json, stdout
+    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.experiments.study.config import read_config
-    from sigmaswarm.experiments.study.run import run_study
+    from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.study import save_study, study_tables
 
     named: dict[str, Any] = {
@@ -115,16 +113,16 @@ def study(
     }
     changes = {name: value for name, value in named.items() if value is not None}
     started = out / "study.toml"
-    asked = read_config(config or (started if resume and started.exists() else None), **changes)
-    counted = "generations and epochs, remaining" if asked.rivals else "generations, remaining"
+    study_config = read_config(config or (started if resume and started.exists() else None), **changes)
+    counted = "generations and epochs, remaining" if study_config.rivals else "generations, remaining"
     with cluster_at(cluster) as client, progress_bar("study", counted) as show:
         done = run_study(
-            asked,
+            study_config,
             out,
             resume=resume,
             workers=workers,
             cluster=client,
-            progress=lambda told: show(told.done, told.total),
+            progress=lambda now: show(now.done, now.total),
         )
     save_study(done, out)
     if json:
@@ -134,13 +132,7 @@ def study(
     for name, table in study_tables(done.results).items():
         if name.startswith(("table-", "rivals", "elsewhere-", "learning-")):
             console.print(table.to_markdown() + "\n")
-    _say_where(done, out)
-
-
-def _say_where(done: "Study", out: Path) -> None:
-    from sigmaswarm.cli.common import stdout
-
-    console, (name, _) = stdout(), done.best_of("honest", "pso-ukf", 0)
+    name, _ = done.best_of("honest", "pso-ukf", 0)
     console.print(f"results: {out / 'results.json'}, {out / 'scores.csv'}")
     console.print(f"tables:  {out / 'tables'}")
     console.print(f"figures: {out / 'figures'}")

@@ -5,40 +5,38 @@ from math import isfinite
 from os.path import relpath
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated, Unpack
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter, validators
-
-from sigmaswarm.cli.options import takes
-from sigmaswarm.tuning.options import DEFAULTS, TuneOptions
+from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.tuning.config import DECIDED_LATER, RENAMED, TuneConfig
 
 if TYPE_CHECKING:
-    from sigmaswarm import Drive
+    from sigmaswarm import Drive, Tuning
 
 MOST_LOOKED_AT = 20
-"""Other tunings beside a new one, the newest first, to name one to compare with."""
+"""Other tunings, the newest first, that are searched for one to compare with."""
+SHOWN = ("objective", "model", "use", "particles", "generations", "trials", "seed")
 
 
-@takes(TuneOptions, DEFAULTS)
+@options_of(TuneConfig, shown=SHOWN, by_data=DECIDED_LATER, renamed=RENAMED)
 def tune(
-    drives: Annotated[list[str], Parameter(name="DRIVE", consume_multiple=1, negative=())],
+    drives: Places,
     /,
     *,
     out: Path,
-    validation: Annotated[list[str] | None, Parameter(consume_multiple=1, negative=())] = None,
-    paper: Annotated[bool, Parameter(negative=())] = False,
-    workers: Annotated[int | None, Parameter(validator=validators.Number(gte=1))] = None,
-    cluster: str | None = None,
-    resume: Annotated[bool, Parameter(negative=())] = False,
-    trust_log: Annotated[bool, Parameter(negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
-    **options: Unpack[TuneOptions],
+    validation: list[str] | None = None,
+    paper: Annotated[bool, MORE] = False,
+    workers: Annotated[Workers, MORE] = None,
+    cluster: Annotated[Cluster, MORE] = None,
+    resume: bool = False,
+    trust_log: Annotated[TrustLog, MORE] = False,
+    json: Json = False,
+    **options: Any,
 ) -> None:
-    """Tune a filter on drives, and keep it in OUT/tuning.toml.
+    """Tune a filter on drives.
 
-    Put the drives first, then the options. Truth is not needed: without truth.csv the filter is tuned to forecast
-    the fixes. Without --model and --use the filter is what suits all the drives, by what their logs have; the command
-    says what that is. Keep some drives back, and see with `sigmaswarm evaluate` what the tuning is worth on them.
+    The filter is written to OUT/tuning.toml. Without truth.csv it is tuned to forecast the fixes. Without --model and
+    --use it is chosen by what the logs have. Keep some drives back for `sigmaswarm evaluate`.
 
     Examples:
 
@@ -53,49 +51,34 @@ def tune(
 
     Parameters
     ----------
-    drives
-        Drive folders to tune on, or folders that hold drive folders; or URLs of such.
     out
         Folder for tuning.toml, the convergence history and figures.
     validation
-        Drives held back from the search, to see what the result is worth on others.
+        Drives that the search does not see, to measure the result on others.
     paper
-        The paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Options that contradict it are refused.
-    workers
-        Threads; all cores by default. The result does not depend on it.
-    cluster
-        A Dask cluster whose workers read the drives, hold them and do the work: tcp://host:8786, a scheduler file, or
-        local:4 for so many processes of this machine. Nor does the result depend on it.
+        Use the paper's setting: pso, 30 x 50, linear, gps-rmse, planar5, ukf. Contradicting options are refused.
     resume
-        Go on with a tuning that was interrupted; the result is the same as without the interruption.
-    trust_log
-        Don't ask the doctor whether something is seriously wrong with the drives.
-    json
-        Print the result for machines.
+        Continue an interrupted tuning; the result is the same as without the interruption.
     """
     from concurrent.futures import ThreadPoolExecutor
     from functools import partial
 
     import sigmaswarm
-    from sigmaswarm.cli.common import (
-        cluster_at,
-        held_drives,
-        print_json,
-        print_remarks,
-        stdout,
-        tuning_progress,
-    )
-    from sigmaswarm.doctor.suited import equipment
+    from sigmaswarm.cli.common import cluster_at, print_json, print_remarks, read_datasets, stdout
+    from sigmaswarm.cli.progress import tuning_progress
+    from sigmaswarm.drives.sensors import sensors_of
+    from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.remarks import said_of_first_look
     from sigmaswarm.scoring.tracks import first_look
     from sigmaswarm.tuning.defaults import with_filter
-    from sigmaswarm.wording import counted
 
     with cluster_at(cluster) as client:
-        read, held_back = held_drives(drives, validation or [], cluster=client, trusted=trust_log, gaps=True)
-        everywhere = [*read.of_each(equipment), *held_back.of_each(equipment)]
-        chosen = "" if paper else with_filter({**options}, everywhere)[1]
-        with ThreadPoolExecutor(workers) as pool, tuning_progress("tuning") as progress:
+        read, held_back = read_datasets(
+            drives, validation or [], cluster=client, trusted=trust_log, gaps=True
+        )
+        everywhere = [*read.map(sensors_of), *held_back.map(sensors_of)]
+        chosen = "" if paper else with_filter(options, everywhere)[1]
+        with ThreadPoolExecutor(workers or cores()) as pool, tuning_progress("tuning") as progress:
             tuning = sigmaswarm.tune(
                 read,
                 validation=held_back,
@@ -106,53 +89,55 @@ def tune(
                 progress=progress,
                 **options,
             )
-        shown = partial(
-            first_look, parameters=tuning.parameters, as_recorded=tuning.config.model_dump()["as_recorded"]
-        )
-        (look,) = read.subset([0]).of_each(shown)
-        (part,) = read.subset([0]).of_each(_is_part)
-    from sigmaswarm.reports.tuning import save_tuning_figures  # what draws takes memory beside a long drive
+        as_recorded = tuning.config.model_dump()["as_recorded"]
+        shown = partial(first_look, parameters=tuning.parameters, as_recorded=as_recorded)
+        (look,) = read.subset([0]).map(shown)
+        (part,) = read.subset([0]).map(_is_part)
+    from sigmaswarm.reports.tuning import save_tuning_figures  # late, since it takes memory
 
     pictures = save_tuning_figures(tuning, look.picture, out)
     if json:
         print_json(tuning.to_dict())
         return
-    console = stdout()
-    if chosen:  # only now, for a mistake is to be told in one line
-        console.print(f"model:    {chosen}")
-    margin = (
-        f"; {tuning.trials[tuning.best_trial].cost:.4f} before the margin" if tuning.raised_by != 1.0 else ""
-    )
-    console.print(
-        f"cost {tuning.cost:.4f} ({tuning.config.objective}{margin}) on {counted(len(read), 'drive')}"
-    )
-    if tuning.config.racing:
-        share = tuning.steps / tuning.full_steps
-        console.print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
-    if tuning.validation:
-        gap = tuning.validation.gap
-        gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
-        console.print(
-            f"cost {tuning.validation.cost:.4f} on {counted(len(held_back), 'validation drive')}: {gap}"
-        )
+    if chosen:  # only now, so that an error stays one line
+        stdout().print(f"model:    {chosen}")
+    _print_costs(tuning)
     if position := said_of_first_look(look):
-        console.print(f"position: {position}")
+        stdout().print(f"position: {position}")
     print_remarks(tuning.remarks)
-    console.print(f"filter:   {out / 'tuning.toml'}")
-    console.print(f"pictures: {', '.join(str(p) for p in pictures)}")
+    stdout().print(f"filter:   {out / 'tuning.toml'}")
+    stdout().print(f"pictures: {', '.join(str(p) for p in pictures)}")
     alone = len(read) == 1 and not len(held_back)
     lines = _next(out, drives[0], everywhere[0].name, part=part) if alone else [_usual_next(out)]
     for line in [*lines, *_compare(lines[0], out, [one["sha256"] for one in tuning.data])]:
-        console.print(line)
+        stdout().print(line)
+
+
+def _print_costs(tuning: "Tuning[Any]") -> None:
+    from sigmaswarm.cli.common import stdout
+    from sigmaswarm.wording import counted
+
+    before = tuning.trial_costs[tuning.best_trial]
+    inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
+    on = counted(len(tuning.data), "drive")
+    stdout().print(f"cost {tuning.cost:.4f} ({tuning.config.objective}{inflated}) on {on}")
+    if tuning.config.racing:
+        share = tuning.steps / tuning.full_steps
+        stdout().print(f"racing: {tuning.steps} filter steps, {share:.0%} of those without it")
+    if tuning.validation:
+        gap = tuning.validation.gap
+        gap = f"errors {abs(gap):.1%} {'larger' if gap >= 0 else 'smaller'}" if isfinite(gap) else "failed"
+        on = counted(len(tuning.validation.drives), "validation drive")
+        stdout().print(f"cost {tuning.validation.cost:.4f} on {on}: {gap}")
 
 
 def _is_part(drive: "Drive") -> bool:
-    """Whether a drive was cut from another one."""
+    """Check if a drive was cut from another one."""
     return "cut_from" in drive.metadata
 
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
-    """How to see this tuning beside the newest other one of the same drives, where there is one in the folder above."""
+    """Suggest a comparison with the newest other tuning of the same drives in the parent folder."""
     from sigmaswarm.errors import InputError
     from sigmaswarm.records import load_record
     from sigmaswarm.scoring.records import SCORES_FILE
@@ -178,12 +163,13 @@ def _usual_next(out: Path) -> str:
 
 
 def _next(out: Path, given: str, name: str, *, part: bool) -> list[str]:
-    """What to do next with one log: cut it in two, for of other drives nothing is known yet."""
-    from sigmaswarm.drives.places import drive_places, is_url
+    """Suggest the next command after tuning on one log: split it, to evaluate on a part not seen."""
+    from sigmaswarm.drives.reader import drive_folders
+    from sigmaswarm.drives.urls import is_url
 
     if is_url(given):
         return [_usual_next(out)]
-    folder = Path(drive_places(given)[0])  # what was named may hold the drive
+    (folder, *_) = drive_folders(Path(given))  # the path may be that of its parent
     if part:
         rest = folder.parent / f"{name.removesuffix('-train')}-test"
         return [

@@ -18,7 +18,7 @@ from sigmaswarm.doctor.fixes import Complex, Course
 from sigmaswarm.doctor.windows import Regression, regress, windows_of
 from sigmaswarm.doctor.yaw_fit import integral, smoothed
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
 """s: long enough to see accelerations, short enough for tilt and slope to stay."""
@@ -96,14 +96,17 @@ def drift_of(time: Array, course: Course, rate: Array, late: float) -> float:
     return float(np.median(slope))
 
 
-def fit_acceleration(drive: Drive, course: Course, heading: Heading, coarse: float) -> AccelerationFit | None:
-    """Fit; ``heading(late)`` gives theta at the IMU's times, ``coarse`` is where to look for ``late``, s."""
+def fit_acceleration(
+    drive: Drive, course: Course, heading: Heading, tried: Array = LATENESS
+) -> AccelerationFit | None:
+    """Fit; ``heading(late)`` gives theta at the IMU's times, ``tried`` are values of ``late`` to begin with, s."""
     rows = _windows(drive, course)
     if not len(rows):
         return None
     fit = _Fit(drive, course, heading, rows, max(white_noise(course.position), LEAST_NOISE))
-    tried = coarse + LATENESS
-    late = float(tried[int(np.argmin([fit.at(float(late), rounds=1).cost for late in tried]))])
+    late = float(tried[0])
+    if len(tried) > 1:
+        late = float(min(tried, key=lambda late: fit.at(float(late), rounds=1).cost))
     step = 0.0
     for k in range(10):
         found = fit.at(late)

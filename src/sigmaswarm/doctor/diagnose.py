@@ -4,9 +4,11 @@ from sigmaswarm.doctor.checks import (
     accelerometer,
     clock,
     gyro,
+    mounting,
     noise,
     observability,
     odometer,
+    reverse,
     sampling,
     tilt,
     use,
@@ -18,7 +20,20 @@ from sigmaswarm.drives.checks import shortage_of, spoiled_times
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import DriveError
 
-CHECKS = (gyro, accelerometer, tilt, clock, velocity, odometer, noise, sampling, observability, use)
+CHECKS = (
+    reverse,
+    mounting,
+    gyro,
+    accelerometer,
+    tilt,
+    clock,
+    velocity,
+    odometer,
+    noise,
+    sampling,
+    observability,
+    use,
+)
 """In the order in which findings of one severity are told."""
 
 

@@ -10,6 +10,8 @@ SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "note")
 """serious: filters tuned on this log learn the fault; warning: they suffer from it; note: good to know."""
 
 Action = Literal[
+    "shift-clock",
+    "rotate",
     "gyro",
     "tilt-rates",
     "accelerometer",

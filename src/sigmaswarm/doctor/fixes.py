@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sigmaswarm.doctor.windows import Complex
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.drives.noise import white_noise
+from sigmaswarm.drives.sensors import white_noise
 
 Mask = NDArray[np.bool_]
 

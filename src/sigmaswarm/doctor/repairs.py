@@ -9,6 +9,7 @@ import numpy as np
 from sigmaswarm.doctor.checks.odometer import without
 from sigmaswarm.doctor.checks.velocity import CONVENTIONS
 from sigmaswarm.doctor.findings import Action, Diagnosis
+from sigmaswarm.doctor.mounting import turned
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.geodesy import wrap_angle
 
@@ -40,6 +41,11 @@ def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
     mended = dict.fromkeys(f.code for f in diagnosis.findings if f.repair is not None)
     before = list(drive.metadata.get("repaired", []))
     return replace(drive, metadata={**drive.metadata, "repaired": [*before, *mended]})
+
+
+def _rotate(drive: Drive, values: Values) -> Drive:
+    """The rotation (3, 3), row by row, of all six axes."""
+    return replace(drive, imu=turned(drive.imu, np.reshape(values, (3, 3))))
 
 
 def _gyro(drive: Drive, values: Values) -> Drive:
@@ -153,8 +159,10 @@ def _close_jump(drive: Drive, values: Values) -> Drive:
 
 
 ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
+    "shift-clock": _shift_fixes,
     "drop-samples": _drop_samples,
     "drop-fixes": _drop_fixes,
+    "rotate": _rotate,
     "gyro": _gyro,
     "tilt-rates": _tilt_rates,
     "accelerometer": _accelerometer,
@@ -168,4 +176,4 @@ ACTIONS: dict[Action, Callable[[Drive, Values], Drive]] = {
     "shift-odometer": _shift_odometer,
     "close-jump": _close_jump,
 }
-"""In the order in which they are done: rows are named by the times they came with."""
+"""In the order in which they are done: rows are named by the times they came with, fixes by those of a moved clock."""

@@ -73,23 +73,29 @@ def smoothed(time: Array, values: Array | Complex, at: Array, span: float) -> Ar
 
 def fit_yaw(drive: Drive, course: Course) -> YawFit | None:
     """The fit of the column that explains the course best; None where the car hardly drives."""
-    interval = float(np.median(np.diff(course.time)))
-    rows = windows_of(
-        course.time, course.moving, min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
-    )
+    rows = yaw_windows(course)
     if not len(rows):
         return None
-    own = _fit(drive, course, "gz", rows)
+    own = fit_column(drive, course, "gz", rows)
     if own.share > EXPLAINED:
         return own
     others = [
-        _fit(drive, course, name, rows) for name in ("gx", "gy") if getattr(drive.imu, name) is not None
+        fit_column(drive, course, name, rows) for name in ("gx", "gy") if getattr(drive.imu, name) is not None
     ]
     better = max([own, *others], key=lambda fit: fit.share)
     return better if better.share > own.share + CLEARLY_BETTER else own
 
 
-def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> YawFit:
+def yaw_windows(course: Course) -> NDArray[np.intp]:
+    """Numbers (w, n) of the fixes of windows in which the car moves."""
+    interval = float(np.median(np.diff(course.time)))
+    length = min(WINDOW, np.count_nonzero(course.moving) * interval - interval)
+    return windows_of(course.time, course.moving, length)
+
+
+def fit_column(
+    drive: Drive, course: Course, column: str, rows: NDArray[np.intp], tried: Array = LATENESS
+) -> YawFit:
     """Course = gain x (turned until ``late`` s ago) + each window's own straight line."""
     time = drive.imu.time
     rate: Array = getattr(drive.imu, column)
@@ -107,7 +113,7 @@ def _fit(drive: Drive, course: Course, column: str, rows: NDArray[np.intp]) -> Y
             columns += [-gain * smoothed(time, rate, course.time - late, course.span)]
         return regress(angle, [c[rows] + 0j for c in columns], own, weight, rounds)
 
-    late = float(LATENESS[int(np.argmin([at(float(late), 1).cost for late in LATENESS]))])
+    late = float(min(tried, key=lambda late: at(float(late), 1).cost)) if len(tried) > 1 else float(tried[0])
     late_std = 0.0
     for _ in range(4):
         fit = at(late)

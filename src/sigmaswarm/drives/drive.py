@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def listed(given: Iterable[T] | T) -> list[T]:
-    """One or many, as a list: what takes drives takes a single one, too."""
+    """Return one or many as a list."""
     return list(cast("Iterable[T]", given)) if isinstance(given, Iterable) else [given]
 
 
@@ -46,17 +46,17 @@ class _Table:
         return len(self.time)
 
     def select(self, rows: NDArray[np.bool_] | slice) -> Self:
-        """The same table with only some of its rows (a mask or a slice)."""
+        """Return the table with some of its rows (a mask or a slice)."""
         columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
         return type(self)(**{k: None if v is None else v[rows] for k, v in columns.items()})
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The columns that there are, in the order and units of the attributes; needs pandas.
+        """Return the existing columns, in the order and units of the attributes; needs pandas.
 
         Raises
         ------
         InputError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         columns = {f.name: getattr(self, f.name) for f in fields(self)}  # pyright: ignore[reportArgumentType]
         return notebook.to_pandas({name: column for name, column in columns.items() if column is not None})
@@ -88,9 +88,9 @@ class Gps(_Table):
 
     Attributes
     ----------
-    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, which are absorbed in order
+    time : s, increasing; strictly so in files. Two receivers may give fixes of one time, used in order
     x, y : m east and north of the drive's origin
-    lat, lon, alt : deg, deg, m: the fixes as recorded, where the log has them in WGS-84
+    lat, lon, alt : deg, deg, m: the recorded fixes, if the log has them in WGS-84
     std_x, std_y : m, the receiver's stated standard deviation
     speed, course : m/s; rad, counter-clockwise from east
     """
@@ -109,12 +109,12 @@ class Gps(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Odometer(_Table):
-    """The speed that the wheels tell, each column of shape (n,).
+    """The speed of the wheels, each column of shape (n,).
 
     Attributes
     ----------
     time : s, strictly increasing
-    speed : m/s, forward positive, at the rear axle; scale error, quantization and slip as they come
+    speed : m/s, forward positive, at the rear axle; with scale error, quantization and slip
     """
 
     time: Array
@@ -123,7 +123,7 @@ class Odometer(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Truth(_Table):
-    """The vehicle's true motion at the IMU's place, each column of shape (n,). Never shown to a filter.
+    """The vehicle's true motion at the IMU's place, each column of shape (n,). A filter never sees it.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Truth(_Table):
     x, y : m east and north of the drive's origin
     vx, vy : m/s east and north
     theta : rad, heading counter-clockwise from east; may be unwrapped
-    std_x, std_y : m, the truth's own standard deviation, where it states one: both or none
+    std_x, std_y : m, standard deviation of the truth, if known: both or none
     std_theta : rad, that of its heading
     """
 

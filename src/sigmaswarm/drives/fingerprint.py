@@ -1,4 +1,4 @@
-"""The identity of a drive, whatever it is called and wherever it lies."""
+"""The identity of a drive, independent of its name and place."""
 
 import hashlib
 from typing import Any
@@ -11,11 +11,11 @@ START_RULE = (
     "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster), which tell the "
     "heading"
 )
-"""What people are told of `DriveRecord.scored_from_s`, in all messages and pages: the rule of `alignment`."""
+"""The rule of `alignment` that gives `DriveRecord.scored_from_s`, for messages and pages."""
 
 
 class DriveRecord(BaseModel):
-    """A drive that a result comes from, as its file names it."""
+    """A drive of a result, as its file describes it."""
 
     name: str
     duration_s: float | None = None
@@ -24,17 +24,17 @@ class DriveRecord(BaseModel):
     has_truth: bool | None = None
     sha256: str = ""
     truth_share: float | None = None
-    """Of an evaluated drive: the share of the time from there on in which truth is known."""
+    """The share of the scored time in which truth is known; of an evaluated drive."""
     scored_from_s: float | None = None
-    """Of an evaluated drive: so many s into it filters start, and scores with them."""
+    """The time at which filters and scores start, s after the first sample; of an evaluated drive."""
     seen_s: float | None = None
-    """Of an evaluated drive: so many seconds of it are in drives that the filter was tuned on."""
+    """Seconds that are also in drives that the filter was tuned on; of an evaluated drive."""
     seen_in: list[str] = Field(default_factory=list)
-    """Those drives."""
+    """The names of those drives."""
 
 
 def described(drive: Drive) -> dict[str, Any]:
-    """The identity of a drive: its name, size, and a fingerprint of its numbers."""
+    """Describe a drive by its name, its size, and a fingerprint of its numbers."""
     return {
         "name": drive.name,
         "duration_s": round(drive.duration, 3),
@@ -46,7 +46,7 @@ def described(drive: Drive) -> dict[str, Any]:
 
 
 def fingerprint(drive: Drive) -> str:
-    """A hash of all numbers of a drive, whatever it is called."""
+    """Hash all numbers of a drive, without its name."""
     digest = hashlib.sha256()
     if drive.lever_arm.any():
         digest.update(b"lever arm" + drive.lever_arm.tobytes())
@@ -57,7 +57,7 @@ def fingerprint(drive: Drive) -> str:
             if column is not None:
                 digest.update(name.encode())
                 digest.update(column)
-    if drive.odometer is not None:  # behind the others: a drive without one keeps its fingerprint
+    if drive.odometer is not None:  # after the others: a drive without one keeps its fingerprint
         digest.update(b"odometer")
         digest.update(drive.odometer.time.tobytes())
         digest.update(drive.odometer.speed.tobytes())

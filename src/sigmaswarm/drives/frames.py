@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.checks import remarks_of, shortage_of
+from sigmaswarm.drives.description import Frame, Origin
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
-from sigmaswarm.drives.reader import COLUMNS, Frame, Place, place_on_plane
-from sigmaswarm.drives.sheet import RANGES, leap
+from sigmaswarm.drives.reader import COLUMNS, place_on_plane
+from sigmaswarm.drives.table_files import RANGES, leap
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.wording import names_shown, quoted, shown
 
@@ -29,7 +30,7 @@ def drive_from_tables(
     odometer: Table | None = None,
     *,
     name: str = "drive",
-    origin: Place | None = None,
+    origin: Origin | None = None,
     columns: Mapping[str, str] | None = None,
 ) -> Drive:
     """Make a drive of tables in memory; ``Drive.from_frames`` documents the parameters."""

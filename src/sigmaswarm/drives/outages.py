@@ -1,4 +1,4 @@
-"""Artificial GPS outages: windows of time whose fixes a filter does not get to see.
+"""Artificial GPS outages: windows of time whose fixes a filter does not get.
 
 Windows are arrays of shape (k, 2): the start and end of each in s.
 """
@@ -12,13 +12,13 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
 SECONDS_PER_OUTAGE = 15.0
-"""s of driving for which ``random_windows`` draws one window, unless told a count."""
+"""s of driving per window of ``random_windows`` without a count."""
 
 
 def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
-    """Mask of the fixes that fall into an outage, both ends included.
+    """Return a mask of the fixes in an outage, both ends included.
 
-    Drift is judged at a window's end, and before any new fix: hence a fix right there is hidden too.
+    Drift is measured at the end of a window, before any new fix, so a fix exactly there is hidden, too.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def hidden_fixes(time: ArrayLike, windows: ArrayLike) -> NDArray[np.bool_]:
 
 
 def hide_fixes(drive: Drive, windows: ArrayLike) -> Drive:
-    """The same drive without the fixes inside the windows (k, 2), s."""
+    """Remove the fixes of a drive inside the windows (k, 2), s."""
     return replace(drive, gps=drive.gps.select(~hidden_fixes(drive.gps.time, windows)))
 
 
@@ -102,7 +102,7 @@ def balanced_windows(
     apart: float = 5.0,
     every: float = 12.0,
 ) -> Array:
-    """Draw one outage in each ``every`` seconds between ``start`` and ``end``, so that all of the drive is tried.
+    """Draw one outage in each ``every`` seconds between ``start`` and ``end``, so that they cover the drive.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def balanced_windows(
 
 
 def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) -> Array:
-    """Shift windows so that each ends exactly on an IMU sample, where a filter's estimate is to be had.
+    """Shift windows so that each ends exactly on an IMU sample, where a filter has an estimate.
 
     Each moves later, its length unchanged, to the first sample at or after its end; farther where it would
     else come closer than ``apart`` to the one before. So the first keeps its distance from the start. A
@@ -172,7 +172,7 @@ def snap_ends(windows: ArrayLike, imu_time: ArrayLike, *, apart: float = 5.0) ->
 
 
 def _checked(windows: ArrayLike) -> Array:
-    """Windows as an array (k, 2), each with its start before its end."""
+    """Convert windows to an array (k, 2), and check that each starts before its end."""
     w = np.asarray(windows, dtype=np.float64)
     if w.size == 0:
         return np.empty((0, 2))

@@ -1,4 +1,4 @@
-"""A drive made ready for filters: its start and its time lines, each made once and kept."""
+"""A drive prepared for filters: its start and its time lines, each computed once."""
 
 from functools import cached_property
 
@@ -11,20 +11,20 @@ from sigmaswarm.drives.frozen import FROZEN, judged
 from sigmaswarm.drives.timeline import Timeline, build_timeline, driving_of
 
 SMALL = 500_000
-"""Steps of a time line, of somewhat over an hour: 40 megabytes."""
+"""Steps of a time line that stays in memory: somewhat over an hour, 40 MB."""
 
 
 class PreparedDrive:
-    """A drive, where a filter starts on it, and its time lines; all that runs filters over a drive shares them.
+    """A drive with the start and the time lines of filters, which all that runs filters over it shares.
 
     Parameters
     ----------
     drive : Drive
     initial : InitialState, optional
-        Where to start; by default the drive is aligned when the start is first asked for.
+        The start; by default that of the alignment, computed when it is first needed.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis, and for the
-        paper's protocol.
+        Run without preprocessing: update with stale fixes, and treat gaps in the IMU like other steps. For diagnosis,
+        and for the paper's protocol.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class PreparedDrive:
 
     @cached_property
     def initial(self) -> InitialState:
-        """Where filters start.
+        """The start of filters.
 
         Raises
         ------
@@ -48,29 +48,29 @@ class PreparedDrive:
 
     @cached_property
     def kinds(self) -> Array:
-        """What each fix is, (number of fixes,): see `drives.frozen`. All are new where they are taken as recorded."""
+        """The kind of each fix, (number of fixes,): see `drives.frozen`. Without preprocessing all are new."""
         return np.zeros(len(self.drive.gps)) if self.as_recorded else judged(self.drive.gps)
 
     @cached_property
     def _driving(self) -> Array:
-        """Of all its time lines."""
+        """The IMU as it drives the steps of all time lines."""
         return driving_of(self.drive, as_recorded=self.as_recorded)
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
-        """Which fixes are frozen, (number of fixes,): filters don't take them for positions."""
+        """Whether each fix is stale, (number of fixes,): filters don't use it as a position."""
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
-        """The steps of a filter that sees all fixes but the hidden ones; the same object each time it is asked.
+        """Return the steps of a filter that gets all fixes but the hidden ones, computed once.
 
         Parameters
         ----------
         hidden : ndarray of bool, shape (number of fixes,), optional
-            Fixes that a filter does not get to see: none by default.
+            Fixes that the filter does not get; none by default.
         removed : bool
-            Take the hidden fixes out as if they had never been, so that no step ends at one. Otherwise the steps are
-            those of the whole drive, whose arrays all such time lines share, and the fixes are there to be forecast.
+            Remove the hidden fixes, so that no step ends at one. Otherwise the steps are those of the whole drive; all
+            such time lines share its arrays, and the hidden fixes can be forecast.
         """
         if hidden is None or not hidden.any():
             hidden, removed = np.zeros(len(self.drive.gps), dtype=np.bool_), False
@@ -80,9 +80,9 @@ class PreparedDrive:
         return self._timelines[key]
 
     def forget(self) -> None:
-        """Let go of the time lines made so far: those of ten hours at 100 Hz take a quarter of a gigabyte each.
+        """Drop the time lines, each a quarter of a gigabyte for ten hours at 100 Hz.
 
-        That of all fixes stays where it is small, since others are made of it.
+        That of all fixes stays if it is small, since others are made of it.
         """
         self._timelines = {
             (hidden, removed): line
@@ -107,9 +107,9 @@ class PreparedDrive:
 def prepared(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> PreparedDrive:
-    """The drive made ready; itself where it is ready already and no other start is asked for.
+    """Prepare a drive; a prepared one is returned as it is, unless another start is given.
 
-    ``as_recorded`` is for a drive that is not ready yet: see `PreparedDrive`.
+    ``as_recorded`` is for a drive that is not yet prepared: see `PreparedDrive`.
     """
     if isinstance(drive, PreparedDrive):
         if initial is None or initial is drive.initial:

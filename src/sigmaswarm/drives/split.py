@@ -64,14 +64,14 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
 
 
 def _said_whence(part: Drive, name: str, sha256: str) -> Drive:
-    """The part with a note in its metadata of where it comes from."""
+    """Add the origin of a part to its metadata."""
     start, end = float(part.imu.time[0]), float(part.imu.time[-1])
     whence = {"drive": name, "start_s": start, "end_s": end, "sha256": sha256}
     return replace(part, metadata={**part.metadata, "cut_from": whence})
 
 
 def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | None = None) -> Drive:
-    """The part of a drive with start <= t < end (s): two clips that meet share no sample.
+    """Return the part of a drive with start <= t < end (s); adjacent clips share no sample.
 
     Parameters
     ----------

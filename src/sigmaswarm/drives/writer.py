@@ -11,22 +11,20 @@ import tomli_w
 
 from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.reader import read_with_warnings
-from sigmaswarm.drives.sheet import FORMS
+from sigmaswarm.drives.table_files import TABLES
 from sigmaswarm.errors import DriveError
 from sigmaswarm.files import make_folder, whole_folder
 
 Form = Literal["csv", "parquet"]
-FILES = frozenset(
-    {"drive.toml", *(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)}
-)
-"""All that a drive's folder may hold for ``write_drive`` to replace it."""
+FILES = frozenset({"drive.toml", *TABLES})
+"""``write_drive`` replaces a folder only if it contains nothing else."""
 
 
 def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form: Form = "csv") -> Path:
     """Write a drive as a folder that ``read_drive`` reads back to the same bits.
 
-    The same drive gives the same bytes. The folder is written beside its place, read back there and then renamed, so
-    that nobody ever finds half a drive, or one that can't be read.
+    The same drive gives the same bytes. The folder is written next to its place, read back there and then renamed, so
+    that a partial or unreadable drive never appears.
 
     Parameters
     ----------
@@ -63,7 +61,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
 
 
 def _require_readable(written: Path, folder: Path) -> None:
-    """Read what is about to take its place; the message names the file, row, column and value."""
+    """Read the new folder back; an error names the file, row, column and value."""
     try:
         read_with_warnings(
             written
@@ -76,7 +74,7 @@ def _require_readable(written: Path, folder: Path) -> None:
 def require_replaceable(
     folder: Path, overwrite: bool, remedy: str = "delete it, or name another folder"
 ) -> None:
-    """Refuse to touch anything but an empty place or, if so told, a folder with only a drive in it."""
+    """Raise an error unless the place is free or, with ``overwrite``, a folder that contains only a drive."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -91,7 +89,7 @@ def require_replaceable(
 
 
 def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
-    """What each file of the drive's folder holds, by the file's name."""
+    """Return the contents of each file of a drive's folder, by name."""
     wgs84 = drive.frame == "wgs84"
     if wgs84 and (drive.gps.lat is None or drive.gps.lon is None or drive.origin is None):
         raise DriveError(
@@ -116,19 +114,19 @@ def _contents(drive: Drive, folder: Path, form: Form) -> dict[str, bytes]:
 
 
 def _frame(table: Imu | Gps | Odometer | Truth, unwritten: set[str]) -> pl.DataFrame:
-    """A table's columns that are there."""
+    """Return the columns of a table that exist."""
     names = sorted((f.name for f in fields(table)), key="gz".__eq__)  # stable: the format has gz last
     columns = {name: getattr(table, name) for name in names if name not in unwritten}
     return pl.DataFrame({"t" if k == "time" else k: v for k, v in columns.items() if v is not None})
 
 
 def _csv(frame: pl.DataFrame) -> bytes:
-    """With the fewest digits that keep every bit."""
+    """Write numbers with the fewest digits that keep every bit."""
     return frame.write_csv().encode()
 
 
 def _parquet(frame: pl.DataFrame) -> bytes:
-    """As 64-bit floats, compressed."""
+    """Write 64-bit floats, compressed."""
     file = BytesIO()
     frame.write_parquet(file, compression="zstd", statistics=False)
     return file.getvalue()

@@ -1,10 +1,10 @@
 """Statistics of repeated tunings: intervals of means and medians, paired tests, and many tests at once.
 
-Scores of a study are arrays of shape (trials, drives), NaN where a trial did not hold a drive back.
+Scores of a study are arrays of shape (trials, drives), NaN where a trial did not test on a drive.
 
 C. Nadeau and Y. Bengio, Inference for the generalization error, Machine Learning 52, 2003; J. N. K. Rao and C. F. J.
 Wu, Resampling inference with complex survey data, J. American Statistical Association 83, 1988 (a bootstrap that draws
-n of n makes the variance of a mean too small by (n - 1) / n, which tells where strata are small: so it draws n - 1).
+n of n makes the variance of a mean too small by (n - 1) / n, which matters in small strata: so it draws n - 1).
 """
 
 import math
@@ -18,21 +18,20 @@ from scipy import stats
 from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
-"""From and to."""
 Known = dict[Hashable, tuple[Array, Any]]
-"""What was drawn for whom from which state of a generator, and the state behind it."""
+"""Cache of draws: what, and the state of the generator before it -> draw, state after it."""
 RESAMPLES = 2000
-"""Of each bootstrap."""
+"""Resamples of each bootstrap."""
 LEVEL = 0.95
 
 
 def trial_means(values: Array) -> Array:
-    """The mean over each trial's held-out drives, shape (trials,)."""
+    """Return the mean over each trial's test drives, shape (trials,)."""
     return _mean_known(values, axis=1)
 
 
 def drive_means(values: Array) -> Array:
-    """One value a drive: the mean over the trials that held it back, shape (drives,); NaN where none did."""
+    """Return the mean over each drive's trials, shape (drives,); NaN without trials."""
     return _mean_known(values, axis=0)
 
 
@@ -43,12 +42,12 @@ def _mean_known(values: Array, axis: int) -> Array:
 
 
 def spread(values: Array) -> float:
-    """Standard deviation; NaN of fewer than two values, or of any that is not finite."""
+    """Return the standard deviation; NaN of fewer than two values, or with one that is not finite."""
     return float(np.std(values, ddof=1)) if len(values) > 1 and np.isfinite(values).all() else math.nan
 
 
 def trial_interval(values: Array) -> Interval:
-    """mean +- 1.96 SD / sqrt(n), as the paper has it: it covers the mean for a new drive only half of the time."""
+    """Return mean +- 1.96 SD / sqrt(n), as in the paper; it covers the mean of new drives half of the time."""
     if not len(values):
         return math.nan, math.nan
     half = 1.96 * spread(values) / math.sqrt(len(values))
@@ -56,7 +55,7 @@ def trial_interval(values: Array) -> Interval:
 
 
 def corrected_interval(values: Array, test_per_train: float, level: float = LEVEL) -> Interval:
-    """The corrected resampled t interval of trials whose splits overlap (Nadeau and Bengio 2003, section 3)."""
+    """Return the corrected resampled t interval of trials whose splits overlap (Nadeau and Bengio 2003, section 3)."""
     n = len(values)
     if n < 2:
         return math.nan, math.nan
@@ -72,9 +71,9 @@ def bootstrap(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> Interval:
-    """Percentile interval of a statistic of the means of paired columns, drives resampled within their conditions.
+    """Return the percentile interval of a statistic of paired columns' means, drives resampled within conditions.
 
-    ``statistic`` takes the mean of each column, shape (RESAMPLES,). ``known`` remembers what was drawn: see `_once`.
+    ``statistic`` takes the mean of each column, shape (RESAMPLES,). ``known`` is a cache: see `_once`.
     """
     n = len(columns[0])
     if n < 2 or not all(np.isfinite(column).all() for column in columns):
@@ -86,20 +85,20 @@ def bootstrap(
 def crossed_bootstrap(
     values: Array, strata: Sequence[str], rng: np.random.Generator, known: Known | None = None
 ) -> Interval:
-    """Percentile interval of the mean, with drives and trials resampled independently of each other.
+    """Return the percentile interval of the mean, with drives and trials resampled independently.
 
-    As in A. B. Owen, The pigeonhole bootstrap, Annals of Applied Statistics 1, 2007: what the choice of drives leaves
-    open and what the optimizer does are both in it, each with its own number of repetitions. But what is resampled are
-    the levels of drives and of trials, since in scores themselves the trials would differ by their drives as well. The
-    tails that are cut off are Student's, in normal scale (T. C. Hesterberg, What teachers should know about the
-    bootstrap, The American Statistician 69, 2015): with few trials or drives, quantiles alone would be too narrow.
+    It includes the choice of drives and the variation of the optimizer, as in A. B. Owen, The pigeonhole bootstrap,
+    Annals of Applied Statistics 1, 2007. The levels of drives and of trials are resampled, not the scores, in which
+    trials would differ by their drives as well. The tails are Student's, in normal scale (T. C. Hesterberg, What
+    teachers should know about the bootstrap, The American Statistician 69, 2015), since quantiles are too narrow with
+    few trials or drives.
     """
-    told = ~np.isnan(values)
-    kept, trials = told.any(axis=0), told.any(axis=1)
-    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[told]).all():
+    known_values = ~np.isnan(values)
+    kept, trials = known_values.any(axis=0), known_values.any(axis=1)
+    if kept.sum() < 2 or trials.sum() < 2 or not np.isfinite(values[known_values]).all():
         return math.nan, math.nan
     drive_levels, trial_levels = levels(values[np.ix_(trials, kept)])
-    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], told[:, kept].sum(axis=0)
+    own, times = [strata[i] for i in np.flatnonzero(kept).tolist()], known_values[:, kept].sum(axis=0)
     of_drives, n = (*own, times.tobytes()), len(trial_levels)
     drives = _once(known, rng, of_drives, lambda: _drive_weights(own, rng, times.astype(np.float64)))
     by_drive = drives @ drive_levels / times.sum()
@@ -114,7 +113,7 @@ def crossed_bootstrap(
 
 
 def levels(values: Array) -> tuple[Array, Array]:
-    """Levels of drives (n,) and of trials (m,), of mean zero, whose sums are nearest to the known scores (m, n)."""
+    """Return levels of drives (n,) and of trials (m,) whose sums are nearest to the known scores (m, n)."""
     known = ~np.isnan(values)
     counted, filled = known.astype(np.float64), np.where(known, values, 0.0)
     share = counted / counted.sum(axis=0)  # of a trial in its drives' levels
@@ -124,7 +123,7 @@ def levels(values: Array) -> tuple[Array, Array]:
 
 
 def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Callable[[], Array]) -> Array:
-    """What is drawn, or was: a study has hundreds of figures of the same drives, which begin with the same chance."""
+    """Draw, or return an earlier draw: hundreds of figures of a study share drives and generator."""
     if known is None:
         return draw()
     key = of, str(rng.bit_generator.state)
@@ -135,10 +134,10 @@ def _once(known: Known | None, rng: np.random.Generator, of: Hashable, draw: Cal
 
 
 def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array | None = None) -> Array:
-    """How much each drive counts in each resample, shape (RESAMPLES, n): within each stratum by itself.
+    """Return the weight of each drive in each resample, shape (RESAMPLES, n), drawn within each stratum.
 
-    A drive that counts several ``times``, shape (n,), does so here, too; each stratum keeps its share. Where all strata
-    have one drive, they are thrown together; one such stratum among larger ones adds nothing to an interval's width.
+    A drive may count several ``times``, shape (n,); each stratum keeps its share. Strata of one drive each are joined;
+    one such stratum among larger ones adds nothing to the width of an interval.
     """
     names = np.array(strata)
     times = np.ones(len(names)) if times is None else times
@@ -153,7 +152,7 @@ def _drive_weights(strata: Sequence[str], rng: np.random.Generator, times: Array
 
 
 def _weights(n: int, rng: np.random.Generator) -> Array:
-    """Of n things n - 1 are drawn (Rao and Wu 1988), and then weigh as much as n, shape (RESAMPLES, n)."""
+    """Draw n - 1 of n (Rao and Wu 1988), scaled to the weight of n, shape (RESAMPLES, n)."""
     if n == 1:
         return np.ones((RESAMPLES, 1))
     drawn = rng.integers(0, n, (RESAMPLES, n - 1)) + n * np.arange(RESAMPLES)[:, np.newaxis]
@@ -162,7 +161,7 @@ def _weights(n: int, rng: np.random.Generator) -> Array:
 
 
 def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
-    """The bootstrapped values but for the two tails, each of this share."""
+    """Return the interval of the values without two tails of this share each."""
     values = values[np.isfinite(values)]
     if not len(values):
         return math.nan, math.nan
@@ -171,13 +170,13 @@ def _middle(values: Array, tail: float = (1 - LEVEL) / 2) -> Interval:
 
 
 def improvement(tuned: Array | np.float64, manual: Array | np.float64) -> Array:
-    """The paper's equation 5: (manual - tuned) / manual x 100, of means over drives; NaN where manual is 0."""
+    """Return the paper's equation 5, (manual - tuned) / manual x 100, of means over drives; NaN where manual is 0."""
     m = np.where(manual > 0, manual, np.nan)
     return np.asarray(100 * (m - tuned) / m, dtype=np.float64)
 
 
 def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
-    """An interval for the median, whatever the distribution: two of the sorted values.
+    """Return a distribution-free interval of the median: two of the sorted values.
 
     The narrowest symmetric pair of order statistics that covers the median with at least this confidence (W. J.
     Conover, Practical Nonparametric Statistics, 3rd ed., 1999, section 3.2); lowest and highest where no pair does,
@@ -192,7 +191,7 @@ def median_interval(values: Array, confidence: float = LEVEL) -> Interval:
 
 
 def signed_rank(ours: Array, theirs: Array) -> float:
-    """Probability of such differences or larger ones if neither is better: two-sided signed-rank test over pairs.
+    """Return p of the two-sided signed-rank test over pairs.
 
     F. Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945. Infinite costs count as the
     largest of all; pairs without a difference are left out, and 1 is returned if no pair is left.
@@ -209,7 +208,7 @@ def signed_rank(ours: Array, theirs: Array) -> float:
 
 
 def rank_biserial(difference: Array) -> float:
-    """Share of the rank sum below zero less that above: 1 where every pair is lower, -1 where every one is higher.
+    """Return the share of the rank sum below zero less that above: 1 if every pair is lower, -1 if higher.
 
     D. S. Kerby, The simple difference formula, Comprehensive Psychology 3, 2014.
     """
@@ -221,7 +220,7 @@ def rank_biserial(difference: Array) -> float:
 
 
 def holm(probabilities: Sequence[float]) -> list[float]:
-    """Probabilities of many tests, corrected so that one false alarm among all of them is as rare as in one test.
+    """Correct p values so that one false alarm among all tests is as rare as in one test.
 
     S. Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979.
     """

@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
-from sigmaswarm.filters import recovery, schedule
+from sigmaswarm.filters import divergence, schedule
 from sigmaswarm.filters.compiled import live
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
@@ -194,13 +194,13 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
         "GAP_TILT": schedule.GAP_TILT_STD,
         "LEAP": live.LEAP,
         "AGREES": live.AGREES,
-        "LOOK_INTERVAL": recovery.LOOK_INTERVAL,
-        "LATEST_LOOK": recovery.LATEST_LOOK,
-        "LOST_AFTER": recovery.LOST_AFTER,
-        "MANY_SIGMAS": recovery.MANY_SIGMAS,
-        "HEADING_OFF": float(recovery.HEADING_OFF),
-        "POSITION_OFF": recovery.POSITION_OFF,
-        "SPEED_STD": recovery.SPEED_STD,
+        "LOOK_INTERVAL": divergence.LOOK_INTERVAL,
+        "LATEST_LOOK": divergence.LATEST_LOOK,
+        "LOST_AFTER": divergence.DIVERGED_AFTER,
+        "MANY_SIGMAS": divergence.MANY_SIGMAS,
+        "HEADING_OFF": float(divergence.HEADING_OFF),
+        "POSITION_OFF": divergence.POSITION_OFF,
+        "SPEED_STD": divergence.SPEED_STD,
         "CONTRADICTS": gyro_seen.CONTRADICTS,
         "STRANGE": gyro_seen.STRANGE,
         "STRANGE_STD": gyro_seen.STRANGE_STD,
@@ -212,7 +212,7 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     return (
         plain(derived)
         | {
-            "FEWEST_LOOKS": str(recovery.FEWEST_LOOKS),
+            "FEWEST_LOOKS": str(divergence.FEWEST_CHECKS),
             "REFITS": str(alignment.REFITS),
             "SLOTS": str(round(1.0 / schedule.LATERAL_INTERVAL)),  # of the standstill and the odometer, too
             "BLOCKS": str(round(1.0 / standstill.BLOCK)),

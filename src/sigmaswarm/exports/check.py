@@ -16,11 +16,11 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.c99 import fits_float, replay_events
 from sigmaswarm.exports.lanes import Lanes
+from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import joined
 from sigmaswarm.filters.run import replay_of, run_filter
-from sigmaswarm.filters.swarm.run import SwarmRun
 
 COMPILERS = ("cc", "gcc", "clang")
 _SOURCES = ("ins_gps.c", "ins_gps_align.c", "ins_gps_shared.c")
@@ -75,7 +75,7 @@ def check_export(
     as_recorded : bool
         See `PreparedDrive`; as the filter was exported.
     lanes, seed
-        As the filter was exported. Several lanes are held against a `LiveSwarm` without searches.
+        As the filter was exported. Several lanes are held against a `LiveFilterBank` without searches.
 
     Raises
     ------
@@ -106,8 +106,8 @@ def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = replay_of(drive, as_recorded=as_recorded)
-    run = SwarmRun(replay, parameters, seed=lanes.seed, searches=False, as_recorded=as_recorded)
-    run.swarm.count_only(lanes.n)
+    run = BankRun(replay, parameters, seed=lanes.seed, searches=False, as_recorded=as_recorded)
+    run.bank.count_only(lanes.n)
     return joined(run).mean
 
 

@@ -6,18 +6,18 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.exports.features import listed, plain
+from sigmaswarm.filters.bank.spread import Spread
 from sigmaswarm.filters.compiled import swarm
 from sigmaswarm.filters.compiled.layout import LANES
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.swarm.spread import Spread
 
 
 @dataclass(frozen=True)
 class Lanes:
     """How many filters run side by side, and the seed of what those differ in that are drawn.
 
-    The first of them are those of a `LiveSwarm` of that seed without searches.
+    The first of them are those of a `LiveFilterBank` of that seed without searches.
 
     Raises
     ------
@@ -46,7 +46,7 @@ class Lanes:
             own = {f"OF_{name.upper()}": f"R({value!r})" for name, value in _numbers(tuning).items()}
             return own | {"Q": "process_noise", "R": "measurement_noise", "LANES": "1"} | self._biases(tuning)
         spread = Spread(tuning)
-        against = spread.against(self._offsets(spread)).tolist()
+        against = spread.penalty(self._offsets(spread)).tolist()
         rows = [_row(p, held) for p, held in zip(self.filters(tuning), against, strict=True)]
         evidence: dict[str, float | None] = {
             "EVIDENCE_LASTS": swarm.EVIDENCE_LASTS,

@@ -51,7 +51,7 @@ def export_filter(
     as_recorded : bool
         filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
     lanes : int
-        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveSwarm`
+        c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveFilterBank`
         without searches.
     seed : int
         Of what the lanes differ in.

@@ -18,12 +18,12 @@ from sigmaswarm.filters.compiled.layout import N_KEPT, R, state_rows
 from sigmaswarm.filters.compiled.memory import LiveArrays, Memory
 from sigmaswarm.filters.compiled.single import single_step
 from sigmaswarm.filters.compiled.watch import WATCHED
-from sigmaswarm.filters.groups import Chunk, plausible, start_rows
+from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
 from sigmaswarm.filters.models import MODELS, THETA
-from sigmaswarm.filters.packing import believed
+from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import Recovery, Seen, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
@@ -78,7 +78,7 @@ class LiveFilter:
     are fixes, of which samples that have got there also say the same.
 
     It is watched as a run is: once a second it is held against the fixes of the last seconds, and if it is lost it
-    starts anew (`recovery`): later than a run does by as much as fixes come late. From then on a fix from before that
+    starts anew (`divergence`): later than a run does by as much as fixes come late. From then on a fix from before that
     moment comes too late.
 
     What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
@@ -145,7 +145,7 @@ class LiveFilter:
         self._state = state_rows(p.model)
         self._axes = MODELS[p.model].imu
         self._no_axes = (0.0,) * (len(AXES) - len(self._axes))
-        self._plausible = plausible(p)
+        self._plausible = bool(KernelArray((p,)).plausible[0])
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
         # More than the history takes: an IMU may run faster than it says.
@@ -170,7 +170,7 @@ class LiveFilter:
             ),
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
-        self._recovery = Recovery() if recover else None
+        self._monitor = DivergenceMonitor() if recover else None
         self._holds = False  # it is lost, and the estimate is a fix, anew at each sample
         self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
 
@@ -202,7 +202,7 @@ class LiveFilter:
             raise InputError(f"an IMU sample that is not all numbers: {error}") from None
         # Most samples bring nothing to look at.
         if took == live.DUE or (self._holds and took and t > self._belief[live.START]):
-            self._look(t, due=took == live.DUE)
+            self._check_divergence(t, due=took == live.DUE)
 
     def update(
         self,
@@ -251,30 +251,30 @@ class LiveFilter:
         except _NO_NUMBERS as error:
             raise InputError(f"a reading of the odometer that is no number: {error}") from None
 
-    def _look(self, now: float, *, due: bool) -> None:
-        """Start anew after a sample if need be; ``due``: it is time to look at what is believed."""
-        fix, recovery = self._last_fix(now), self._recovery
-        if fix is None or recovery is None:
+    def _check_divergence(self, now: float, *, due: bool) -> None:
+        """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
+        fix, monitor = self._last_fix(now), self._monitor
+        if fix is None or monitor is None:
             return
-        start = self._judged(recovery, now, fix, self._believed, due=due)
+        start = self._judged(monitor, now, fix, self._estimate, due=due)
         if start is not None:
-            self._start_anew(start)
-        self._holds = recovery.lost
+            self._reset(start)
+        self._holds = monitor.lost
 
     def _judged(
         self,
-        recovery: Recovery,
+        monitor: DivergenceMonitor,
         now: float,
         fix: Array,
-        believed: Callable[[], tuple[Array, Array]],
+        estimate: Callable[[], tuple[Array, Array]],
         *,
         due: bool,
         gyro_bias: float = 0.0,
     ) -> InitialState | None:
-        """Where what is ``believed`` is to start anew, if it is; ``gyro_bias``: what is known of it, rad/s."""
-        start = recovery.look(self._seen(now, fix, *believed(), gyro_bias)) if due else None
-        if recovery.lost:
-            theta = float(believed()[0][THETA])
+        """Where a state estimate is reset to, if it is; ``gyro_bias``: known bias of the gyro, rad/s."""
+        start = monitor.take(self._check(now, fix, *estimate(), gyro_bias)) if due else None
+        if monitor.lost:
+            theta = float(estimate()[0][THETA])
             return at_fix(now, fix[live.FIX_X : live.FIX_Y + 1], self._variance_of(fix), theta, self._lever)
         return start
 
@@ -289,9 +289,9 @@ class LiveFilter:
         stated = fix[live.FIX_VAR_X : live.FIX_VAR_Y + 1]
         return self._belief[[R.RX, R.RY]] + self._belief[R.ACCURACY] * stated
 
-    def _seen(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Seen:
+    def _check(self, now: float, fix: Array, mean: Array, covariance: Array, gyro_bias: float = 0.0) -> Check:
         time = float(fix[live.FIX_TIME])
-        return Seen(
+        return Check(
             time=now,
             mean=mean,
             covariance=covariance,
@@ -325,9 +325,9 @@ class LiveFilter:
         finite = np.isfinite(fixes[:, [live.FIX_X, live.FIX_Y]]).all(axis=1)
         return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
 
-    def _start_anew(self, start: InitialState) -> None:
+    def _reset(self, start: InitialState) -> None:
         """The filter as at a start; what is kept for late fixes is of the one that was lost."""
-        rows = start_rows([start], [self._interval], Chunk.of((self.parameters,)))
+        rows = KernelArray((self.parameters,)).start([start], [self._interval])
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
@@ -336,15 +336,15 @@ class LiveFilter:
     def _belief(self) -> Array:
         return self._memory.arrays.belief
 
-    def _believed(self) -> tuple[Array, Array]:
+    def _estimate(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = believed(self._belief[self._state, np.newaxis], self.parameters.model)
+        mean, covariance = state_estimate(self._belief[self._state, np.newaxis], self.parameters.model)
         return mean[0], covariance[0]
 
     @property
     def restarts(self) -> list[float]:
         """See the class."""
-        return [] if self._recovery is None else self._recovery.restarts[-MOST_RESTARTS:]
+        return [] if self._monitor is None else self._monitor.restarts[-MOST_RESTARTS:]
 
     @property
     def too_late(self) -> int:
@@ -385,11 +385,10 @@ class LiveFilter:
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
-        mean, covariance = (of[0] for of in believed(packed[:, np.newaxis], self.parameters.model))
-        lost = self._recovery is not None and self._recovery.lost
-        return told(
-            time, mean, covariance, lost, definite and self._belief[live.OK] == 1.0 and self._plausible
-        )
+        mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
+        lost = self._monitor is not None and self._monitor.lost
+        sound = definite and self._belief[live.OK] == 1.0 and self._plausible
+        return told(time, mean, covariance, lost, sound)
 
 
 def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
@@ -419,7 +418,7 @@ def _believe(
 ) -> Array:
     """The belief at the start, and the settings behind it."""
     v = np.zeros(live.N_ALL)
-    v[:N_KEPT] = start_rows([initial], [nominal_interval], Chunk.of((p,)))[0, :, 0]
+    v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time
     v[live.LATERAL_SLOT] = v[live.STANDSTILL_SLOT] = v[live.ODOMETER_SLOT] = -1.0
     v[live.ODOMETER_TIME] = initial.time

@@ -1,4 +1,4 @@
-"""Vehicle models: what each one is, and its process f(state, dt, imu) and measurements h(state) in the textbook's form.
+"""Vehicle models: description, process f(state, dt, imu) and measurements h(state) in textbook form.
 
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
 models before it, so that measurements find them at the same places.
@@ -53,7 +53,7 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
 
 
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
-    """The fix that a state predicts: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
+    """Predict a fix: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
     def h(state: Array) -> Array:
         c, s = np.cos(state[THETA]), np.sin(state[THETA])
@@ -80,7 +80,7 @@ def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Arr
 
 
 def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
-    """Velocity forward (m/s) ``delay`` s ago, which the wheels tell; ``ax`` is what it has changed by since, per s.
+    """Velocity forward (m/s) ``delay`` s ago, as the wheels measure it; ``ax``: acceleration since, m/s2.
 
     It is the same at the IMU and at the rear axle behind it.
     """
@@ -94,13 +94,13 @@ def wheel_speed(ax: float, delay: float) -> Callable[[Array], Array]:
 
 
 def gyro_bias(state: Array) -> Array:
-    """What the gyro shows while the car stands, rad/s."""
+    """Reading of the gyro at standstill, rad/s."""
     return state[GYRO_BIAS : GYRO_BIAS + 1].copy()
 
 
 @dataclass(frozen=True)
 class Tilts:
-    """What the textbook's filters need of a model whose attitude is more than a heading.
+    """Functions of a model whose attitude is more than a heading, for the textbook filters.
 
     Attributes
     ----------
@@ -123,11 +123,11 @@ VARIANCE = (1e-5, 10.0)
 SMALL_VARIANCE = (1e-12, 10.0)
 """For position and velocity."""
 HEADING_VARIANCE = (1e-10, 1e-1)
-"""Per second: no gyro is off by a third of a radian after one. A filter of more takes its heading from the fixes alone,
-which a likelihood without truth may not mind where a receiver smooths them: dresden's tunings did so half of the time.
+"""Per second: no gyro errs by a third of a radian in one. With more, a filter takes its heading from the fixes alone,
+which a likelihood without truth may prefer where a receiver smooths them: half of dresden's tunings did.
 """
 CITY_VARIANCE = (1e-5, 1e3)
-"""For R: between high buildings fixes are off by tens of metres."""
+"""For R: between high buildings fixes err by tens of metres."""
 BIAS_WALK = (1e-16, 1e-4)
 """For the random walks of the biases."""
 
@@ -160,7 +160,7 @@ class State:
     bias_of : str or None
         The sensor in `SENSORS` whose bias it is: it starts at 0.
     start_std : float
-        How unsure it is at the start, where an alignment says nothing of it and it is no bias.
+        Standard deviation at the start, of a state that is no bias and that alignments do not determine.
     """
 
     name: str
@@ -178,7 +178,7 @@ class State:
 
     @property
     def density_unit(self) -> str:
-        """Of the square root of white noise's density."""
+        """Unit of the square root of white noise's density."""
         return f"{self.unit}/sqrt(s)"
 
 
@@ -200,11 +200,11 @@ class CarModel:
     tilts : Tilts or None
         Of a model whose attitude is more than a heading.
     kinds : tuple of str
-        The kinds of filters that are compiled for it, the usual one first.
+        Filter types that are compiled for it, the default first.
     fix_variance : (lowest, highest)
         m2: box of R, the variance of a fix per axis.
     blind : bool
-        It does not know the compass: noise to the east and to the north is searched as one.
+        East and north share their noise in the search.
     """
 
     states: tuple[State, ...]
@@ -222,33 +222,33 @@ class CarModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the states, in order."""
+        """Names of the states, in order."""
         return tuple(state.name for state in self.states)
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Those whose biases it estimates, in the order of `SENSORS`."""
+        """Sensors whose biases it estimates, in the order of `SENSORS`."""
         return tuple(sensor for sensor in SENSORS if any(s.bias_of == sensor for s in self.states))
 
     @property
     def accel_bias(self) -> int | None:
-        """Where the bias of the accelerometer (forward) stands: a reading's delay goes by what it shows."""
+        """Index of the accelerometer's bias (forward), or None."""
         return ACCEL_BIAS if len(self.states) > ACCEL_BIAS else None
 
     @property
     def gyro_bias(self) -> int | None:
-        """Where the bias of the gyro (z) stands: at standstill it is measured."""
+        """Index of the gyro's bias (z), or None."""
         return GYRO_BIAS if len(self.states) > GYRO_BIAS else None
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
-        """The axes of the gyro whose biases it estimates, as a time line names them, and where these stand."""
+        """Gyro axes whose biases it estimates, as a time line names them, and the indices of these."""
         names = enumerate(self.states)
         return {f"g{state.name[-1]}": i for i, state in names if state.bias_of == "gyro"}
 
     @cached_property
     def gyro_places(self) -> dict[int, int]:
-        """The same by the axes' numbers: 0 forward, 1 left, 2 up."""
+        """As `gyro_axes`, by the number of the axis: 0 forward, 1 left, 2 up."""
         return {"xyz".index(axis[-1]): place for axis, place in self.gyro_axes.items()}
 
 

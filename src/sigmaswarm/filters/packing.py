@@ -1,4 +1,4 @@
-"""States and sums in the rows of the compiled kernel, and whether they are sound."""
+"""States in the rows of the compiled kernel, and checks that they are sound."""
 
 import math
 from functools import cache
@@ -19,7 +19,7 @@ from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.names import ModelName
 
 _FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET
-"""Sums that are shown: those of `replay.Sums`, in its order."""
+"""Rows of `kernel_array.Sums`, in its order."""
 SHOWN = slice(_FIRST_SHOWN, _LAST_SHOWN + 1)
 
 
@@ -37,7 +37,7 @@ def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
 
 
 def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
-    """Means (..., r, n) and covariances (..., r, n, n), as a filter has them, of its `state_rows`, (..., s, r)."""
+    """Means (..., r, n) and covariances (..., r, n, n) of a filter, from its `state_rows`, (..., s, r)."""
     n = len(MODELS[model].states)
     rows, columns = _upper(n)
     mean, packed = state[..., :n, :].swapaxes(-1, -2).copy(), state[..., -len(rows) :, :].swapaxes(-1, -2)
@@ -49,8 +49,8 @@ def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
     return mean, covariance
 
 
-def believed(state: Array, model: ModelName) -> tuple[Array, Array]:
-    """As `unpack_states`, with the covariance of the mean itself: of a tilted model's angles."""
+def state_estimate(state: Array, model: ModelName) -> tuple[Array, Array]:
+    """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error."""
     mean, covariance = unpack_states(state, model)
     tilts = MODELS[model].tilts
     return mean, tilts.as_angles(mean, covariance) if tilts else covariance
@@ -64,14 +64,14 @@ def _upper(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def sound_lanes(rows: Array, model: ModelName) -> NDArray[np.bool_]:
-    """Which lanes of final rows (m, N_KEPT, lanes) never failed and end with a definite covariance, (m, lanes)."""
+    """Lanes of final rows (m, N_KEPT, lanes) that never failed and end with a definite covariance, (m, lanes)."""
     found = np.empty((len(rows), rows.shape[2]), dtype=np.bool_)
     _find_sound(rows, P0, len(MODELS[model].states), R.OK, found)
     return found
 
 
 def definite(covariance: Array) -> NDArray[np.bool_]:
-    """Which of the covariances (..., n, n) are positive definite, but for rounding.
+    """True for covariances (..., n, n) that are positive definite up to rounding.
 
     The eigenvalues of the correlation lie above -1e-9 if, with 1e-9 added to its diagonal, all pivots are positive.
     """
@@ -84,10 +84,10 @@ def definite(covariance: Array) -> NDArray[np.bool_]:
 
 @cached(nogil=True, error_model="numpy")
 def _find_sound(rows: Array, first: int, n: int, ok: int, found: NDArray[np.bool_]) -> None:
-    """Which covariances (n, n), in rows (m, s, lanes) from ``first`` on, column by column their upper triangles, are.
+    """Find definite covariances (n, n): upper triangles, column by column, in rows (m, s, lanes) from ``first`` on.
 
-    ``ok``: of a run's rows the one that says whether the filter never failed; its state and sums are to be finite, too.
-    -1: they are nothing but covariances.
+    ``ok``: the row of a run that is 1 if the filter never failed; its state and sums must be finite, too. -1: there are
+    covariances only.
     """
     scale, a = np.empty(n), np.empty((n, n))
     for m in range(rows.shape[0]):

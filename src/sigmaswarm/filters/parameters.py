@@ -1,4 +1,4 @@
-"""FilterParameters: everything that a filter can be tuned by, as one frozen record."""
+"""FilterParameters: all parameters of a filter, as one frozen record."""
 
 import re
 import tomllib
@@ -41,7 +41,7 @@ class FilterParameters:
     ----------
     alpha, beta, kappa : float
         Merwe's scaling of the sigma points: alpha > 0, kappa > -n (van der Merwe 2004, thesis, section 3.2.2).
-        An extended Kalman filter has no sigma points and does not look at them.
+        Ignored by an extended Kalman filter, which has no sigma points.
     process_noise : tuple of float, length n
         Diagonal of Q: the variance added per nominal IMU step, in the units of the state squared.
     measurement_noise : tuple of float, length 2
@@ -57,44 +57,42 @@ class FilterParameters:
         Unscented; extended; unscented with Q and R adapted to the innovations (Sage and Husa 1969); unscented with
         a fading factor (Zhou and Frank 1996); unscented with Q and R scaled by fuzzy rules (`filters.fuzzy`).
     forgetting : float
-        In (0, 1): how much of the past an adaptive, strong tracking or fuzzy filter keeps from fix to fix.
+        In (0, 1): memory of an adaptive, strong tracking or fuzzy filter from fix to fix.
     fuzzy_widths : tuple of float, length 2
-        How far ratio and trend, both in (-1, 1), go from the middle until "large" and "rises" are wholly true.
+        Distances of ratio and trend, both in (-1, 1), from 0 at which "large" and "rises" are wholly true.
     fuzzy_gains : tuple of float, length 2
-        At least 1: by how much a fuzzy filter's rules multiply or divide R and Q at most.
+        At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
-        m2/s2: variance of the lateral velocity at the rear axle, which a car on its wheels does not have. None: not
-        used.
+        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without slip. None: not used.
     rear_axle : float
         m from the rear axle forward to the IMU, for ``lateral_noise``.
     standstill_noise : float or None
-        m2/s2: variance of the velocity while the car is seen to stand. None: not used.
+        m2/s2: variance of the velocity at detected standstills. None: not used.
     odometer_noise : float or None
         m2/s2: variance of the wheels' speed, where the log has an odometer. None: not used.
     odometer_scale : float
         The odometer's reading over the true speed.
     odometer_latency : float
-        s: how much older than its time stamp a reading of the odometer is.
+        s: age of an odometer reading at its time stamp.
     gate : float or None
-        The largest normalized innovation squared (NIS) of a fix that is absorbed; 9.2 turns 1% of sound fixes away
-        (chi-square, two degrees of freedom). None: every fix is absorbed.
+        The largest normalized innovation squared (NIS) of a fix that is used; 9.2 rejects 1% of sound fixes
+        (chi-square, two degrees of freedom). None: every fix is used.
     latency : float
-        s: how much older than its time stamp a fix is.
+        s: age of a fix at its time stamp.
     accuracy_scale : float or None
         s2: R of a fix is ``measurement_noise`` + s2 std^2 per axis, with the standard deviation std that the receiver
-        states of it. None: ``measurement_noise`` alone.
+        reports. None: ``measurement_noise`` alone.
     robust_dof : float or None
-        Degrees of freedom of Student's t, which the errors of fixes then have: one that lies far off hardly counts (R.
-        Piche, S. Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; the smaller, the more outliers. None:
-        Gaussian errors.
+        Degrees of freedom of Student's t for the errors of fixes, so that outliers have little weight (R. Piche, S.
+        Sarkka and J. Hartikainen, MLSP 2012). 4 is a good start; smaller for more outliers. None: Gaussian errors.
 
     Notes
     -----
-    A negative variance is not refused here: the filter that runs with it fails, says so, and costs ``inf``.
+    A negative variance is accepted here: the filter that runs with it fails, reports it, and costs ``inf``.
     """
 
     alpha: Positive
@@ -137,15 +135,15 @@ class FilterParameters:
 
     @property
     def n_states(self) -> int:
-        """How many states the model has."""
+        """Number of the model's states."""
         return len(MODELS[self.model].states)
 
     def scaled(self, factor: float) -> "FilterParameters":
-        """All variances times a factor: what the filter says of its errors changes, its estimates hardly do.
+        """Multiply all variances by a factor, which scales the covariance and hardly changes the estimates.
 
-        The biases' standard deviations at the start take the factor's root. The rest of the start's covariance, and
-        what a gap in the IMU adds, are the drive's and stay; a gate and ``robust_dof`` look at the covariances, and so
-        change estimates.
+        The biases' standard deviations at the start take the factor's root. The rest of the start's covariance, and the
+        covariance of gaps in the IMU, stay. A gate and ``robust_dof`` depend on the covariance, so they change
+        estimates.
 
         Raises
         ------
@@ -187,11 +185,11 @@ class FilterParameters:
         Warns
         -----
         SigmaswarmWarning
-            If a tuning was written by a version whose filters did something else.
+            If a tuning was written by a version with other filters.
         """
         path = Path(path)
         if path.is_dir():
-            from sigmaswarm.drives.reader import has_table  # heavy, and seldom needed
+            from sigmaswarm.drives.reader import has_table  # slow to import
 
             if has_table(path, "imu") and not (path / "tuning.toml").exists():
                 raise InputError(
@@ -238,19 +236,17 @@ class FilterParameters:
 
 
 _EXCLUSIVE = {"gate": "gate", "accuracy": "accuracy_scale", "robust": "robust_dof"}
-"""Options that do not go with all others, and the fields that switch them on."""
+"""Options that exclude others, and the fields that switch them on."""
 _SCALED = ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "accuracy_scale")
-"""Variances, or factors of them, beside Q and R."""
+"""Variances, or factors of them, besides Q and R."""
 RULES_SINCE = (0, 3)
-"""The version since which frozen fixes, gaps and standstills are treated as they are."""
+"""The version that introduced the present treatment of stale fixes, gaps and standstills."""
 
 
 def clash(kind: str, use: Collection[str]) -> str | None:
-    """What a kind of filter can't be used with, or two options with each other; None where all go together."""
+    """Reason why a filter type and options, or two options, exclude each other; None if there is none."""
     if "robust" in use and "gate" in use:
-        return (
-            "robust and gate exclude each other: robust weighs the fixes that gate turns away; leave one out"
-        )
+        return "robust and gate exclude each other: robust weights the fixes that gate rejects; leave one out"
     if "robust" in use and kind in ("adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"):
         return f"robust does not go with {kind}, which follows what robust leaves out; take ukf or ekf, or leave it out"
     if "accuracy" in use and kind == "adaptive-ukf":
@@ -262,7 +258,7 @@ _ALWAYS_STATED = ("alpha", "beta", "kappa", "process_noise", "measurement_noise"
 
 
 def units(parameters: FilterParameters) -> dict[str, Any]:
-    """The units of what a parameter file states, for whoever reads it."""
+    """Units of the values in a parameter file."""
     states = MODELS[parameters.model].states
     known: dict[str, Any] = {
         "process_noise": [f"{state.variance_unit} per nominal IMU step" for state in states],
@@ -288,9 +284,9 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
 
 
 def densities(parameters: FilterParameters) -> dict[str, str]:
-    """Q as the densities of continuous white noise, sqrt(Q / nominal interval), as data sheets state them.
+    """Q as densities of continuous white noise, sqrt(Q / nominal interval), as in data sheets.
 
-    Empty where the parameters do not say which interval Q refers to, or a variance is negative.
+    Empty where the interval of Q is unknown, or a variance is negative.
     """
     p = parameters
     if p.nominal_interval is None or min(p.process_noise) < 0:
@@ -300,14 +296,14 @@ def densities(parameters: FilterParameters) -> dict[str, str]:
 
 
 def _warn_of_age(table: dict[str, Any], path: Path) -> None:
-    """Say of a tuning that it was made for filters that did not do what they do now."""
+    """Warn that a tuning was made for other filters."""
     made = table.get("versions")
     version = str(made.get("sigmaswarm", "")) if isinstance(made, dict) else ""  # pyright: ignore
     numbers = re.match(r"(\d+)\.(\d+)", version)
     if numbers and tuple(map(int, numbers.groups())) < RULES_SINCE:
         warnings.warn(
-            f"{path}: was tuned by sigmaswarm {version}, whose filters absorbed frozen fixes, took gaps in the IMU for "
-            "steps like others, and told standstills otherwise: results are not those of then; tune it again",
+            f"{path}: was tuned by sigmaswarm {version}, whose filters used stale fixes, took gaps in the IMU as "
+            "ordinary steps, and detected standstills otherwise: results differ from those; tune it again",
             SigmaswarmWarning,
             stacklevel=3,
         )

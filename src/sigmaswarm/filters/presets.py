@@ -1,16 +1,16 @@
-"""Filters that nobody tuned. The paper says "default parameters" and gives none.
+"""Filters without tuning. The paper says "default parameters" and gives none.
 
-Three presets, planar5 UKFs, stand for what people do by hand:
+Three presets, planar5 UKFs, stand for what people set by hand:
 
 ``defaults``
-    What people start with: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
+    A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
 ``datasheet``
-    What a careful engineer writes: R from the receiver's stated accuracy, Q from the IMU's noise density.
-    Where the drive states neither, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
+    From data sheets: R from the receiver's stated accuracy, Q from the IMU's noise density. Where the drive states
+    neither, R = 2.1^2 m2 (u-blox M8, 2.5 m CEP) and an MPU-6050's densities.
 ``paper``
     The paper's published optimum: alpha 0.03, beta 2.5, kappa 0.48, Q = 2 I, R = 0.1 I.
 
-What a tuning has to beat is the data sheet's filter of the same model and parts: ``datasheet(drive, like=tuned)``.
+A tuning is compared with the data-sheet filter of the same model and options: ``baseline(drive, like=tuned)``.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -33,11 +33,9 @@ MPU6050_ACCEL_NOISE_DENSITY = 0.24 / 60
 """m/s2/sqrt(Hz), from 0.24 m/s/sqrt(h) (MPU-6050 datasheet: 400 ug/sqrt(Hz))."""
 MPU6050_GYRO_NOISE_DENSITY = np.radians(0.3) / 60
 """rad/s/sqrt(Hz), from 0.3 deg/sqrt(h) (MPU-6050 datasheet: 0.005 deg/s/sqrt(Hz))."""
-
-
 BIAS_WALKS = {"accel": 2 * 0.01**2 / 3600, "gyro": 2 * np.radians(200 / 3600) ** 2 / 3600}
 """Per second, (m/s2)2 and (rad/s)2: 0.01 m/s2 and 200 deg/h over an hour, as of an ICM-20602 (i2Nav's
-awesome-gins-datasets); that an MPU-6050's bias wanders its data sheet does not say."""
+awesome-gins-datasets); the data sheet of the MPU-6050 does not state it."""
 BY_HAND = {
     "velocity_noise": 0.1**2,
     "lateral_noise": 0.2**2,
@@ -47,24 +45,25 @@ BY_HAND = {
     "accuracy_scale": 1.0,
     "robust_dof": 4.0,
 }
-"""What engineers write of what has no data sheet: m2/s2; the 99% gate; what the receiver states is right."""
+"""Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's statement taken as right."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 ACCURACY_FLOOR = 0.1**2
-"""m2: R beside what the receiver states of each fix."""
+"""m2: R in addition to the stated variance of each fix."""
 
 
-def datasheet(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
-    """What a careful engineer writes from the data sheets of a drive's sensors, without any tuning.
+def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParameters:
+    """Set a filter's parameters from the data sheets of a drive's sensors, without tuning.
 
-    The receiver's is `drives.noise.stated_std`; the IMU's densities are ``accel_noise_density`` (m/s2/sqrt(Hz)) and
-    ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. What has no data sheet is in `BY_HAND`.
+    The receiver's accuracy is `drives.sensors.stated_std`; the IMU's densities are ``accel_noise_density``
+    (m/s2/sqrt(Hz)) and ``gyro_noise_density`` (rad/s/sqrt(Hz)) of drive.toml. Values without a data sheet are in
+    `BY_HAND`.
 
     Parameters
     ----------
     drive : Drive
     like : FilterParameters, optional
-        A filter of whose model, kind and parts it is to be: what a tuning has to beat. None: the paper's planar5 UKF.
+        The filter whose model, type and options it gets. None: the paper's planar5 UKF.
     """
     plain = _planar(drive)
     if like is None or like == plain:
@@ -91,20 +90,18 @@ def _planar(drive: Drive) -> FilterParameters:
     dt = drive.nominal_interval
     # White noise of density s over one step: s^2 dt in velocity and heading, s^2 dt^3 / 3 in position.
     q_position, q_velocity, q_heading = accel**2 * dt**3 / 3, accel**2 * dt, gyro**2 * dt
-    return FilterParameters(
-        DEFAULTS.alpha,
-        DEFAULTS.beta,
-        DEFAULTS.kappa,
-        (q_position, q_position, q_velocity, q_velocity, q_heading),
-        (std_x**2, std_y**2),
+    return replace(
+        DEFAULTS,
+        process_noise=(q_position, q_position, q_velocity, q_velocity, q_heading),
+        measurement_noise=(std_x**2, std_y**2),
         nominal_interval=dt,
     )
 
 
 def preset(name: PresetName, drive: Drive) -> FilterParameters:
-    """The manual parameters of that name for a drive."""
+    """Parameters of a preset for a drive."""
     if name == "datasheet":
-        return datasheet(drive)
+        return baseline(drive)
     fixed = {"defaults": DEFAULTS, "paper": PAPER}
     if name not in fixed:
         raise InputError(f"no preset is called {name!r}; choose one of {', '.join(get_args(PresetName))}")

@@ -1,4 +1,4 @@
-"""One filter over one replay, handed out piece by piece: what it takes to hold does not grow with the drive."""
+"""One filter over one replay, in pieces, so that memory does not grow with the drive."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -12,16 +12,16 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.run import new_place
-from sigmaswarm.filters.groups import Chunk, start_rows, unpack_sums
+from sigmaswarm.filters.divergence import Check, DivergenceMonitor, at_fix, check_times
+from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.models import THETA
-from sigmaswarm.filters.packing import believed, definite
+from sigmaswarm.filters.packing import definite, state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recovery import Recovery, Seen, at_fix, looks_of
-from sigmaswarm.filters.replay import Replay, Sums, run_steps, start_replays
+from sigmaswarm.filters.replay import Replay, run_steps, start_replays
 from sigmaswarm.geodesy import wrap_angle
 
 ADAPTS_R = ("adaptive-ukf", "fuzzy-ukf")
-"""Kinds whose R is another one at each look."""
+"""Filter types whose R changes with each fix."""
 SAMPLES = 10_000
 """IMU samples in a piece; planar8 takes 9 MB for so many."""
 
@@ -39,7 +39,7 @@ class Piece:
     sound : ndarray of bool, shape (r,)
         False from a failure on.
     lost : ndarray of bool, shape (r,)
-        True where the filter is lost, and the estimate is the last fix: see `recovery`.
+        True where the filter has diverged and could not yet be reset: the estimate is the last fix, see `divergence`.
     """
 
     time: Array
@@ -50,14 +50,14 @@ class Piece:
 
 
 def joined(pieces: Iterable[Piece]) -> Piece:
-    """All pieces as one."""
+    """Join pieces."""
     parts = list(pieces)
     return Piece(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Piece)))
 
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """What each fix said that a filter did not expect, before the fix was absorbed.
+    """Innovations of a filter: each fix minus its prediction, before the update.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Innovations:
 
 
 class Recording:
-    """A filter's run over a replay, as an iterator of pieces; sums and innovations after the last one.
+    """A run of a filter over a replay: an iterator of pieces, with sums and innovations after the last one.
 
     The pieces, joined, and the sums have the same bits whatever the length of a piece.
 
@@ -97,13 +97,15 @@ class Recording:
     samples : int
         IMU samples in a piece; the last one may be shorter.
     recover : bool
-        Start anew where the filter is lost: see `recovery`. It does so after a sample; what is added up there, or while
-        the estimate is but a fix, is that of the filter before.
+        Reset the filter where it diverges: see `divergence`. A reset follows a sample; the sums at that sample, and
+        while the estimate is the last fix, are those of the filter before.
 
     Attributes
     ----------
+    initial : InitialState
+        Where the filter starts.
     restarts : list of float
-        s: when it did, in the pieces so far.
+        s: times of the resets in the pieces so far.
     failure : str or None
         What went wrong in the pieces so far, and when.
     """
@@ -116,18 +118,19 @@ class Recording:
         samples: int = SAMPLES,
         recover: bool = False,
     ) -> None:
-        self._replay, self._chunk, self._samples = replay, Chunk.of((parameters,)), samples
-        self._rows, self._place = start_replays([replay], self._chunk), new_place()
+        self._replay, self._array, self._samples = replay, KernelArray((parameters,)), samples
+        self.initial = replay.initial
+        self._rows, self._place = start_replays([replay], self._array), new_place()
         self._state = state_rows(parameters.model)
         self._innovations = np.empty((len(replay.timeline.fixes), 5))
-        self._looks = looks_of(replay.timeline) if recover else None
-        if self._looks is not None:
+        self._checks = check_times(replay.timeline) if recover else None
+        if self._checks is not None:
             line = replay.timeline
-            moments = line.fix_time[self._looks.fix]
+            moments = line.fix_time[self._checks.fix]
             # of their alignments
             self._ends = np.searchsorted(line.alignments.time, moments, side="right") - 1
-        self._recovery = Recovery()
-        self.restarts = self._recovery.restarts
+        self._monitor = DivergenceMonitor()
+        self.restarts = self._monitor.restarts
         self._parts = self._run()
         self._pieces = (self._piece(*part) for part in self._parts)
         self._complete = False
@@ -141,13 +144,13 @@ class Recording:
         return joined(self)
 
     def finished(self) -> Self:
-        """The same, after the last piece; for who needs no estimates: none are made, and so no `failure` is found."""
+        """Run to the end without estimates, and so without looking for a `failure`; returns itself."""
         for _ in self._parts:
             pass
         return self
 
     def _run(self) -> Iterator[tuple[Array, Array, NDArray[np.bool_]]]:
-        """What `_piece` makes a piece of."""
+        """Run piece by piece; gives the arguments of `_piece`."""
         line = self._replay.timeline
         ends = np.flatnonzero(line.sampled) + 1
         record = np.empty((min(self._samples, len(ends)), len(self._state) + 1, 1))
@@ -161,70 +164,70 @@ class Recording:
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
         """Run to the last of the stops, (r,), each behind a step that ends at an IMU sample; (r,) where it is lost.
 
-        The filter runs on as if it kept its way, and is looked at afterwards, by what is recorded; where it was to
-        start anew it goes back. To stop for each look takes longer than the steps do.
+        The filter runs on as if it did not diverge, and is checked afterwards, from its record; where it has diverged
+        it goes back. To stop for each check takes longer than the steps do.
         """
         lost = np.zeros(len(stops), dtype=np.bool_)
-        if self._looks is None:
+        if self._checks is None:
             self._steps_to(int(stops[-1]), record)
             return lost
         row = 0
         while row < len(stops):
-            behind = self._ahead(stops, row)
+            behind = self._next_check(stops, row)
             before = self._rows.copy(), self._place.copy()
             self._steps_to(int(stops[behind - 1]), record[row:behind])
-            looked, start = self._look(stops[row:behind] - 1, record[row:behind])
-            last, row = row + looked, row + looked + 1
-            if start is None and not self._recovery.lost:
+            checked, start = self._check(stops[row:behind] - 1, record[row:behind])
+            last, row = row + checked, row + checked + 1
+            if start is None and not self._monitor.lost:
                 continue
             if row < behind:
                 self._rows[:], self._place[:] = before
-                self._steps_to(int(stops[last]), record[last - looked : row])
-            self._start_anew(start or self._at_fix(int(stops[last]) - 1))
+                self._steps_to(int(stops[last]), record[last - checked : row])
+            self._reset(start or self._at_fix(int(stops[last]) - 1))
             record[last, :-1, 0] = self._rows[0, self._state, 0]
-            lost[last] = self._recovery.lost
+            lost[last] = self._monitor.lost
         return lost
 
-    def _ahead(self, stops: NDArray[np.intp], row: int) -> int:
-        """Behind which stop to look next, from a row on."""
-        assert self._looks is not None
-        if self._recovery.lost:
+    def _next_check(self, stops: NDArray[np.intp], row: int) -> int:
+        """The number of stops before the next check, from a row on."""
+        assert self._checks is not None
+        if self._monitor.lost:
             return row + 1
-        if self._chunk.like.kind not in ADAPTS_R:
+        if self._array.like.kind not in ADAPTS_R:
             return len(stops)
-        due = np.flatnonzero(np.isin(stops[row:] - 1, self._looks.step))
+        due = np.flatnonzero(np.isin(stops[row:] - 1, self._checks.step))
         return row + 1 + int(due[0]) if len(due) else len(stops)
 
     def _steps_to(self, stop: int, record: Array) -> None:
-        run_steps(self._replay, self._chunk, self._rows[0], self._place, stop, record, self._innovations)
+        run_steps(self._replay, self._array, self._rows[0], self._place, stop, record, self._innovations)
 
-    def _look(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
-        """Look at the filter after some steps, by what is recorded of them, until one at which it is lost.
+    def _check(self, steps: NDArray[np.intp], record: Array) -> tuple[int, InitialState | None]:
+        """Check the filter after some steps, from their record, up to the first at which it has diverged.
 
-        The row of that one, or the last one, and where the filter is to start anew there, if it can.
+        Gives the row of that step, or the last row, and where the filter is reset to there, if it can be.
         """
-        looks = self._looks
-        assert looks is not None
-        first, last = np.searchsorted(looks.step, [steps[0], steps[-1] + 1]).tolist()
-        rows = np.searchsorted(steps, looks.step[first:last])
-        means, covariances = believed(record[rows, :-1, 0].T, self._chunk.model)
-        sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # where it is not it failed, and says so
-        times = self._replay.timeline.end[looks.step[first:last][sound]].tolist()
-        if not times:
+        times = self._checks
+        assert times is not None
+        first, last = np.searchsorted(times.step, [steps[0], steps[-1] + 1]).tolist()
+        rows = np.searchsorted(steps, times.step[first:last])
+        means, covariances = state_estimate(record[rows, :-1, 0].T, self._array.model)
+        sound = np.flatnonzero(np.isfinite(means).all(axis=1))  # elsewhere it has failed
+        ends = self._replay.timeline.end[times.step[first:last][sound]].tolist()
+        if not ends:
             return len(steps) - 1, None
-        k, start = self._recovery.look_back(
-            times, lambda k: self._seen(first + sound[k], means[sound[k]], covariances[sound[k]])
+        k, start = self._monitor.take_all(
+            ends, lambda k: self._check_at(first + sound[k], means[sound[k]], covariances[sound[k]])
         )
         return len(steps) - 1 if k is None else int(rows[sound[k]]), start
 
-    def _seen(self, k: int, mean: Array, covariance: Array) -> Seen:
-        """What the k-th look sees of what the filter believes."""
-        line, looks = self._replay.timeline, self._looks
-        assert looks is not None
-        alignments, step, fix, ends = line.alignments, looks.step[k], looks.fix[k], int(self._ends[k])
+    def _check_at(self, k: int, mean: Array, covariance: Array) -> Check:
+        """The k-th check, of a state estimate."""
+        line, times = self._replay.timeline, self._checks
+        assert times is not None
+        alignments, step, fix, ends = line.alignments, times.step[k], times.fix[k], int(self._ends[k])
         time, end = float(line.fix_time[fix]), float(line.end[step])
         since = [end - time, *line.driving[line.sample[step], :3]]  # ax, ay, gz
-        return Seen(
+        return Check(
             time=end,
             mean=mean,
             covariance=covariance,
@@ -232,22 +235,22 @@ class Recording:
             fix=line.fixes[fix, :2],
             fix_variance=self._variance_of(fix),
             lever=line.lever,
-            latency=self._chunk.like.latency,
+            latency=self._array.like.latency,
             since=lambda: np.array([since]),
             heading=lambda: float(alignments.course[ends] + since[0] * since[3]),
             align=lambda: alignments.at(ends),
         )
 
     def _at_fix(self, step: int) -> InitialState:
-        """What is known after a step at which it is lost: the last fix."""
+        """The state after a step at which the filter has diverged: the last fix."""
         line, time = self._replay.timeline, float(self._replay.timeline.end[step])
         fix = int(np.searchsorted(line.fix_time, time, side="right")) - 1
-        theta = float(self._believed()[0][THETA])
+        theta = float(self._estimate()[0][THETA])
         return at_fix(time, line.fixes[fix, :2], self._variance_of(fix), theta, line.lever)
 
-    def _believed(self) -> tuple[Array, Array]:
+    def _estimate(self) -> tuple[Array, Array]:
         """Mean (n,) and covariance (n, n), the heading as it is."""
-        mean, covariance = believed(self._rows[0, self._state, :1], self._chunk.model)
+        mean, covariance = state_estimate(self._rows[0, self._state, :1], self._array.model)
         return mean[0], covariance[0]
 
     def _variance_of(self, fix: int) -> Array:
@@ -255,16 +258,16 @@ class Recording:
         rx, ry, scale = self._rows[0, [R.RX, R.RY, R.ACCURACY], 0]
         return np.array([rx, ry]) + scale * self._replay.timeline.fixes[fix, 4:6]
 
-    def _start_anew(self, start: InitialState) -> None:
-        """The filter as at a start; what it has added up stays."""
-        fresh = start_rows([start], [self._replay.timeline.nominal_interval], self._chunk)[0]
+    def _reset(self, start: InitialState) -> None:
+        """Reset the filter to a start; its sums stay."""
+        fresh = self._array.start([start], [self._replay.timeline.nominal_interval])[0]
         added_up = slice(R.SQ_POSITION, R.OK + 1)
         fresh[added_up] = self._rows[0, added_up]
         self._rows[0] = fresh
 
     def _piece(self, time: Array, record: Array, lost: NDArray[np.bool_]) -> Piece:
-        mean, covariance = believed(record[:, :-1, 0].T, self._chunk.model)
-        sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._chunk.plausible
+        mean, covariance = state_estimate(record[:, :-1, 0].T, self._array.model)
+        sound = (record[:, -1, 0] == 1.0) & np.isfinite(mean).all(axis=1) & self._array.plausible
         sound = np.logical_and.accumulate(sound & definite(covariance) & (self.failure is None))
         mean[:, THETA] = wrap_angle(mean[:, THETA])
         mean[~sound], covariance[~sound] = np.nan, np.nan
@@ -274,14 +277,13 @@ class Recording:
 
     @property
     def sums(self) -> Sums:
-        """What `run_replays` gives for this replay and this set, shape (1, 1); after the last piece."""
+        """Sums as of `run_replays` for this replay and this set, shape (1, 1); after the last piece."""
         self._need_all()
-        columns, failed = unpack_sums(self._rows, self._chunk)
-        return Sums(*columns, failed=failed)
+        return self._array.sums(self._rows)
 
     @property
     def innovations(self) -> Innovations:
-        """Of all fixes, hidden ones included; after the last piece."""
+        """Innovations of all fixes, hidden ones included; after the last piece."""
         self._need_all()
         rows, time = self._innovations, self._replay.timeline.fix_time
         return Innovations(time, rows[:, :2], rows[:, [2, 3, 3, 4]].reshape(-1, 2, 2))
@@ -292,7 +294,7 @@ class Recording:
 
 
 def failure_at(line: Timeline, time: float) -> str:
-    """The sentence that says when a filter failed (s), and why it may have."""
+    """Sentence on a filter that failed at a time, s."""
     return (
         f"{line.drive.name}: the filter failed at t = {time:.3f} s (covariance not positive "
         "definite, or NaN in the data); are all variances positive and all samples finite?"

@@ -1,4 +1,4 @@
-"""Replays of drives, and any number of filters over them: what each filter adds up."""
+"""Replays of drives, and the sums that any number of filters add up over them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.compiled import run
-from sigmaswarm.filters.groups import Chunk, Packed, pack, start_rows, unpack_sums
+from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
@@ -23,9 +23,10 @@ from sigmaswarm.filters.schedule import (
     require_axes,
     require_odometer,
 )
+from sigmaswarm.filters.table import tables_of
 
 NO_SPEEDS = np.empty((0, 3))
-"""Of a filter that does not look at the wheels."""
+"""For a filter without an odometer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,11 @@ class Targets:
     x, y : (m,) m
     theta : (m,) rad
     counts : (m,) bool
-        Where the heading is compared.
+        True where the heading is compared.
     end : (k,) int32
-        How many targets lie before the end of each step of the time line.
-    doubts : (m, 4), or (0, 4) where what is known is exact
-        What the squared errors of position and heading count, and the variances of x and y, m2, beside P in the NEES.
+        Number of targets before the end of each step of the time line.
+    noise : (m, 4), or (0, 4) where the reference is exact
+        Weights of the squared errors of position and heading, and the variances of x and y, m2, added to P in the NEES.
     """
 
     weight: Array
@@ -52,19 +53,19 @@ class Targets:
     theta: Array
     counts: NDArray[np.bool_]
     end: NDArray[np.int32]
-    doubts: Array = field(default_factory=lambda: run.NO_DOUBTS)
+    noise: Array = field(default_factory=lambda: run.NO_DOUBTS)
 
     @classmethod
     def none(cls, timeline: Timeline) -> "Targets":
         """Nothing to compare with."""
-        weight, x, y, theta, counts, doubts = run.NO_TARGETS
-        return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), doubts)
+        weight, x, y, theta, counts, noise = run.NO_TARGETS
+        return cls(weight, x, y, theta, counts, np.zeros(len(timeline.dt), dtype=np.int32), noise)
 
     @property
     def columns(self) -> run.TargetColumns:
-        """What the kernel reads of the moments."""
+        """The moments as the kernel reads them."""
         weight, x, y, theta = (run.kept(column) for column in (self.weight, self.x, self.y, self.theta))
-        return weight, x, y, theta, self.counts, run.kept(self.doubts)
+        return weight, x, y, theta, self.counts, run.kept(self.noise)
 
     def compared(self, line: Timeline) -> NDArray[np.intp]:
         """The steps that end at an IMU sample with a comparison in the interval before or behind it."""
@@ -74,18 +75,18 @@ class Targets:
 
     @property
     def n_positions(self) -> int:
-        """How many positions are compared."""
+        """Number of positions that are compared."""
         return len(self.weight)
 
     @cached_property
     def position_weight(self) -> float:
-        """What the squared errors of position count together: as many as they are where truth is exact."""
-        return float(self.doubts[:, 0].sum()) if len(self.doubts) else float(self.n_positions)
+        """Total weight of the squared errors of position: their number where truth is exact."""
+        return float(self.noise[:, 0].sum()) if len(self.noise) else float(self.n_positions)
 
     @cached_property
     def heading_weight(self) -> float:
-        """The same of heading."""
-        return float(self.doubts[self.counts, 1].sum()) if len(self.doubts) else float(self.counts.sum())
+        """Total weight of the squared errors of heading."""
+        return float(self.noise[self.counts, 1].sum()) if len(self.noise) else float(self.counts.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,13 +101,13 @@ class Replay:
 
     @cached_property
     def n_hidden(self) -> int:
-        """How many fixes are hidden from the filter."""
+        """Number of fixes that are hidden from the filter."""
         return int(self.timeline.hides.sum())
 
     def arrays(
         self, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
     ) -> "DriveArrays":
-        """What the kernel reads of the drive, in its order; the flags depend on what a filter takes beside fixes."""
+        """The drive as the kernel reads it; the flags depend on the measurements that a filter uses."""
         taken = velocity, lateral, standstill, odometer
         if taken not in self._arrays:
             line, targets = self.timeline, self.targets
@@ -125,94 +126,57 @@ DriveArrays = tuple[
 """steps, samples, driving, flags, fixes, speeds, lever, targets and their ends: see `compiled.run.run_lanes`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """What replays add up for each parameter set; every array has shape (n_replays, n_sets).
-
-    Attributes
-    ----------
-    squared_position : m2, over targets, each times what it counts
-    squared_heading : rad2, over targets whose heading counts, likewise
-    nees : sum of e^T P^-1 e of the position over targets; P with the variances of what is known
-    squared_fix : m2, residuals of the fixes after they were absorbed
-    squared_forecast : m2, innovations of the hidden fixes
-    nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
-    log_tail : sum of ln(1 + NIS / c) over the fixes, hidden ones included, with c of `innovation-t`
-    forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
-    log_determinant : sum of ln det S over the fixes, hidden ones included
-    failed : bool: the covariance lost its definiteness, or something became NaN
-    """
-
-    squared_position: Array
-    squared_heading: Array
-    nees: Array
-    squared_fix: Array
-    squared_forecast: Array
-    nis: Array
-    log_tail: Array
-    forecast_t: Array
-    log_determinant: Array
-    failed: NDArray[np.bool_]
-
-
 def run_replays(replays: Sequence[Replay], parameter_sets: Sequence[FilterParameters]) -> Sums:
-    """Run one filter per parameter set over each replay. Results do not depend on a set's place or company."""
-    return run_packed(replays, pack(parameter_sets))
+    """Run one filter per parameter set over each replay; a set's sums do not depend on the other sets."""
+    sums = Sums.empty(len(replays), len(parameter_sets))
+    for places, table in tables_of(parameter_sets):
+        sums.put(slice(None), places, run_array(replays, KernelArray(table)))
+    return sums
 
 
-def run_packed(replays: Sequence[Replay], packed: Packed) -> Sums:
-    """The same of packed sets."""
-    parts = joined([_run_chunk(replays, chunk) for _, chunk in packed], axis=1)
-    if len(packed) == 1:
-        return parts
-    order = np.argsort(np.concatenate([places for places, _ in packed]))
-    return Sums(**{name: column[:, order] for name, column in vars(parts).items()})
-
-
-def _run_chunk(replays: Sequence[Replay], chunk: Chunk) -> Sums:
-    rows = start_replays(replays, chunk)
+def run_array(replays: Sequence[Replay], array: KernelArray) -> Sums:
+    """Run the parameter sets of an array over each replay."""
+    rows = start_replays(replays, array)
     for replay, block in zip(cycle(replays), rows, strict=False):
-        run_steps(replay, chunk, block, run.new_place(), len(replay.timeline.dt))
-    columns, failed = unpack_sums(rows, chunk)
-    return Sums(*columns, failed=failed)
+        run_steps(replay, array, block, run.new_place(), len(replay.timeline.dt))
+    return array.sums(rows)
 
 
-def start_replays(replays: Sequence[Replay], chunk: Chunk) -> Array:
-    """All that a chunk's filters are at the start of each of m replays, as `start_rows`."""
-    intervals = [replay.timeline.nominal_interval for replay in replays]
-    return start_rows([replay.initial for replay in replays], intervals, chunk)
+def start_replays(replays: Sequence[Replay], array: KernelArray) -> Array:
+    """Rows of an array's filters at the start of each of m replays, as `KernelArray.start`."""
+    return array.start([r.initial for r in replays], [r.timeline.nominal_interval for r in replays])
 
 
 def run_steps(
     replay: Replay,
-    chunk: Chunk,
+    array: KernelArray,
     rows: Array,
     place: Array,
     stop: int,
     record: Array = run.NO_RECORD,
     innovations: Array = run.NO_INNOVATIONS,
 ) -> None:
-    """Run a chunk's filters over the steps of one replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
-    require_readable(replay, chunk)
-    arrays = replay.arrays(*chunk.group.reads[-1])
-    run.run_lanes(chunk.model, *arrays, rows, place, stop, record, innovations)
+    """Run a block of filters over the steps of a replay from ``place`` to ``stop``: see `compiled.run.run_lanes`."""
+    require_readable(replay, array)
+    arrays = replay.arrays(*array.reads[-1])
+    run.run_lanes(array.model, *arrays, rows, place, stop, record, innovations)
 
 
-def require_readable(replay: Replay, chunk: Chunk) -> None:
-    """Raise `InputError` where a drive lacks what filters read of it."""
-    if chunk.group.reads in replay.readable:
+def require_readable(replay: Replay, array: KernelArray) -> None:
+    """Raise `InputError` where a drive lacks data that the filters read."""
+    if array.reads in replay.readable:
         return
-    model, accuracy, (*_, odometer) = chunk.group.reads
+    model, accuracy, (*_, odometer) = array.reads
     require_axes(replay.timeline.drive, model)
     if accuracy:
         require_accuracy(replay.timeline)
     if odometer:
         require_odometer(replay.timeline.drive)
-    replay.readable.add(chunk.group.reads)
+    replay.readable.add(array.reads)
 
 
 def joined(parts: Sequence[Sums], axis: int) -> Sums:
-    """Sums of more replays (axis 0) or more sets (axis 1)."""
+    """Join sums of more replays (axis 0) or more sets (axis 1)."""
     if len(parts) == 1:
         return parts[0]
     return Sums(**{name: np.concatenate([getattr(s, name) for s in parts], axis) for name in vars(parts[0])})

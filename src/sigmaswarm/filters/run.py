@@ -1,8 +1,8 @@
 """One filter over one drive: `run_filter` compiled, `run_textbook` in the textbook's form."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.recording import Innovations, Recording, failure_at
+from sigmaswarm.filters.recording import Innovations, Piece, Recording, failure_at, joined
 from sigmaswarm.filters.replay import Replay, Targets
 from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.filters.textbook.loop import run_steps
@@ -23,14 +23,12 @@ from sigmaswarm.geodesy import wrap_angle
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sigmaswarm.filters.swarm.run import SwarmRun
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a filter believed at each IMU sample after its start, after all fixes up to that time.
+    """Estimates of a filter at each IMU sample after its start, each after all fixes up to that time.
 
     Attributes
     ----------
@@ -44,10 +42,10 @@ class Estimate:
     initial : InitialState
         Where the filter started.
     restarts : tuple of float
-        s: when it was lost and started anew, see `recovery`.
+        s: times at which the filter had diverged and was reset, see `divergence`.
     lost : ndarray of bool, shape (n,) or None
-        Where it was lost and could not yet start anew: there the estimate is the last fix. None for an estimate that
-        is not watched.
+        True where the filter had diverged and could not yet be reset: the estimate is the last fix. None where
+        divergence is not monitored.
     failure : str or None
         What went wrong and when; None where nothing did.
     """
@@ -83,7 +81,7 @@ class Estimate:
         return notebook.to_pandas(self.columns(std=True))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: where it ends and how sure it is there, what went wrong, and the track."""
+        """Show the last estimate and its standard deviation, what went wrong, and the track in a notebook."""
         columns = self.columns(std=True)
         sound = np.flatnonzero(np.isfinite(self.mean).all(axis=1))
         last = int(sound[-1]) if len(sound) else -1
@@ -98,7 +96,7 @@ class Estimate:
             if len(sound) and name != "t" and not name.startswith("std_")
         ]
         rows = [(name, value, notebook.number(std)) for name, value, std in rows]
-        restarts = [f"lost, and started anew, at {t:.1f} s" for t in self.restarts]
+        restarts = [f"diverged, and was reset, at {t:.1f} s" for t in self.restarts]
         return (
             notebook.table(
                 f"Estimate, {len(self.time)} times; the last one{at}", ("", "m, m/s, rad", "sigma"), rows
@@ -121,15 +119,15 @@ def run_filter(
     Parameters
     ----------
     drive : Drive or PreparedDrive
-        Its truth, if any, is not looked at.
+        Its truth, if any, is not used.
     parameters : FilterParameters
     initial : InitialState, optional
         Where to start; `initial_state(drive)` by default.
     recover : bool
-        Start anew where the filter is lost: see `recovery`. A tuning's runs never do.
+        Reset the filter where it diverges: see `divergence`. Tuning runs never do.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others. A `PreparedDrive` says it
-        itself.
+        Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps. A `PreparedDrive` has
+        its own setting.
 
     Returns
     -------
@@ -142,17 +140,7 @@ def run_filter(
         If ``initial`` is not given and the drive never moves far enough.
     """
     replay = replay_of(drive, initial, as_recorded=as_recorded)
-    recording = Recording(replay, parameters, recover=recover)
-    whole = recording.whole()
-    return Estimate(
-        whole.time,
-        whole.mean,
-        whole.covariance,
-        replay.initial,
-        recording.failure,
-        tuple(recording.restarts),
-        whole.lost if recover else None,
-    )
+    return estimate_of(Recording(replay, parameters, recover=recover), recover=recover)
 
 
 def run_innovations(
@@ -162,9 +150,9 @@ def run_innovations(
     initial: InitialState | None = None,
     as_recorded: bool = False,
 ) -> Innovations:
-    """The innovations of the compiled filter over a drive; parameters as in `run_filter`.
+    """Run the compiled filter over a drive for its innovations; parameters as in `run_filter`.
 
-    Of a filter that failed they are NaN or nonsense from the failure on; `run_filter` says so.
+    After a failure they are NaN or meaningless; `run_filter` reports the failure.
     """
     replay = replay_of(drive, initial, as_recorded=as_recorded)
     return Recording(replay, parameters).finished().innovations
@@ -173,7 +161,7 @@ def run_innovations(
 def replay_of(
     drive: Drive | PreparedDrive, initial: InitialState | None = None, *, as_recorded: bool = False
 ) -> Replay:
-    """The whole drive, compared with nothing.
+    """Prepare a whole drive for filters, without targets to compare with.
 
     Raises
     ------
@@ -188,32 +176,55 @@ def replay_of(
     return Replay(timeline, ready.initial, Targets.none(timeline))
 
 
-def estimates(replay: Replay, parameters: FilterParameters) -> Iterator[Estimate]:
-    """What `run_filter` gives, piece by piece: what it takes to hold does not grow with the drive.
+class Run(Protocol):
+    """A run of one filter over a replay: an iterator of pieces, so that memory does not grow with the drive."""
+
+    @property
+    def initial(self) -> InitialState:
+        """Where the filter started."""
+        ...
+
+    @property
+    def restarts(self) -> Sequence[float]:
+        """Times of the resets in the pieces so far, s."""
+        ...
+
+    @property
+    def failure(self) -> str | None:
+        """What went wrong in the pieces so far, and when."""
+        ...
+
+    def __iter__(self) -> Iterator[Piece]:
+        """Iterate over the pieces."""
+        ...
+
+
+def estimate_of(run: Run, *, recover: bool) -> Estimate:
+    """Join all pieces of a run, whose divergence is monitored or not."""
+    whole = joined(run)
+    lost = whole.lost if recover else None
+    return Estimate(
+        whole.time, whole.mean, whole.covariance, run.initial, run.failure, tuple(run.restarts), lost
+    )
+
+
+def estimates_of(run: Run) -> Iterator[Estimate]:
+    """Estimates of a run, piece by piece.
 
     Raises
     ------
     SigmaswarmError
         Where the filter fails.
     """
-    return estimates_of(Recording(replay, parameters, recover=True), replay.initial)
-
-
-def estimates_of(run: "Recording | SwarmRun", initial: InitialState) -> Iterator[Estimate]:
-    """What a run believes, piece by piece, as it goes on.
-
-    Raises
-    ------
-    SigmaswarmError
-        Where it fails.
-    """
-    told = 0
+    reported = 0
     for piece in run:
         if run.failure:
             raise SigmaswarmError(run.failure)
-        restarts = tuple(run.restarts[told:])
-        told = len(run.restarts)
-        yield Estimate(piece.time, piece.mean, piece.covariance, initial, restarts=restarts, lost=piece.lost)
+        restarts = tuple(run.restarts[reported:])
+        reported = len(run.restarts)
+        yield Estimate(
+            piece.time, piece.mean, piece.covariance, run.initial, restarts=restarts, lost=piece.lost
+        )
 
 
 def run_textbook(
@@ -224,7 +235,7 @@ def run_textbook(
     heading_first: bool = True,
     redraw_sigma_points: bool = True,
 ) -> Estimate:
-    """Run the textbook filter over a drive: some ten thousand times slower than `run_filter`.
+    """Run the textbook filter over a drive, some ten thousand times slower than `run_filter`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which measurement a filter absorbs at the end of which step, and where it starts: the same for every form of it."""
+"""The measurements at the end of each step, and the start: the same for every form of a filter."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import fields
@@ -16,43 +16,42 @@ from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
 
 # What happens at the end of a step, as bits.
-FIX = 1  # a fix is absorbed
-IMU = 2  # it is an IMU sample's time: estimates are recorded and scored
+FIX = 1  # update with a fix
+IMU = 2  # time of an IMU sample: estimates are recorded and scored
 VELOCITY = 4  # the fix has a velocity
 LATERAL = 8  # the car's lateral velocity is constrained
 STANDSTILL = 16  # the car stands
-HIDDEN = 32  # a fix is there, but not for the filter: its forecast is scored
-ODOMETER = 64  # the wheels' speed is absorbed
+HIDDEN = 32  # a fix that is hidden from the filter: its prediction is scored
+ODOMETER = 64  # update with the wheels' speed
 COMPARED = 128  # the heading is compared with truth in the interval that ends or begins here
 
 LATERAL_INTERVAL = 0.1
-"""s between two looks at the lateral velocity: its error is not white, so more of them tell no more."""
+"""s between two lateral updates: the error is not white, so more of them add no information."""
 STANDSTILL_INTERVAL = 0.1
-"""s between two looks at the velocity at standstill."""
+"""s between two standstill updates."""
 STANDSTILL_RATE_NOISE = np.radians(0.5) ** 2
 """rad2/s2: variance of the gyro around its bias while the car stands."""
 SLIP_GATE = 9.0
-"""The largest NIS of the wheels' speed that is absorbed: three sigmas. Wheels that slip or lock lie for seconds, all
-readings alike, so that a small weight for each would still add up. Nor is the end of a long run of them absorbed, as
-with fixes: P grows until it covers what is true, and fixes hold the speed meanwhile."""
+"""The largest NIS of a wheel speed that is used: three sigmas. Wheels that slip or lock are wrong for seconds, with
+equal readings, so that a small weight for each would still add up. Unlike fixes, the last of a long run of them is
+rejected, too: P grows until it covers the true speed, and fixes observe the speed meanwhile."""
 MOST_REJECTED = 5
-"""So many fixes in a row may the gate turn away; the next one is absorbed, or a filter that lost its way never
-recovers."""
+"""Fixes in a row that the gate may reject; the next one is used, or a filter that has diverged would never recover."""
 
 GAP_TURN_STD = 0.1
-"""rad/s: how fast a car may have turned, beyond the mean of the samples around it, in a gap of the IMU's samples. Real
-drives do as well with 0.05 to 0.3."""
+"""rad/s: standard deviation of the turn rate in a gap of the IMU, around the mean of the samples next to it. Values
+of 0.05 to 0.3 do as well on real drives."""
 GAP_ACCELERATION_STD = 1.0
-"""m/s2 per axis: how hard it may have accelerated in a gap. Real drives do as well with 0.5 to 2."""
+"""m/s2 per axis: standard deviation of the acceleration in a gap. Values of 0.5 to 2 do as well on real drives."""
 GAP_TILT_STD = 0.01
-"""rad/s about east and north: how fast road and body may have tilted in a gap. A real drive does as well with 0.02."""
+"""rad/s about east and north: standard deviation of the tilt rate in a gap. 0.02 does as well on a real drive."""
 
 
 Switches = tuple[bool, bool, bool, bool]
 
 
 def switches(p: FilterParameters) -> Switches:
-    """Which measurements beside fixes a parameter set takes: velocity, lateral, standstill, odometer."""
+    """Measurements besides fixes that a parameter set uses: velocity, lateral, standstill, odometer."""
     velocity, lateral = p.velocity_noise is not None, p.lateral_noise is not None
     return velocity, lateral, p.standstill_noise is not None, p.odometer_noise is not None
 
@@ -101,7 +100,7 @@ def require_axes(drive: Drive, model: ModelName) -> None:
 
 
 def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> None:
-    """The same of a drive of which only the name and the axes are known."""
+    """As `require_axes`, for a drive of which only the name and the axes are known."""
     lacking = [axis for axis in MODELS[model].imu if axis not in axes]
     if lacking:
         raise InputError(
@@ -111,12 +110,12 @@ def require_named_axes(name: str, axes: Collection[str], model: ModelName) -> No
 
 
 def gap_covariance(n: int, dt: float, gap: float) -> Array:
-    """What a step of ``dt`` s through a gap of ``gap`` s adds to P, (n, n), beside Q; zero where there is no gap.
+    """Covariance (n, n) that a step of ``dt`` s through a gap of ``gap`` s adds to P besides Q; zero without a gap.
 
-    The motion that nobody saw is one turn rate and one acceleration for the whole gap, so its steps together add
+    The unobserved motion is one turn rate and one acceleration for the whole gap. So its steps together add
     (GAP_TURN_STD gap)^2 to the heading and (GAP_ACCELERATION_STD gap)^2 to each velocity; the position takes half of
-    each step's velocity. Roll and pitch, of models that have them, grow by (GAP_TILT_STD gap)^2 besides, which is not
-    a part of this: a `TextbookCar` adds it by itself, as the kernels do.
+    each step's velocity. The (GAP_TILT_STD gap)^2 of roll and pitch is not included: `TextbookCar` and the kernels
+    add it themselves.
     """
     added = np.zeros((n, n))
     g = GAP_ACCELERATION_STD**2 * gap * dt
@@ -131,9 +130,9 @@ def gap_covariance(n: int, dt: float, gap: float) -> Array:
 def flags_of(
     line: Timeline, velocity: bool, lateral: bool, standstill: bool, odometer: bool = False
 ) -> NDArray[np.uint8]:
-    """What happens at the end of each step, as bits FIX ... ODOMETER, shape (k,).
+    """Events at the end of each step, as bits FIX ... ODOMETER, shape (k,).
 
-    Where the wheels are looked at and turn, the car does not stand, however calm it is.
+    With an odometer, the car does not stand while the wheels turn.
     """
     wheels = line.wheels if odometer else None
     flags = np.zeros(len(line.absorbs), dtype=np.uint8)
@@ -175,8 +174,8 @@ def start_of(initial: InitialState, p: FilterParameters) -> tuple[Array, Array]:
 def starts_of(initial: Sequence[InitialState], model: CarModel, bias_std: Array) -> tuple[Array, Array]:
     """Means (m, r, n) and covariances (m, r, n, n) at m starts of one length for bias_std of shape (r, 2).
 
-    What a start does not say is 0: a bias, as unsure as ``bias_std`` says, or roll and pitch, as their states say. What
-    it shows of the gyro's biases goes into them: see `GyroSeen.tell`.
+    States that a start lacks begin at 0: a bias with ``bias_std``, roll and pitch with the ``start_std`` of their
+    state. Gyro biases observed at the start are included: see `GyroSeen.tell`.
     """
     n, known = len(model.states), min(len(model.states), len(initial[0].mean))
     shape = len(initial), len(bias_std), n
@@ -198,7 +197,7 @@ def starts_of(initial: Sequence[InitialState], model: CarModel, bias_std: Array)
 
 
 def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
-    """What starts show of the gyro, and which: all at once where all do, for each time that it is told takes 50 us."""
+    """Gyro observations of starts, and of which: all at once where all have one, since each call takes 50 us."""
     each = [(k, start.gyro) for k, start in enumerate(initial) if start.gyro is not None]
     if len(each) == len(initial):
         return [(slice(None), together([seen for _, seen in each]))]
@@ -206,5 +205,5 @@ def _seen(initial: Sequence[InitialState]) -> list[tuple[slice, GyroSeen]]:
 
 
 def converted(p: FilterParameters, nominal_interval: float) -> Array:
-    """Diagonal of Q per nominal interval (s) of a drive, (n,), where the set may refer to another interval."""
+    """Diagonal of Q per nominal interval (s) of a drive, (n,), from that of the parameters' own interval."""
     return nominal_interval / (p.nominal_interval or nominal_interval) * np.array(p.process_noise)

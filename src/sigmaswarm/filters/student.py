@@ -1,17 +1,17 @@
-"""Student's t: how filters and objectives bear fixes that lie far off, in numbers.
+"""Student's t: constants of filters and objectives that are robust to outliers.
 
 With v degrees of freedom it is a Gaussian whose covariance is divided by a weight, drawn for each fix from a gamma
 distribution of mean 1. An outlier's weight is small.
 """
 
 ITERATIONS = 3
-"""Of the variational update: state and weight of a fix are fitted to each other so often."""
+"""Iterations of the variational update, which fits state and weight of a fix to each other."""
 OUTLYING = 0.25
 """A fix of a smaller weight is an outlier."""
 OUTLIERS = 3
-"""So many outliers in a row, at least, ..."""
+"""This many outliers in a row, at least, ..."""
 OUTLIERS_SPAN = 5.0
-"""... which span so many s, at least, are none: it is the filter that is wrong."""
+"""... which span this many s, at least, are no outliers: the filter is wrong."""
 
 # c of an objective is 2 x with x e^x E1(x) = v / (v + 2), E1 being the exponential integral. Then the mean of
 # ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over Gaussian innovations is least where their mean NIS is 2, as it is for
@@ -21,4 +21,4 @@ INNOVATION_DOF, INNOVATION_SCALE = 4.0, 2.9069903810286775
 FORECAST_DOF, FORECAST_SCALE = 8.0, 6.609907797270899
 """v and c of `forecast-t`."""
 LARGEST_TAIL = 1e38
-"""What 1 + NIS / c counts at most in `innovation-t`: a product of eight of them is a number still."""
+"""Upper limit of 1 + NIS / c in `innovation-t`: a product of eight of them does not overflow."""

@@ -1,4 +1,4 @@
-"""Many parameter sets as columns of numbers: to check and build an object for each would take as long as a drive."""
+"""Many parameter sets as columns of numbers: checking and building an object for each takes as long as a drive."""
 
 import math
 from collections.abc import Sequence
@@ -9,73 +9,83 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import Switches, switches
+
+_ABSENT: dict[str, float] = {
+    **dict.fromkeys(
+        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
+    ),
+    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof"), 0.0),
+}
+"""The number that stands for None in the fields that may be None."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterTable(Sequence[FilterParameters]):
-    """Parameter sets that differ in some numbers only; a set itself is made where it is asked for.
+    """Parameter sets of one model and with the same measurements; indexing builds a `FilterParameters`.
 
     Attributes
     ----------
     like : FilterParameters
-        All else of each of them. What it leaves out, as a gate, they all leave out.
+        The fields that all sets share.
     columns : dict of str to ndarray, shapes (n,) or (n, k)
-        The fields in which they differ, each of n numbers, or of as many tuples of k.
+        The fields in which they differ: a number or a tuple of k numbers for each set.
+    size : int
+        n.
     """
 
     like: FilterParameters
-    columns: dict[str, Array]
+    columns: dict[str, NDArray[Any]]
+    size: int
+
+    @classmethod
+    def of(cls, parameter_sets: Sequence[FilterParameters]) -> "ParameterTable":
+        """Make a table of parameter sets of one model and with the same measurements."""
+        if isinstance(parameter_sets, ParameterTable):
+            return parameter_sets
+        each = [vars(p) for p in parameter_sets]
+        columns = dict[str, NDArray[Any]]()
+        for name, first in each[0].items():
+            values = [one[name] for one in each]
+            if any(value is not first and value != first for value in values):
+                columns[name] = np.array([_ABSENT[name] if value is None else value for value in values])
+        return cls(parameter_sets[0], columns, len(each))
+
+    def field(self, name: str) -> Any:
+        """Values of a field, shape (n,) or (n, k), or the value that all sets share; inf or 0 stands for None."""
+        if name in self.columns:
+            return self.columns[name]
+        value = getattr(self.like, name)
+        return _ABSENT[name] if value is None else value
+
+    def column(self, name: str) -> Array:
+        """Values of a field of numbers for each set, shape (n,) or (n, k); inf or 0 stands for None."""
+        value = np.asarray(self.field(name), dtype=np.float64)
+        return value if name in self.columns else np.repeat(value[np.newaxis], self.size, axis=0)
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
+        return self.size
 
     @overload
     def __getitem__(self, at: int) -> FilterParameters: ...
     @overload
     def __getitem__(self, at: slice) -> "ParameterTable": ...
     def __getitem__(self, at: int | slice) -> "FilterParameters | ParameterTable":
+        places = range(self.size)[at]
         part = {name: column[at] for name, column in self.columns.items()}
-        if isinstance(at, slice):
-            return ParameterTable(self.like, part)
-        return replace(self.like, **{name: value.tolist() for name, value in part.items()})
+        if isinstance(places, range):
+            return ParameterTable(self.like, part, len(places))
+        values = {name: value.tolist() for name, value in part.items()}
+        return replace(self.like, **{k: None if v == _ABSENT.get(k) else v for k, v in values.items()})
 
 
-Fields = dict[str, Any]
-"""Fields of n parameter sets by name: (n,) or (n, k); of a field that is the same in all sets, its value alone."""
-
-MISSING: dict[str, float] = {
-    **dict.fromkeys(
-        ("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise", "gate"), math.inf
-    ),
-    **dict.fromkeys(("nominal_interval", "accuracy_scale", "robust_dof"), 0.0),
-}
-"""What stands for None in the fields that may be."""
-
-
-def fields_of(parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None) -> Fields:
-    """Of some sets; of all fields, or those with the names."""
-    like, columns = apart(parameter_sets, names)
-    return shared_fields(like, names) | columns
-
-
-def shared_fields(like: FilterParameters, names: Sequence[str] | None = None) -> Fields:
-    """What sets that are like one have, where they do not differ."""
-    of = vars(like)
-    return {name: MISSING[name] if of[name] is None else of[name] for name in names or of}
-
-
-def apart(
-    parameter_sets: Sequence[FilterParameters], names: Sequence[str] | None = None
-) -> tuple[FilterParameters, dict[str, NDArray[Any]]]:
-    """One of some sets, and as columns the fields in which they differ; of a table it has them, all of them."""
+def tables_of(parameter_sets: Sequence[FilterParameters]) -> list[tuple[NDArray[np.intp], ParameterTable]]:
+    """Tables of the sets of each model and choice of measurements, and the indices of each table's sets."""
     if isinstance(parameter_sets, ParameterTable):
-        return parameter_sets.like, parameter_sets.columns
-    each = [vars(p) for p in parameter_sets]
-    columns = dict[str, NDArray[Any]]()
-    for name in names or each[0]:
-        of = [one[name] for one in each]
-        first = of[0]
-        if any(value is not first and value != first for value in of):
-            columns[name] = np.array([MISSING[name] if value is None else value for value in of])
-    return parameter_sets[0], columns
+        return [(np.arange(len(parameter_sets)), parameter_sets)]
+    alike: dict[tuple[ModelName, Switches], list[int]] = {}
+    for i, p in enumerate(parameter_sets):
+        alike.setdefault((p.model, switches(p)), []).append(i)
+    return [(np.array(at), ParameterTable.of([parameter_sets[i] for i in at])) for at in alike.values()]

@@ -1,13 +1,13 @@
-"""tilted12: a car on a road that is not flat; its process and measurements, in the textbook's form.
+"""tilted12: a car on a road that is not flat; process and measurements in textbook form.
 
 The attitude is a rotation R from body to local frame, R = Rz(theta) Ry(pitch) Rx(roll): pitch is positive nose down,
 roll left side up. A filter on it keeps its mean as such angles and its covariance as that of a small rotation ``e``
 about east, north and up, multiplied from the left: R_true = exp([e]x) R (J. Sola, Quaternion kinematics for the
-error-state Kalman filter, 2017, section 7: the global error). e stands in the places of roll, pitch and theta. When it
-is folded into R, the covariance is left as it is: what a reset would change is of second order in e.
+error-state Kalman filter, 2017, section 7: the global error). e takes the places of roll, pitch and theta. When it
+is injected into R, the covariance stays as it is: a reset would change it by second order in e.
 
-There is no vertical channel: the car stays on the road. So along the third axis of the local frame the specific force
-is taken to be gravity in the Jacobians, which the bumps of a road would make noisy otherwise.
+There is no vertical channel: the car stays on the road. So the Jacobians take the specific force
+along the third axis of the local frame to be gravity; the bumps of a road would make them noisy otherwise.
 """
 
 from dataclasses import dataclass
@@ -93,7 +93,7 @@ def turn_of(r: Array) -> Array:
 
 
 def plus(state: Array, error: Array) -> Array:
-    """The state (12,) with an error (12,) added: turned, where it is attitude."""
+    """Inject an error (12,) into a state (12,)."""
     return with_rotation(state + error, turn(error[[*ATTITUDE]]) @ rotation(state))
 
 
@@ -113,7 +113,7 @@ def _middle(state: Array, dt: float, imu: Array) -> tuple[Array, Array, Array]:
 
 
 def tilted12(state: Array, dt: float, imu: Array) -> Array:
-    """Newton's equations for a car of any attitude, its IMU's biases as they are; imu (6,) in the order of `AXES`."""
+    """Newton's equations for a car of any attitude, with constant IMU biases; imu (6,) in the order of `AXES`."""
     r, half, a = _middle(state, dt, imu)
     new = with_rotation(state, r @ half)
     new[:2] += state[2:4] * dt + a[:2] * dt**2 / 2
@@ -122,7 +122,7 @@ def tilted12(state: Array, dt: float, imu: Array) -> Array:
 
 
 def transition(state: Array, dt: float, imu: Array) -> Array:
-    """F, (12, 12): what a step makes of a small error."""
+    """F, (12, 12): propagation of a small error by a step."""
     r, _, a = _middle(state, dt, imu)
     of_error = np.zeros((2, N))  # of the acceleration, e x a and -R b
     of_error[:, [*ATTITUDE]] = [[0.0, GRAVITY, -a[1]], [-GRAVITY, 0.0, a[0]]]
@@ -137,7 +137,7 @@ def transition(state: Array, dt: float, imu: Array) -> Array:
 
 @dataclass(frozen=True)
 class Antenna:
-    """The fix that a state predicts: where the antenna was ``latency`` s ago.
+    """Predict a fix: where the antenna was ``latency`` s ago.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ class Antenna:
         return state[:2] - self.latency * state[2:4] + (rotation(state) @ self.lever)[:2]
 
     def jacobian(self, state: Array) -> Array:
-        """H, (2, 12): e x R lever beside position and velocity."""
+        """H, (2, 12): e x R lever, position and velocity."""
         east, north, up = rotation(state) @ self.lever
         h = np.zeros((2, N))
         h[:, :2], h[:, 2:4] = np.eye(2), -self.latency * np.eye(2)
@@ -192,7 +192,7 @@ class RearAxle:
 
 @dataclass(frozen=True)
 class Wheels:
-    """The velocity forward (m/s), along the road, that the wheels have shown ``delay`` s ago.
+    """Velocity forward (m/s), along the road, ``delay`` s ago, as the wheels measure it.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ def _along_the_road(state: Array, up: Array) -> Array:
 
 
 def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
-    """H, (1, 12), of the velocity along an axis of the body; what attitude does to the velocity upwards included."""
+    """H, (1, 12), of the velocity along an axis of the body, with the effect of attitude on the upward velocity."""
     v, climb = _along_the_road(state, up), axis[2] / up[2]
     h = np.zeros((1, N))
     h[0, 2:4] = axis[:2] - climb * up[:2]
@@ -236,7 +236,7 @@ def _jacobian_along(state: Array, axis: Array, up: Array) -> Array:
 
 @dataclass(frozen=True)
 class States:
-    """Some of the states themselves: a velocity, or what a gyro shows at rest."""
+    """Some of the states themselves: a velocity, or the gyro's biases at rest."""
 
     places: tuple[int, ...]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from sigmaswarm.drives.description import require_name
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.drives.reader import require_name
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.expressions import compile_expression

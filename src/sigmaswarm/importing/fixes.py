@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array, Drive, Gps
-from sigmaswarm.drives.places import read_place
-from sigmaswarm.drives.reader import has_table
+from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
 from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
@@ -58,7 +57,9 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
         Nothing can be read, there are no fixes in it, or they can't be put on the drive's plane.
     """
     if has_table(path, "gps"):
-        return _of_drive(read_place(path)[0], drive, offset)  # what looks wrong was told when it was made
+        return _of_drive(
+            read_with_warnings(path)[0], drive, offset
+        )  # what looks wrong was told when it was made
     notes: list[str] = []
     time, values, sure = _gathered(path, notes.append)
     counted = bool(time[len(time) // 2] >= LONG_AGO)

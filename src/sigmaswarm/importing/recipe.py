@@ -8,7 +8,7 @@ from typing import Any, Self, cast
 
 import tomli_w
 
-from sigmaswarm.drives.reader import value_shown
+from sigmaswarm.drives.description import value_shown
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.importing.source import ROLES, Guess, Part, Role

@@ -1,14 +1,12 @@
-"""Learned rivals of a tuned filter: networks that help it, trained on the user's own drives.
+"""Learned rivals of a tuned filter: networks that help it, trained on the user's drives.
 
-Two schools, each built from its principle (the papers' texts were not at hand, so what they decided may differ):
+Two types, built from the principles of these papers (without their texts, so details may differ):
 
 outage-lstm
-    a network that stands in for the receiver during outages: it forecasts displacements, which the filter absorbs;
-    after the idea of X. Li et al., Sci. Rep. 15, 11817, 2025, and Y. Yang et al., Sci. Rep. 14, 13905, 2024
+    a network that replaces the receiver during outages: the filter is updated with its forecasts of displacements;
+    after X. Li et al., Sci. Rep. 15, 11817, 2025, and Y. Yang et al., Sci. Rep. 14, 13905, 2024
 noise-gru
-    a network that scales Q and R by what the innovations were lately; after the idea of Q. Chen et al., IEEE TIM 71,
-    2022
+    a network that scales Q and R by the latest innovations; after Q. Chen et al., IEEE TIM 71, 2022
 
-Training takes JAX (the extra ``learned``) and no truth. What is trained runs with NumPy alone: `cells` are written once
-for both.
+Training needs JAX (the extra ``learned``) and no truth. A trained network runs with NumPy alone.
 """

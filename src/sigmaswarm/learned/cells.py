@@ -1,4 +1,4 @@
-"""Cells of recurrent networks, written once: with ``xp`` NumPy they run, with ``xp`` jax.numpy they are trained.
+"""Cells of recurrent networks: with ``xp`` NumPy they run, with ``xp`` jax.numpy they are trained.
 
 A network's weights are one flat mapping of names to arrays, as their file holds them.
 """
@@ -19,7 +19,7 @@ def _sigmoid(xp: Any, x: Any) -> Any:
 
 
 def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any, Any]:
-    """One step of a long short-term memory: h and c, each (..., units), after an input (..., features).
+    """Run a step of a long short-term memory: return h and c, each (..., units), after an input (..., features).
 
     S. Hochreiter and J. Schmidhuber, Neural Computation 9(8), 1997, with the forget gate of F. Gers, J. Schmidhuber and
     F. Cummins, Neural Computation 12(10), 2000.
@@ -32,7 +32,7 @@ def lstm(xp: Any, weights: Weights, state: tuple[Any, Any], x: Any) -> tuple[Any
 
 
 def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
-    """One step of a gated recurrent unit: h (..., units) after an input (..., features).
+    """Run a step of a gated recurrent unit: return h (..., units) after an input (..., features).
 
     K. Cho et al., EMNLP 2014.
     """
@@ -45,14 +45,14 @@ def gru(xp: Any, weights: Weights, h: Any, x: Any) -> Any:
 
 
 def head(weights: Weights, h: Any) -> Any:
-    """What a network says, (..., outputs), of its state (..., units)."""
+    """Return the outputs (..., outputs) of a state (..., units)."""
     return h @ weights["head"] + weights["head_bias"]
 
 
 def new_weights(
     rng: np.random.Generator, gates: int, features: int, units: int, outputs: int
 ) -> dict[str, Array]:
-    """Weights to start from; the head's are zero, so that a new network says nothing.
+    """Draw initial weights; the head's are zero, so that a new network has no effect.
 
     X. Glorot and Y. Bengio, AISTATS 2010. The forget gate of an LSTM (``gates`` 4) is open at first (R. Jozefowicz, W.
     Zaremba and I. Sutskever, ICML 2015).
@@ -75,5 +75,5 @@ def new_weights(
 
 
 def n_weights(weights: Weights) -> int:
-    """How many numbers a network has learned."""
+    """Count the weights of a network."""
     return sum(int(np.size(array)) for array in weights.values())

@@ -1,11 +1,11 @@
-"""Fitting weights by gradients: Adam with early stopping, the same bits each time, and resumable after each epoch.
+"""Fit weights by gradients: Adam with early stopping, the same bits each time, resumable after each epoch.
 
-The only file beside the losses that uses JAX, and the only one that uses Optax: the extra ``learned``.
+It needs JAX and Optax, the extra ``learned``.
 """
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -18,23 +18,34 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.store import load_checkpoint, save_checkpoint
 
 Loss = Callable[[Any, tuple[Any, ...]], Any]
-"""Of weights and of a batch: its mean loss."""
+"""Mean loss of a batch, given weights and batch."""
 DECAY = 1e-4
-"""What weights lose a step, times the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
+"""Weight decay of a step, times the learning rate: I. Loshchilov and F. Hutter, ICLR 2019."""
 LARGEST_GRADIENT = 1.0
 """Longer ones are shortened: R. Pascanu, T. Mikolov and Y. Bengio, ICML 2013."""
 
 
 @dataclass(frozen=True, eq=False)
+class Lesson:
+    """A training to be done: loss, initial weights and examples of `fit`, and weights that stay fixed."""
+
+    loss: Loss
+    weights: Mapping[str, Array]
+    examples: tuple[Array, ...]
+    held_back: tuple[Array, ...]
+    fixed: Mapping[str, Array] = field(default_factory=dict[str, Array])
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
-    """What a training found.
+    """The result of a training.
 
     Attributes
     ----------
     weights : dict of str to ndarray
-        Of the epoch that was best on the examples held back.
+        Of the epoch with the least loss on the held-back examples.
     losses : ndarray, shape (epochs + 1, 2)
-        Mean loss on the training examples, and on those held back, before the first epoch and after each.
+        Mean loss on the training and the held-back examples, before the first epoch and after each.
     """
 
     weights: dict[str, Array]
@@ -42,17 +53,17 @@ class Fit:
 
     @property
     def best(self) -> float:
-        """The least loss on the examples held back."""
+        """The least loss on the held-back examples."""
         return float(np.min(self.losses[:, 1]))
 
 
 def exact() -> AbstractContextManager[Any]:
-    """JAX with double precision, for the block only.
+    """Use JAX with double precision in a block.
 
     Raises
     ------
     InputError
-        Where JAX or Optax is not installed.
+        If JAX or Optax is not installed.
     """
     try:
         import jax
@@ -79,24 +90,24 @@ def fit(
     checkpoint: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Find the weights with the least loss on examples held back, by Adam on the others.
+    """Find the weights with the least loss on held-back examples, by Adam on the others.
 
     Parameters
     ----------
     loss : callable
     weights : mapping
-        To begin with.
+        Initial ones.
     examples, held_back : tuple of ndarray
         Each of shape (number of examples, ...).
     learning_rate : float
     epochs, batch, patience : int
-        At most so many passes over the examples, so many examples a step, and so many passes without anything better.
+        Largest number of passes over the examples, examples a step, and largest number of passes without improvement.
     seed : int
         Shuffles the examples: the same seed gives the same bits on the same machine.
     checkpoint : Path, optional
-        Where the state after each epoch is kept until the training ends, and found after a kill.
+        File of the state after each epoch, from which a killed training continues.
     progress : callable, optional
-        Told of every epoch and of the least loss so far.
+        Called with every epoch and the least loss so far.
     """
     with exact():
         import jax
@@ -113,9 +124,9 @@ def fit(
             order = np.random.default_rng([seed, state.epoch]).permutation(len(examples[0]))
             order = order[: len(order) // size * size].reshape(-1, size)
             moved, moments, mean = run(state.weights, state.moments, tuple(e[order] for e in examples))
-            told = float(mean), float(test(moved, held_back))
+            loss_pair = float(mean), float(test(moved, held_back))
             moved, moments = jax.tree.map(np.asarray, (moved, moments))
-            state = state.after(moved, moments, told)
+            state = state.after(moved, moments, loss_pair)
             if checkpoint:
                 save_checkpoint(checkpoint, state.arrays(), {})
             if progress:
@@ -124,7 +135,7 @@ def fit(
 
 
 def _optimizer(learning_rate: float) -> Any:
-    """Adam whose weights decay, on gradients of bounded length; a step that is not finite is not taken."""
+    """Return Adam with weight decay and clipped gradients; steps that are not finite are skipped."""
     import optax
 
     steps = optax.chain(
@@ -134,7 +145,7 @@ def _optimizer(learning_rate: float) -> Any:
 
 
 def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any) -> Any:
-    """One pass over the batches, (steps, batch, ...) each; weights and moments after it, and the mean loss."""
+    """Run over the batches, (steps, batch, ...) each; return weights, moments and the mean loss."""
     import jax
     import optax
 
@@ -150,7 +161,7 @@ def _epoch(loss: Loss, optimizer: Any, weights: Any, moments: Any, batches: Any)
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """All that a training goes on from; ``moments`` are the optimizer's."""
+    """The state of a training; ``moments`` are the optimizer's."""
 
     weights: dict[str, Any]
     moments: Any
@@ -166,11 +177,11 @@ class _State:
     def epoch(self) -> int:
         return len(self.losses) - 1
 
-    def after(self, weights: Any, moments: Any, told: tuple[float, float]) -> "_State":
-        train, test = (value if np.isfinite(value) else np.inf for value in told)
+    def after(self, weights: Any, moments: Any, losses: tuple[float, float]) -> "_State":
+        train, test = (value if np.isfinite(value) else np.inf for value in losses)
         better = test < np.min(self.losses[:, 1])
-        losses = np.vstack([self.losses, [train, test]])
-        return _State(weights, moments, weights if better else self.best, losses)
+        best = weights if better else self.best
+        return _State(weights, moments, best, np.vstack([self.losses, [train, test]]))
 
     def arrays(self) -> dict[str, Any]:
         import jax
@@ -183,7 +194,7 @@ class _State:
         return {**named, **numbered, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """The state that was saved, of a training that begins as this one."""
+        """Return the saved state of a training that began as this one."""
         import jax
 
         def part(name: str) -> dict[str, Any]:

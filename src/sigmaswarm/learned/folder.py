@@ -1,10 +1,10 @@
-"""What a training leaves: a folder with the filter, what was learned, and how; no pickle in it.
+"""The folder of a training; it holds no pickle.
 
-tuning.toml, seen.npz   the filter, as its tuning has left them
-learned.toml            which network, its settings, and what it learned from
-weights.npz             its numbers
-learned_seen.npz        what the training drives are recognized by
-timings.json            what the training took: the one file that differs from run to run
+tuning.toml, seen.npz   the filter, as its tuning wrote them
+learned.toml            type of network, settings, and training data
+weights.npz             weights
+learned_seen.npz        landmarks that identify the training drives
+timings.json            duration of the training: the only file that differs between two runs
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ LEARNED_FILE, WEIGHTS_FILE, LEARNED_SEEN = "learned.toml", "weights.npz", "learn
 
 
 class NetworkRecord(BaseModel):
-    """``[network]`` of learned.toml: all of a network but its weights."""
+    """``[network]`` of learned.toml: a network without its weights."""
 
     units: int
     window: float
@@ -51,11 +51,11 @@ class TrainingRecord(BaseModel):
     search: int
     driven_s: float
     labelled_s: float = 0.0
-    """Of driving whose truth was looked at: none."""
+    """Driving with truth: none is used."""
     epochs: int
     loss_before: float
     loss: float
-    """On what was held back."""
+    """On the held-back data."""
     held_back: str
 
 
@@ -71,7 +71,7 @@ class LearnedRecord(BaseModel):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A trained network, and how it came about.
+    """A trained network and its record.
 
     Attributes
     ----------
@@ -84,13 +84,13 @@ class Learned:
 
     @property
     def kind(self) -> str:
-        """Its name: outage-lstm or noise-gru."""
+        """The type: outage-lstm or noise-gru."""
         return self.record.kind
 
     def run(
         self, replay: Replay, parameters: FilterParameters, *, recover: bool = False
     ) -> "OutageRun | NoiseRun":
-        """The filter over a replay, with what was learned."""
+        """Run the filter with the network over a replay."""
         net = self.record.network
         if self.kind == outage_lstm.NAME:
             inflation = np.inf if net.inflation is None else net.inflation
@@ -108,12 +108,12 @@ class Learned:
 
 
 def seen_in(folder: Path) -> list[Landmarks]:
-    """What the drives are recognized by that a folder's network learned from; empty where there is none."""
+    """Return the landmarks of the training drives of a folder's network, if it has one."""
     return [] if not folder.is_dir() else load_landmarks(folder / LEARNED_SEEN) or []
 
 
 def load_learned(folder: Path) -> Learned | None:
-    """What a folder holds beside a filter; None where it is no training's.
+    """Read the network of a folder, or return None where it has none.
 
     Raises
     ------

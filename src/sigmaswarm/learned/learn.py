@@ -1,4 +1,4 @@
-"""`learn`: train a network beside a tuned filter, search its settings, and keep it in a folder."""
+"""Train a network that helps a tuned filter, search its settings, and save it in a folder."""
 
 import shutil
 import time
@@ -16,29 +16,25 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.learned import noise_gru, noise_training, outage_lstm, outage_training
+from sigmaswarm.learned import noise_gru, outage_lstm
 from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.fitting import Fit, exact
-from sigmaswarm.learned.folder import (
-    LEARNED_SEEN,
-    Learned,
-    LearnedRecord,
-    NetworkRecord,
-    TrainingRecord,
-)
-from sigmaswarm.learned.outage_lstm import OutageLstm
+from sigmaswarm.learned.fitting import Fit, Lesson, exact, fit
+from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
+from sigmaswarm.learned.noise_training import NoiseLearner
+from sigmaswarm.learned.outage_training import OutageLearner
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.store import ResultFolder
 from sigmaswarm.versions import versions
 
 POPULATION = 4
-"""Settings that the search tries at a time."""
+"""Settings of a batch of the search."""
+Settings = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a training is, told after every epoch: trainings and epochs, and the least loss so far."""
+    """Progress of a training after an epoch: trainings and epochs, and the least loss so far."""
 
     trial: int
     epoch: int
@@ -47,145 +43,26 @@ class Progress:
     loss: float
 
 
-@dataclass(frozen=True, eq=False)
-class Trained:
-    """One training: the weights to be kept, and what it found."""
-
-    weights: Mapping[str, Array]
-    fit: Fit
-
-
-@dataclass(frozen=True, eq=False)
-class Finished:
-    """The weights to be kept, and what else the network's record says."""
-
-    weights: Mapping[str, Array]
-    more: Mapping[str, Any]
-
-
 class Learner(Protocol):
-    """What one kind of network learns from, and how."""
+    """The training of one type of network."""
 
     epochs: int
-    start: Mapping[str, float]
-    """Settings that are tried first; all of them where nothing is searched."""
+    batch: int
+    patience: int
+    start: Settings
+    """Settings of the first training, and of the only one without a search."""
     box: Mapping[str, tuple[float, float]]
-    """In which they are searched, as logarithms to the base of 2."""
+    """Bounds of the search, as logarithms to the base of 2."""
 
-    def train(
-        self,
-        settings: Mapping[str, float],
-        seed: int,
-        checkpoint: Path | None,
-        progress: Callable[[int, float], None],
-    ) -> Trained: ...
-    def finish(self, settings: Mapping[str, float], weights: Mapping[str, Array]) -> "Finished":
-        """What is left to be done with the best of them."""
+    def lesson(self, settings: Settings, seed: int) -> Lesson:
+        """Prepare what `fit` needs."""
         ...
 
-
-class OutageLearner:
-    """Trains `outage_lstm`."""
-
-    epochs = outage_training.EPOCHS
-    start: Mapping[str, float] = {"units": 16, "window": 8.0, "learning_rate": 2.0**-7}
-    box: Mapping[str, tuple[float, float]] = {"units": (2, 6), "window": (1, 5), "learning_rate": (-10, -5)}
-
-    def __init__(
-        self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
-    ) -> None:
-        self._parameters = parameters
-        six = all(axis is not None for d in (*drives, *validation) for axis in (d.imu.az, d.imu.gx, d.imu.gy))
-        self._axes = ("ax", "ay", "gz", "az", "gx", "gy") if six else ("ax", "ay", "gz")
-        self._tracks = outage_training.tracks_of(
-            drives, parameters, held_back=False if validation else None
-        ) + outage_training.tracks_of(validation, parameters, held_back=True)
-        self._seed = seed
-        self._examples: dict[float, outage_training.Examples] = {}
-
-    def _shown(self, window: float) -> outage_training.Examples:
-        if window not in self._examples:
-            self._examples = {window: outage_training.examples_of(self._tracks, self._axes, window)}
-        return self._examples[window]
-
-    def train(
-        self,
-        settings: Mapping[str, float],
-        seed: int,
-        checkpoint: Path | None,
-        progress: Callable[[int, float], None],
-    ) -> Trained:
-        """One training."""
-        network, found = outage_training.trained(
-            self._shown(settings["window"]),
-            self._axes,
-            window=settings["window"],
-            units=int(settings["units"]),
-            learning_rate=settings["learning_rate"],
-            seed=seed,
-            checkpoint=checkpoint,
-            progress=progress,
-        )
-        return Trained(network.weights, found)
-
-    def finish(self, settings: Mapping[str, float], weights: Mapping[str, Array]) -> "Finished":
-        """Calibrate."""
-        network = OutageLstm(self._axes, settings["window"], weights)
-        network = outage_training.with_lasting(network, self._tracks)
-        cases = outage_training.cases_of(self._tracks, self._seed)
-        if not cases:
-            raise InputError(
-                "what is held back is too short for outages of 10 s; give longer drives, or --validation"
-            )
-        found = outage_training.calibrate(network, cases, self._parameters)
-        inflation = found.inflation if np.isfinite(found.inflation) else None
-        more = {"axes": list(self._axes), "inflation": inflation, "unsure": found.unsure}
-        return Finished(found.weights, more)
-
-
-class NoiseLearner:
-    """Trains `noise_gru`."""
-
-    epochs = noise_training.EPOCHS
-    start: Mapping[str, float] = {"units": 8, "window": 20.0, "learning_rate": 2.0**-7}
-    box: Mapping[str, tuple[float, float]] = {"units": (1, 5), "window": (3, 5), "learning_rate": (-10, -4)}
-
-    def __init__(
-        self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
-    ) -> None:
-        del seed  # nothing is placed by chance
-        noise_training.require_supported(parameters)
-        self._drives, self._validation, self._parameters = drives, validation, parameters
-
-    def train(
-        self,
-        settings: Mapping[str, float],
-        seed: int,
-        checkpoint: Path | None,
-        progress: Callable[[int, float], None],
-    ) -> Trained:
-        """One training."""
-        window, held_back = settings["window"], False if self._validation else None
-        parts = [noise_training.segments_of(self._drives, self._parameters, window, held_back=held_back)]
-        if self._validation:
-            parts.append(
-                noise_training.segments_of(self._validation, self._parameters, window, held_back=True)
-            )
-        network, found = noise_training.trained(
-            noise_training.joined(parts),
-            self._parameters,
-            units=int(settings["units"]),
-            learning_rate=settings["learning_rate"],
-            seed=seed,
-            checkpoint=checkpoint,
-            progress=progress,
-        )
-        return Trained(network.weights, found)
-
-    def finish(self, settings: Mapping[str, float], weights: Mapping[str, Array]) -> "Finished":
-        """Nothing: its likelihood was what it learned."""
-        del settings
-        return Finished(weights, {})
+    def finish(
+        self, settings: Settings, weights: Mapping[str, Array]
+    ) -> tuple[Mapping[str, Array], dict[str, Any]]:
+        """Complete the best network: its weights, and further entries of its record."""
+        ...
 
 
 LEARNERS: Mapping[str, type[OutageLearner] | type[NoiseLearner]] = {
@@ -207,42 +84,43 @@ def learn(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
 ) -> Learned:
-    """Train a network beside a tuned filter; no truth is looked at.
+    """Train a network that helps a tuned filter, without truth.
 
     Parameters
     ----------
     kind : {"outage-lstm", "noise-gru"}
     parameters : FilterParameters
-        The tuned ones.
+        Of the tuned filter.
     drives : sequence of Drive
-        To learn from.
+        Training drives.
     out : Path
-        The folder that is made: `sigmaswarm run` and `evaluate` take it as they take a tuning's.
+        Folder of the results; `sigmaswarm run` and `evaluate` read it as a tuning's.
     validation : sequence of Drive
-        Held back, to end the training in time and, of outage-lstm, to calibrate; by default the last quarter of
-        each drive; of outage-lstm, if there are three drives or more, the last third of them.
+        Held-out drives for early stopping and, for outage-lstm, calibration; by default the last quarter of each
+        drive, or for outage-lstm, of three drives or more, the last third of them.
     tuning : Path, optional
-        The tuning.toml of the parameters, which is copied.
+        The tuning.toml of the parameters, to be copied.
     search : int
-        Settings (units, window, learning rate) to try beside the usual ones; the best on what is held back is kept.
+        Number of further settings (units, window, learning rate) to try; the best on the held-out data is kept.
     seed : int
         Same seed, same bits on the same machine.
     resume : bool
-        Go on with a training that was interrupted; the result is the same as without the interruption.
+        Continue an interrupted training; the result is the same as without interruption.
     progress : callable, optional
-        Told of every epoch.
+        Called after every epoch.
 
     Raises
     ------
     InputError
-        If JAX is missing, a filter or a drive does not suit, or the folder holds another training.
+        If JAX is missing, a filter or a drive is unsuitable, or the folder holds another training.
     """
     if kind not in LEARNERS:
         raise InputError(f"{kind!r}: no such network; choose one of {', '.join(LEARNERS)}")
     with exact():
-        pass  # a missing JAX is told before any work
+        import jax  # raises at once where it is missing
+
     began = time.process_time()
-    data = [described(drive) for drive in drives]
+    data, own_versions = [described(drive) for drive in drives], versions() | {"jax": jax.__version__}
     config = {
         "kind": kind,
         "filter": parameters.to_dict(),
@@ -250,40 +128,52 @@ def learn(
         "seed": seed,
         "data": data,
         "validation": [described(drive) for drive in validation],
-        "versions": versions() | _jax_version(),
+        "versions": own_versions,
     }
     folder = ResultFolder(out, config, resume=resume)
-    parted = kind == outage_lstm.NAME and not validation  # what calibrates it has to be long
-    shown, held_back = _parted(drives) if parted else (drives, validation)
+    shown, held_back = drives, validation
+    if kind == outage_lstm.NAME and not validation:  # its calibration needs long drives
+        last = len(drives) - len(drives) // 3
+        shown, held_back = drives[:last], drives[last:]
     learner: Learner = LEARNERS[kind](shown, held_back, parameters, seed)
-    trials = _Trials(learner, folder, seed, 1 + search, progress)
-    losses = [trials.loss(0, learner.start)]
-    points = [learner.start, *_searched(learner, search, seed, losses, trials)]
-    best = int(np.argmin(losses))
-    found = trials.of(best)
-    ready = learner.finish(points[best], found.weights)
+    points, fits = _trainings(learner, folder, search, seed, progress)
+    best = int(np.argmin([_loss(one) for one in fits]))
+    settings, found = points[best], fits[best]
+    weights, more = learner.finish(settings, found.weights)
     record = LearnedRecord(
         kind=kind,
         network=NetworkRecord(
-            units=int(points[best]["units"]),
-            window=points[best]["window"],
-            learning_rate=points[best]["learning_rate"],
-            numbers=n_weights(ready.weights),
-            **ready.more,
+            units=int(settings["units"]),
+            window=settings["window"],
+            learning_rate=settings["learning_rate"],
+            numbers=n_weights(weights),
+            **more,
         ),
         training=TrainingRecord(
             seed=seed,
             search=search,
             driven_s=float(sum(d.imu.time[-1] - d.imu.time[0] for d in drives)),
-            epochs=len(found.fit.losses) - 1,
-            loss_before=float(found.fit.losses[0, 1]),
-            loss=found.fit.best,
+            epochs=len(found.losses) - 1,
+            loss_before=float(found.losses[0, 1]),
+            loss=found.best,
             held_back=", ".join(d.name for d in held_back) or "the last quarter of each drive",
         ),
-        versions=versions() | _jax_version(),
+        versions=own_versions,
         data=[DriveRecord.model_validate(entry) for entry in data],
     )
-    learned = Learned(record, ready.weights)
+    learned = Learned(record, weights)
+    _save(learned, parameters, drives, tuning, out)
+    write_json(out / "timings.json", {"processor_s": time.process_time() - began})
+    return learned
+
+
+def _save(
+    learned: Learned,
+    parameters: FilterParameters,
+    drives: Sequence[Drive],
+    tuning: Path | None,
+    out: Path,
+) -> None:
     learned.save(out)
     save_landmarks([landmarks(drive) for drive in drives], out / LEARNED_SEEN)
     if tuning is None:
@@ -292,84 +182,76 @@ def learn(
         write_whole(out / FILE, tuning.read_bytes())
         if (tuning.parent / SEEN_FILE).exists():
             shutil.copyfile(tuning.parent / SEEN_FILE, out / SEEN_FILE)
-    write_json(out / "timings.json", {"processor_s": time.process_time() - began})
-    return learned
 
 
-def _parted(drives: Sequence[Drive]) -> tuple[Sequence[Drive], Sequence[Drive]]:
-    """Drives to learn from, and to hold back: the last third; none of one or two, whose ends are then."""
-    count = len(drives) // 3
-    return drives[: len(drives) - count], drives[len(drives) - count :]
+def _trainings(
+    learner: Learner,
+    folder: ResultFolder,
+    search: int,
+    seed: int,
+    progress: Callable[[Progress], None] | None,
+) -> tuple[list[Settings], list[Fit]]:
+    """Train with the first settings, and with those that an optimizer chooses."""
+    points, fits, total = list[Settings](), list[Fit](), (1 + search) * learner.epochs
+
+    def train(settings: Settings) -> float:
+        number = len(points)
+
+        def report(epoch: int, loss: float) -> None:
+            if progress:
+                progress(Progress(number, epoch, number * learner.epochs + epoch, total, loss))
+
+        points.append(settings)
+        fits.append(_trained(learner, settings, seed, folder, number, report))
+        return _loss(fits[-1])
+
+    train(learner.start)
+    if search:
+        low, high = np.array(list(learner.box.values()), dtype=np.float64).T
+        rng = np.random.default_rng([seed, 3])
+        optimizer = create_optimizer("cma-es", low, high, population=POPULATION, budget=search, rng=rng)
+        while len(batch := optimizer.ask()):
+            costs: list[float] = []
+            for point in batch:
+                settings = {name: float(2.0**value) for name, value in zip(learner.box, point, strict=True)}
+                costs.append(train(settings | {"units": round(settings["units"])}))
+            optimizer.tell(np.array(costs))
+    return points, fits
 
 
-def _jax_version() -> dict[str, str]:
-    import jax
-
-    return {"jax": jax.__version__}
+def _loss(found: Fit) -> float:
+    return found.best if np.isfinite(found.best) else float("inf")
 
 
-class _Trials:
-    """Trainings of a folder, each done once, however often the command was interrupted."""
-
-    def __init__(
-        self,
-        learner: Learner,
-        folder: ResultFolder,
-        seed: int,
-        total: int,
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
-        self._learner, self._folder, self._seed, self._total, self._progress = (
-            learner,
-            folder,
-            seed,
-            total,
-            progress,
-        )
-
-    def loss(self, number: int, settings: Mapping[str, float]) -> float:
-        """Of a training with some settings, which is done unless the folder has it."""
-        if self._folder.finished(number) is None:
-
-            def told(epoch: int, loss: float) -> None:
-                if self._progress:
-                    per = self._learner.epochs
-                    self._progress(Progress(number, epoch, number * per + epoch, self._total * per, loss))
-
-            done = self._learner.train(settings, self._seed, self._folder.checkpoint(number), told)
-            history = {f"weights/{name}": array for name, array in done.weights.items()}
-            result = {"cost": done.fit.best, "settings": dict(settings)}
-            self._folder.finish(number, result, history | {"losses": done.fit.losses})
-        best = self.of(number).fit.best
-        return best if np.isfinite(best) else float("inf")
-
-    def of(self, number: int) -> Trained:
-        """A training that is done."""
-        done = self._folder.finished(number)
-        assert done is not None
+def _trained(
+    learner: Learner,
+    settings: Settings,
+    seed: int,
+    folder: ResultFolder,
+    number: int,
+    progress: Callable[[int, float], None],
+) -> Fit:
+    """Run a training, or continue or read it."""
+    if (done := folder.finished(number)) is not None:
         arrays = done[1]
         weights = {name.split("/")[1]: array for name, array in arrays.items() if name.startswith("weights/")}
-        return Trained(weights, Fit(weights, arrays["losses"]))
-
-
-def _searched(
-    learner: Learner, budget: int, seed: int, losses: list[float], trials: _Trials
-) -> list[Mapping[str, float]]:
-    """Settings that an optimizer of ours asks for, trained; ``losses`` grows by theirs."""
-    if not budget:
-        return []
-    low, high = np.array(list(learner.box.values()), dtype=np.float64).T
-    optimizer = create_optimizer(
-        "cma-es", low, high, population=POPULATION, budget=budget, rng=np.random.default_rng([seed, 3])
+        return Fit(weights, arrays["losses"])
+    lesson = learner.lesson(settings, seed)
+    found = fit(
+        lesson.loss,
+        lesson.weights,
+        lesson.examples,
+        lesson.held_back,
+        learning_rate=settings["learning_rate"],
+        epochs=learner.epochs,
+        batch=learner.batch,
+        patience=learner.patience,
+        seed=seed,
+        checkpoint=folder.checkpoint(number),
+        progress=progress,
     )
-    tried: list[Mapping[str, float]] = []
-    while len(points := optimizer.ask()):
-        costs: list[float] = []
-        for point in points:
-            settings = {name: float(2.0**value) for name, value in zip(learner.box, point, strict=True)}
-            settings["units"] = round(settings["units"])
-            tried.append(settings)
-            costs.append(trials.loss(len(losses), settings))
-            losses.append(costs[-1])
-        optimizer.tell(np.array(costs))
-    return tried
+    found = Fit({**found.weights, **lesson.fixed}, found.losses)
+    history = {f"weights/{name}": array for name, array in found.weights.items()}
+    result = {"cost": found.best, "settings": dict(settings)}
+    folder.finish(number, result, history | {"losses": found.losses})
+    return found

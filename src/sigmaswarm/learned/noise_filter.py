@@ -1,7 +1,7 @@
-"""The extended Kalman filter of planar5 and planar8 in JAX, to be differentiated: what `noise-gru` is trained through.
+"""The extended Kalman filter of planar5 and planar8 in JAX, which `noise-gru` is trained through by its gradient.
 
-It is the textbook's, with what `schedule` says happens at each step; a test holds it to the compiled filter. Left out
-are what a filter does when it is lost (the stretch after a run of outliers), the receiver's velocity and the wheels.
+It is the textbook form, with the steps of `schedule`; a test compares it with the compiled filter. It has no recovery
+after divergence, no velocity of the receiver and no odometer.
 """
 
 from dataclasses import dataclass
@@ -33,17 +33,17 @@ from sigmaswarm.learned.cells import gru
 from sigmaswarm.learned.noise_gru import features_of, log_scales
 
 N_COLUMNS = 14
-"""Of a step: dt, q_scale, gap, ax, ay, gz; whether there is a fix, a sample, a look at the lateral velocity, a
-standstill; x, y (m) of the fix and the variances that the receiver states (m2); see `columns_of`."""
+"""Of a step: dt, q_scale, gap, ax, ay, gz; flags of a fix, a sample, a lateral update and a standstill; x, y (m) of the
+fix and the variances that the receiver states (m2)."""
 
 
 def require_supported(parameters: FilterParameters) -> None:
-    """Refuse a filter that this is not.
+    """Raise an error for a filter that is not supported.
 
     Raises
     ------
     InputError
-        Naming what it has, and the remedy.
+        If the model, type or a noise is not supported.
     """
     p = parameters
     if p.model not in ("planar5", "planar8"):
@@ -56,7 +56,7 @@ def require_supported(parameters: FilterParameters) -> None:
 
 
 def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Array]:
-    """The steps of a replay as `run` takes them, (k, N_COLUMNS), and when each ends, (k,) s."""
+    """Return the steps of a replay for `run`, (k, N_COLUMNS), and their ends, (k,) s."""
     line = replay.timeline
     flags = flags_of(line, *switches(parameters))
     fix = (
@@ -71,7 +71,7 @@ def columns_of(replay: Replay, parameters: FilterParameters) -> tuple[Array, Arr
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """What a filter over one drive keeps to.
+    """Constants of a filter over one drive.
 
     Attributes
     ----------
@@ -88,19 +88,79 @@ class Settings:
 
     @classmethod
     def of(cls, replay: Replay, parameters: FilterParameters) -> "Settings":
-        """Of a drive."""
+        """Return those of a drive."""
         line = replay.timeline
         q = converted(parameters, line.nominal_interval)
         return cls(q, np.array(parameters.measurement_noise), line.lever[:2], parameters)
 
 
+def _inverse(s: Any) -> Any:
+    import jax.numpy as jnp
+
+    det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
+    return jnp.array([[s[1, 1], -s[0, 1]], [-s[1, 0], s[0, 0]]]) / det
+
+
+def _update(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
+    """Return mean and covariance after a measurement, if ``use`` is 1."""
+    s = h @ c @ h.T + noise
+    gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
+    changed = c - gain @ h @ c
+    return m + gain @ nu, 0.5 * (changed + changed.T)
+
+
+def _predict(q: Array, m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
+    """Return mean and covariance after a step, with ``scale`` times Q."""
+    import jax.numpy as jnp
+
+    n = len(m)
+    dt, gap = u[DT], u[GAP]
+    cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
+    biased = n > GYRO_BIAS
+    fx, fy = (u[AX] - m[5], u[AY] - m[6]) if biased else (u[AX], u[AY])
+    rate = u[GZ] - m[GYRO_BIAS] if biased else u[GZ]
+    a, b = cos * fx - sin * fy, sin * fx + cos * fy
+    moved = jnp.array([m[2] * dt + a * dt**2 / 2, m[3] * dt + b * dt**2 / 2, a * dt, b * dt, rate * dt])
+    f = jnp.eye(n).at[0, 2].set(dt).at[1, 3].set(dt)
+    turned = jnp.array([[-b], [a]])
+    by = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
+    at = [slice(THETA, THETA + 1), slice(5, 7)]
+    for columns_at, what in zip(at, by, strict=False):
+        f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
+    if biased:
+        f = f.at[THETA, GYRO_BIAS].set(-dt)
+    g = GAP_ACCELERATION_STD**2 * gap * dt
+    unseen = jnp.zeros((n, n)).at[THETA, THETA].set(GAP_TURN_STD**2 * gap * dt)
+    for i, j in ((0, 2), (1, 3)):
+        unseen = unseen.at[j, j].set(g).at[i, i].set(g * dt**2 / 4)
+        unseen = unseen.at[i, j].set(g * dt / 2).at[j, i].set(g * dt / 2)
+    noise = jnp.diag(scale * u[Q_SCALE] * q) + unseen
+    moves = dt > 0.0
+    new = f @ c @ f.T + noise
+    return m.at[:5].add(moved), jnp.where(moves, new, c)
+
+
+def _weight(dof: float, seen: Any, noise: Any, nu: Any) -> Any:
+    """Student's t: see `measurements._weigh`."""
+    import jax.numpy as jnp
+
+    weight = 1.0
+    for _ in range(ITERATIONS):
+        a = noise / weight
+        g = _inverse(seen + jnp.diag(a))
+        e = g @ nu
+        gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
+        weight = (dof + 2.0) / (dof + gamma)
+    return weight
+
+
 def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: Any) -> tuple[Any, Any]:
-    """The filter over some steps, from a mean (n,) and a covariance (n, n), whose noises a network scales.
+    """Run the filter with its network over some steps, from a mean (n,) and a covariance (n, n).
 
     Returns
     -------
-    said : (k, 6)
-        nu (m), S (m2; xx, xy, yy) before each step's fix was absorbed, and 1 where there was one, else 0.
+    innovations : (k, 6)
+        nu (m) and S (m2; xx, xy, yy) before the update with each step's fix, and 1 where there was one, else 0.
     means : (k, n)
     """
     import jax
@@ -108,60 +168,12 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
 
     p = settings.parameters
     n = len(mean)
-    eye = jnp.eye(n)
     gate = np.inf if p.gate is None else p.gate
-
-    def absorb(m: Any, c: Any, h: Any, nu: Any, noise: Any, use: Any) -> tuple[Any, Any]:
-        s = h @ c @ h.T + noise
-        gain = use * (c @ h.T) @ (1.0 / s if len(nu) == 1 else _inverse(s))
-        changed = c - gain @ h @ c
-        return m + gain @ nu, 0.5 * (changed + changed.T)
-
-    def _inverse(s: Any) -> Any:
-        det = s[0, 0] * s[1, 1] - s[0, 1] * s[1, 0]
-        return jnp.array([[s[1, 1], -s[0, 1]], [-s[1, 0], s[0, 0]]]) / det
-
-    def predict(m: Any, c: Any, u: Any, scale: Any) -> tuple[Any, Any]:
-        dt, gap = u[DT], u[GAP]
-        cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
-        biased = n > GYRO_BIAS
-        fx, fy = (u[AX] - m[5], u[AY] - m[6]) if biased else (u[AX], u[AY])
-        rate = u[GZ] - m[GYRO_BIAS] if biased else u[GZ]
-        a, b = cos * fx - sin * fy, sin * fx + cos * fy
-        moved = jnp.array([m[2] * dt + a * dt**2 / 2, m[3] * dt + b * dt**2 / 2, a * dt, b * dt, rate * dt])
-        f = eye.at[0, 2].set(dt).at[1, 3].set(dt)
-        turned = jnp.array([[-b], [a]])
-        by = [turned, *([jnp.array([[-cos, sin], [-sin, -cos]])] if biased else [])]
-        at = [slice(THETA, THETA + 1), slice(5, 7)]
-        for columns_at, what in zip(at, by, strict=False):
-            f = f.at[0:2, columns_at].set(what * dt**2 / 2).at[2:4, columns_at].set(what * dt)
-        if biased:
-            f = f.at[THETA, GYRO_BIAS].set(-dt)
-        g = GAP_ACCELERATION_STD**2 * gap * dt
-        unseen = jnp.zeros((n, n)).at[THETA, THETA].set(GAP_TURN_STD**2 * gap * dt)
-        for i, j in ((0, 2), (1, 3)):
-            unseen = unseen.at[j, j].set(g).at[i, i].set(g * dt**2 / 4)
-            unseen = unseen.at[i, j].set(g * dt / 2).at[j, i].set(g * dt / 2)
-        noise = jnp.diag(scale * u[Q_SCALE] * settings.q) + unseen
-        moves = dt > 0.0
-        new = f @ c @ f.T + noise
-        return m.at[:5].add(moved), jnp.where(moves, new, c)
-
-    def weight_of(seen: Any, noise: Any, nu: Any) -> Any:
-        """Student's t: see `measurements._weigh`."""
-        weight = 1.0
-        for _ in range(ITERATIONS):
-            a = noise / weight
-            g = _inverse(seen + jnp.diag(a))
-            e = g @ nu
-            gamma = jnp.sum(1.0 + a * (e**2 - jnp.diag(g))) / weight
-            weight = (p.robust_dof + 2.0) / (p.robust_dof + gamma)  # pyright: ignore[reportOptionalOperand]
-        return weight
 
     def step(state: Any, u: Any) -> Any:
         m, c, h, active, rejected, last, since = state
         fixed, sampled, lateral, stands = u[6], u[7], u[8], u[9]
-        m, c = predict(m, c, u, jnp.exp(active[1]))
+        m, c = _predict(settings.q, m, c, u, jnp.exp(active[1]))
         since = since + u[DT]
         cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
         # A fix.
@@ -177,11 +189,11 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
         nis = nu @ _inverse(s) @ nu
         inside = (nis <= gate) | (rejected >= MOST_REJECTED)
         rejected = jnp.where(fixed > 0, jnp.where(inside, 0.0, rejected + 1.0), rejected)
-        weight = 1.0 if p.robust_dof is None else weight_of(seen, noise, nu)
-        m, c = absorb(m, c, jacobian, nu, jnp.diag(noise / weight), fixed * inside)
-        told = jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
-        last = jnp.where(fixed > 0, jnp.append(told, since), last)
-        # A car does not slide sideways.
+        weight = 1.0 if p.robust_dof is None else _weight(p.robust_dof, seen, noise, nu)
+        m, c = _update(m, c, jacobian, nu, jnp.diag(noise / weight), fixed * inside)
+        innovation = jnp.array([nu[0], nu[1], s[0, 0], s[0, 1], s[1, 1]])
+        last = jnp.where(fixed > 0, jnp.append(innovation, since), last)
+        # The lateral velocity is zero at the rear axle.
         if p.lateral_noise is not None:
             cos, sin = jnp.cos(m[THETA]), jnp.sin(m[THETA])
             forward, left = cos * m[2] + sin * m[3], cos * m[3] - sin * m[2]
@@ -190,15 +202,15 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
             if n > GYRO_BIAS:
                 row, rate = row.at[0, GYRO_BIAS].set(p.rear_axle), rate - m[GYRO_BIAS]
             off = jnp.array([p.rear_axle * rate - left])
-            m, c = absorb(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
+            m, c = _update(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
         if p.standstill_noise is not None:
             still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)
-            m, c = absorb(m, c, still, -m[2:4], p.standstill_noise * jnp.eye(2), stands)
+            m, c = _update(m, c, still, -m[2:4], p.standstill_noise * jnp.eye(2), stands)
             if n > GYRO_BIAS:
                 row = jnp.zeros((1, n)).at[0, GYRO_BIAS].set(1.0)
                 off = jnp.array([u[GZ] - m[GYRO_BIAS]])
-                m, c = absorb(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
-        # At a sample behind a fix the network looks at it.
+                m, c = _update(m, c, row, off, jnp.array([[STANDSTILL_RATE_NOISE]]), stands)
+        # The network sees a fix at the next sample.
         looks = (sampled > 0) & (last[5] > 0.0)
         after = gru(
             jnp, weights, h, features_of(jnp, last[:2], last[2:5], m[THETA], jnp.maximum(last[5], 0.0))
@@ -207,23 +219,23 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
         active = jnp.where(looks, log_scales(jnp, weights, h), active)
         since = jnp.where(looks, since - last[5], since)
         last = jnp.where(looks, NOTHING, last)
-        return (m, c, h, active, rejected, last, since), (jnp.append(told, fixed), m)
+        return (m, c, h, active, rejected, last, since), (jnp.append(innovation, fixed), m)
 
     units = weights["hidden"].shape[0]
     NOTHING = jnp.array([0.0, 0.0, 1.0, 0.0, 1.0, -1.0])
     start = (mean, covariance, jnp.zeros(units), jnp.zeros(2), 0.0, NOTHING, 0.0)
-    _, (said, means) = jax.lax.scan(jax.checkpoint(step), start, columns)
-    return said, means
+    _, (innovations, means) = jax.lax.scan(jax.checkpoint(step), start, columns)
+    return innovations, means
 
 
-def innovation_loss(settings: Settings, said: Any) -> tuple[Any, Any]:
-    """Sum of -ln of the likelihoods of the fixes, in nats, and how many there are.
+def innovation_loss(settings: Settings, innovations: Any) -> tuple[Any, Any]:
+    """Return the sum of the fixes' negative log-likelihoods, nats, and their number.
 
-    Under Student's t for a filter that is robust (see `student`), else Gaussian.
+    The likelihood is Student's t for a robust filter (see `student`), else Gaussian.
     """
     import jax.numpy as jnp
 
-    n1, n2, s11, s12, s22, fixed = (said[..., i] for i in range(6))
+    n1, n2, s11, s12, s22, fixed = (innovations[..., i] for i in range(6))
     det = s11 * s22 - s12 * s12
     nis = (s22 * n1 * n1 - 2.0 * s12 * n1 * n2 + s11 * n2 * n2) / det
     tail = 0.5 * nis

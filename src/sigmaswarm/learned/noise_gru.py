@@ -1,11 +1,10 @@
-"""noise-gru: a filter whose Q and R are scaled by a network that sees how well the last fixes were forecast.
+"""noise-gru: a filter whose Q and R are scaled by a network that sees the latest innovations.
 
-After each fix the network takes one step: it sees the innovation in the car's frame, in units of what the filter
-expected, its NIS, and how long ago the last one was. What it says, in bounds, holds from the next IMU sample to the one
-behind the next fix: a factor of R, and one of all of Q. So a scale never depends on the fix that it weighs.
+After each fix the network takes one step. Its inputs are the innovation in the car's frame, in units of its expected
+size, its NIS, and the time since the last fix. Its outputs, in bounds, are a factor of R and one of all of Q, from the
+next IMU sample to the one after the next fix. So a factor never depends on the fix that it weighs.
 
-It runs on the compiled filter, whose parameters are set between two samples; `noise_filter` is the same filter to be
-differentiated.
+It runs on the compiled filter, whose parameters change between two samples; `noise_filter` is its differentiable form.
 """
 
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from sigmaswarm.learned.cells import Weights, gru, head
 NAME = "noise-gru"
 FEATURES = 4
 MOST_SCALE = 30.0
-"""Factors of R and Q lie between one over it and it."""
+"""Largest factor of R and Q; the smallest is its inverse."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +42,29 @@ class NoiseGru:
 
     @property
     def start(self) -> Array:
-        """What it remembers before the first fix."""
+        """The state before the first fix."""
         return np.zeros(self.weights["hidden"].shape[0])
 
     def after(self, h: Array, features: Array) -> tuple[Array, Array]:
-        """What it remembers after a fix, and the factors of R and Q, (2,)."""
+        """Return the state after a fix, and the factors of R and Q, (2,)."""
         h = gru(np, self.weights, h, features)
         return h, np.exp(log_scales(np, self.weights, h))
 
 
 def log_scales(xp: Any, weights: Weights, h: Any) -> Any:
-    """ln of the factors of R and Q, (..., 2)."""
+    """Return ln of the factors of R and Q, (..., 2)."""
     return float(np.log(MOST_SCALE)) * xp.tanh(head(weights, h))
 
 
 def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
-    """What a network sees of a fix, (..., FEATURES).
+    """Return the inputs at a fix, (..., FEATURES).
 
     Parameters
     ----------
     xp : numpy or jax.numpy
     nu : (..., 2) m east and north
     s : (..., 3) m2: xx, xy and yy of its covariance
-    theta : (...) rad, of the car at the IMU sample behind
+    theta : (...) rad, of the car at the next IMU sample
     since : (...) s since the last fix
     """
     n1, n2, s11, s12, s22 = nu[..., 0], nu[..., 1], s[..., 0], s[..., 1], s[..., 2]
@@ -79,9 +78,9 @@ def features_of(xp: Any, nu: Any, s: Any, theta: Any, since: Any) -> Any:
 
 
 class NoiseRun(Recording):
-    """A filter over a replay whose Q and R a network scales.
+    """Run a filter whose Q and R a network scales over a replay.
 
-    With a network that has not learned anything its pieces have the bits of `Recording`.
+    With an untrained network its pieces have the bits of `Recording`.
 
     Parameters
     ----------
@@ -113,10 +112,10 @@ class NoiseRun(Recording):
         self._q = slice(Q0, Q0 + parameters.n_states)
         self._own_q, self._own_r = self._rows[0, self._q].copy(), self._rows[0, [R.RX, R.RY]].copy()
         fixes = np.cumsum(line.absorbs | line.hides)
-        self._behind = sample_behind(line.absorbs, line.sampled)
+        self._next = next_sample(line.absorbs, line.sampled)
         steps = np.flatnonzero(line.absorbs)
-        # Of the fixes between two samples the last one is looked at.
-        self._last = {int(self._behind[s]): (int(fixes[s]) - 1, float(line.end[s])) for s in steps}
+        # Of the fixes between two samples the network sees the last.
+        self._last = {int(self._next[s]): (int(fixes[s]) - 1, float(line.end[s])) for s in steps}
         self._before = line.start
 
     def _run_to(self, stops: NDArray[np.intp], record: Array) -> NDArray[np.bool_]:
@@ -131,10 +130,10 @@ class NoiseRun(Recording):
         return lost
 
     def _adapt(self, step: int) -> None:
-        """Look at the last fix before a step's end, and scale what comes."""
+        """Run the network at the last fix before a step's end, and set the scales."""
         fix, time = self._last[step]
         seen = self._innovations[fix]
-        theta = float(self._believed()[0][THETA])
+        theta = float(self._estimate()[0][THETA])
         since, self._before = time - self._before, time
         features = features_of(np, seen[:2], seen[2:], theta, since)
         if np.isfinite(features).all():
@@ -147,12 +146,12 @@ class NoiseRun(Recording):
         self._rows[0, self._q] = q * self._own_q
         self._rows[0, [R.RX, R.RY]] = r * self._own_r
 
-    def _start_anew(self, start: Any) -> None:
-        super()._start_anew(start)
+    def _reset(self, start: Any) -> None:
+        super()._reset(start)
         self._scale()
 
 
-def sample_behind(absorbs: NDArray[np.bool_], sampled: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """For each step the next one, itself included, that ends at an IMU sample, (k,)."""
+def next_sample(absorbs: NDArray[np.bool_], sampled: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return for each step the next one, itself included, that ends at an IMU sample, (k,)."""
     at = np.flatnonzero(sampled)
     return at[np.minimum(np.searchsorted(at, np.arange(len(absorbs))), len(at) - 1)]

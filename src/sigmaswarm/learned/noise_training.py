@@ -1,11 +1,10 @@
-"""Training `noise-gru`: end to end, through the filter, on the likelihood of the fixes before each is absorbed.
+"""Train `noise-gru` end to end, through the filter, on the likelihood of the fixes before each update.
 
-Drives are cut into segments, each begun where the plain filter was; no truth is looked at.
+Drives are cut into segments, each of which starts from the state of the plain filter; truth is not used.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.filters.run import replay_of
 from sigmaswarm.learned.cells import new_weights
-from sigmaswarm.learned.fitting import Fit, exact, fit
+from sigmaswarm.learned.fitting import Lesson
 from sigmaswarm.learned.noise_filter import (
     N_COLUMNS,
     Settings,
@@ -26,11 +25,10 @@ from sigmaswarm.learned.noise_filter import (
     require_supported,
     run,
 )
-from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru
+from sigmaswarm.learned.noise_gru import FEATURES
 
 HELD_BACK = 0.25
-"""Of each drive, its end, where no drives are given to hold back."""
-EPOCHS, BATCH, PATIENCE = 60, 8, 10
+"""Share at the end of each drive, where no held-back drives are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ class Segments:
     Attributes
     ----------
     arrays : tuple of ndarray
-        Means (s, n) and covariances (s, n, n) to begin with, steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
+        Initial means (s, n) and covariances (s, n, n), steps (s, k, N_COLUMNS), Q (s, n), levers (s, 2).
     held_back : ndarray of bool, shape (s,)
     """
 
@@ -48,14 +46,14 @@ class Segments:
     held_back: NDArray[np.bool_]
 
     def part(self, *, held_back: bool) -> tuple[Array, ...]:
-        """Those that are held back, or the others."""
+        """Return those that are held back, or the others."""
         return tuple(array[self.held_back == held_back] for array in self.arrays)
 
 
 def segments_of(
     drives: Sequence[Drive], parameters: FilterParameters, length: float, *, held_back: bool | None
 ) -> Segments:
-    """Drives in segments of ``length`` s; ``held_back``: all of them, none, or (None) those at the end of each."""
+    """Cut drives into segments of ``length`` s; ``held_back``: all, none, or (None) those at the end of each."""
     require_supported(parameters)
     twin = replace(parameters, kind="ekf")
     parts: list[tuple[Array, ...]] = []
@@ -64,17 +62,17 @@ def segments_of(
         replay = replay_of(drive)
         settings = Settings.of(replay, twin)
         columns, ends = columns_of(replay, twin)
-        believed = Recording(replay, twin).whole()
-        last = float(believed.time[-1])
+        estimate = Recording(replay, twin).whole()
+        last = float(estimate.time[-1])
         since = last - HELD_BACK * (last - replay.initial.time)
         for start in np.arange(replay.initial.time, last - length, length):
-            sample = int(np.searchsorted(believed.time, start))
+            sample = int(np.searchsorted(estimate.time, start))
             first, stop = np.searchsorted(
-                ends, [believed.time[sample], believed.time[sample] + length], side="right"
+                ends, [estimate.time[sample], estimate.time[sample] + length], side="right"
             )
-            if not (believed.sound[sample] and columns[first:stop, 6].any()):
+            if not (estimate.sound[sample] and columns[first:stop, 6].any()):
                 continue
-            begin = believed.mean[sample], believed.covariance[sample]
+            begin = estimate.mean[sample], estimate.covariance[sample]
             parts.append((*begin, columns[first:stop], settings.q, settings.lever))
             held.append(bool(start + length > since) if held_back is None else held_back)
     if not parts:
@@ -85,7 +83,7 @@ def segments_of(
 
 
 def joined(parts: Sequence[Segments]) -> Segments:
-    """All as one."""
+    """Join segments."""
     most = max(part.arrays[2].shape[1] for part in parts)
 
     def column(i: int) -> Array:
@@ -101,7 +99,7 @@ def joined(parts: Sequence[Segments]) -> Segments:
 
 
 def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
-    """-ln of the likelihood of a fix, in nats, mean over the fixes of a batch of segments."""
+    """Return the loss: the negative log-likelihood, nats, mean over the fixes of a batch of segments."""
     import jax
     import jax.numpy as jnp
 
@@ -118,32 +116,35 @@ def loss(parameters: FilterParameters) -> Callable[[Any, tuple[Any, ...]], Any]:
     return of
 
 
-def trained(
-    segments: Segments,
-    parameters: FilterParameters,
-    *,
-    units: int,
-    learning_rate: float,
-    seed: int,
-    epochs: int = EPOCHS,
-    checkpoint: Path | None = None,
-    progress: Callable[[int, float], None] | None = None,
-) -> tuple[NoiseGru, Fit]:
-    """A network that learned from segments of drives."""
-    start = new_weights(np.random.default_rng([seed, 2]), 3, FEATURES, units, 2)
-    with exact():
-        of = loss(parameters)
-    found = fit(
-        of,
-        start,
-        segments.part(held_back=False),
-        segments.part(held_back=True),
-        learning_rate=learning_rate,
-        epochs=epochs,
-        batch=BATCH,
-        patience=PATIENCE,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
-    )
-    return NoiseGru(found.weights), found
+class NoiseLearner:
+    """Trains `noise_gru`."""
+
+    epochs, batch, patience = 60, 8, 10
+    start: Mapping[str, float] = {"units": 8, "window": 20.0, "learning_rate": 2.0**-7}
+    box: Mapping[str, tuple[float, float]] = {"units": (1, 5), "window": (3, 5), "learning_rate": (-10, -4)}
+
+    def __init__(
+        self, drives: Sequence[Drive], validation: Sequence[Drive], parameters: FilterParameters, seed: int
+    ) -> None:
+        del seed  # nothing is random
+        require_supported(parameters)
+        self._drives, self._validation, self._parameters = drives, validation, parameters
+
+    def lesson(self, settings: Mapping[str, float], seed: int) -> Lesson:
+        """Prepare a training."""
+        window, held_back = settings["window"], False if self._validation else None
+        segments = segments_of(self._drives, self._parameters, window, held_back=held_back)
+        if self._validation:
+            more = segments_of(self._validation, self._parameters, window, held_back=True)
+            segments = joined([segments, more])
+        rng, units = np.random.default_rng([seed, 2]), int(settings["units"])
+        weights = new_weights(rng, 3, FEATURES, units, 2)
+        shown, test = segments.part(held_back=False), segments.part(held_back=True)
+        return Lesson(loss(self._parameters), weights, shown, test)
+
+    def finish(
+        self, settings: Mapping[str, float], weights: Mapping[str, Array]
+    ) -> tuple[Mapping[str, Array], dict[str, Any]]:
+        """Return the weights: the loss was a likelihood, so no calibration is due."""
+        del settings
+        return weights, {}

@@ -1,7 +1,4 @@
-"""Outages as `outage-lstm` sees them: when there is one, and what the IMU said up to a moment in it.
-
-All of it is causal: it depends on nothing that comes after the moment.
-"""
+"""The outages of `outage-lstm` and its inputs, windows of the IMU; all of it is causal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,33 +11,33 @@ from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.errors import InputError
 
 HORIZON = 1.0
-"""s: how long a displacement lasts."""
+"""Duration of a displacement, s."""
 OUTAGE_AFTER = 2.0
-"""s without a fix, after which there is an outage: receivers that still work come at 1 Hz and faster."""
+"""s without a fix after which there is an outage; working receivers have 1 Hz or more."""
 STEPS = 40
-"""Into which a window is resampled, whatever its length."""
+"""Steps of a resampled window."""
 _QUIET = 1e-3
-"""m/s2, and a tenth of it in rad/s, added to what an axis shakes by, so that it has a logarithm."""
+"""m/s2, and a tenth of it in rad/s, added to the vibration of an axis before the logarithm."""
 _GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Moments in the outages of a drive, and what the IMU said before them.
+    """Moments in the outages of a drive, and the inputs at them.
 
     Attributes
     ----------
     begin, end : ndarray of int, shape (k,)
-        Numbers of the IMU samples after the start between which the displacement is asked for.
+        IMU samples after the start at the ends of the displacement.
     features : ndarray, shape (k, STEPS, f)
-        Before the end: see `features_at`.
+        At the end: see `features_at`.
     first : ndarray of int, shape (k,)
-        The sample behind the last fix, of windows in outages.
+        The sample after the last fix.
     features_at_first : ndarray, shape (k, STEPS, f)
     age : ndarray, shape (k,)
         s from there to the end.
     over : ndarray of int
-        The samples behind the fixes that end the outages.
+        The samples after the fixes that end the outages.
     """
 
     begin: NDArray[np.intp]
@@ -53,17 +50,17 @@ class Windows:
 
 
 def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Windows:
-    """Every `HORIZON` in a drive's outages; hidden fixes have not come.
+    """Divide a drive's outages into windows of `HORIZON`; hidden fixes do not exist.
 
-    An outage begins at a fix, but is one only `OUTAGE_AFTER` later.
+    An outage begins `OUTAGE_AFTER` after a fix.
 
     Parameters
     ----------
     line : Timeline
     axes : sequence of str
-        Of the IMU, those that the network sees.
+        Of the IMU, the inputs.
     window : float
-        s that it looks back.
+        Length of the input, s.
     """
     time = line.imu_time
     came = np.concatenate([[line.start], line.end[line.absorbs]])
@@ -96,7 +93,7 @@ def outage_windows(line: Timeline, *, axes: Sequence[str], window: float) -> Win
 def all_windows(
     line: Timeline, *, axes: Sequence[str], window: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """All over a drive, one ``every`` so many s (a part of `HORIZON`): begin, end and features as of `Windows`."""
+    """Make windows all over a drive, one ``every`` so many s: begin, end and features as of `Windows`."""
     begin, end = _pairs(line.imu_time, line.start, np.inf, every)
     return begin, end, features_at(line, end, axes=axes, window=window)
 
@@ -104,21 +101,21 @@ def all_windows(
 def _pairs(
     time: Array, after: float, until: float, every: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Samples, `HORIZON` apart, from one moment until another, (k,) each."""
+    """Return pairs of samples, `HORIZON` apart, between two moments, (k,) each."""
     first, stop = np.searchsorted(time, [after, until])
     grid = np.arange(float(time[first]), float(time[stop - 1]) + 1e-9, every) if stop > first else np.empty(0)
     at = np.searchsorted(time[:stop], grid - 1e-9)
     per = round(HORIZON / every)
     begin, end = at[:-per], at[per:]
-    held = time[end] - time[begin] < 1.5 * HORIZON  # not across a gap in the IMU
-    return begin[held], end[held]
+    near = time[end] - time[begin] < 1.5 * HORIZON  # not across a gap in the IMU
+    return begin[near], end[near]
 
 
 def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], window: float) -> Array:
-    """What the IMU said in the last ``window`` s before some samples, (k, STEPS, 2 axes).
+    """Return the inputs of the last ``window`` s before some samples, (k, STEPS, 2 axes).
 
-    Of each step and axis the mean (m/s2, rad/s), and the logarithm of what it shakes by (the same): of a driving car
-    the latter grows with the speed.
+    These are the mean of each step and axis (m/s2, rad/s), and the logarithm of its standard deviation, which grows
+    with the speed of a car.
     """
     imu = line.drive.imu
     edges = line.imu_time[end][:, np.newaxis] + np.linspace(-window, 0.0, STEPS + 1)
@@ -136,7 +133,7 @@ def features_at(line: Timeline, end: NDArray[np.intp], *, axes: Sequence[str], w
 
 
 def _means(time: Array, values: Array, edges: Array) -> Array:
-    """Means of a signal between edges (k, m + 1), (k, m); before the first sample it is that one."""
+    """Return the means of a signal between edges (k, m + 1), (k, m); it is constant before the first sample."""
     whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
     inside = np.maximum(edges, time[0])
     length = np.diff(inside, axis=1)
@@ -148,6 +145,6 @@ def _axis(imu: Imu, axis: str, name: str) -> Array:
     values = getattr(imu, axis)
     if values is None:
         raise InputError(
-            f"{name}: its imu.csv has no {axis}, which the network was trained with; train one on drives of this car"
+            f"{name}: its imu.csv has no {axis}, an input of the network; train one on drives of this car"
         )
     return values

@@ -1,14 +1,14 @@
-"""Absorbing how far the car came between two moments, by a filter that keeps no state of the first one.
+"""Update a filter with a displacement between two moments, without the first in its state.
 
-A displacement says nothing of where the car is, only of how it moved: taken for a fix at the last position plus the
-displacement, it would count the error of that position once more, each time. So the state at its begin belongs to the
-measurement, as in stochastic cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
+A displacement measures motion, not position: as a fix at the last position plus the displacement it would count the
+error of that position again each time. So the measurement depends on the state at its begin, too, as in stochastic
+cloning (S. Roumeliotis and J. Burdick, ICRA 2002):
 
     z = R(theta_0)^T (p_1 - p_0) + noise
 
-needs Cov(e_1, e_0) of the errors at both moments. Between them the filter is linear in its error, e_1 = A e_0 + what
-does not depend on e_0, so that Cov(e_1, e_0) = A P_0. The columns of A are found by running the filter over these steps
-once more, from states moved a little: side by side, in the lanes of the compiled kernel.
+needs Cov(e_1, e_0) of the errors at both moments. Between them the filter is linear in its error, e_1 = A e_0 + a part
+independent of e_0, so that Cov(e_1, e_0) = A P_0. The columns of A are finite differences of the filter over these
+steps, run in the lanes of the compiled kernel.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.filters.compiled.layout import LANES, N_STATE, R, state_rows
-from sigmaswarm.filters.groups import Chunk
+from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import definite, pack_states, unpack_states
@@ -25,21 +25,21 @@ from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, run_steps
 
 _SMALL = 1e-3
-"""Of a standard deviation: how far states are moved to see what comes of it."""
+"""Step of the finite differences, in standard deviations."""
 GATE = 13.8
-"""NIS above which a displacement is not believed: one in a thousand (chi-square, two degrees of freedom)."""
+"""NIS above which a displacement is rejected: one in a thousand (chi-square, two degrees of freedom)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Begin:
-    """A filter as it was where a displacement begins.
+    """The state of a filter at the begin of a displacement.
 
     Attributes
     ----------
     rows : (N_KEPT, lanes)
-        All that it was.
+        Its whole state.
     place : (5,)
-        Where its run was: see `compiled.run.new_place`.
+        The position of its run: see `compiled.run.new_place`.
     """
 
     rows: Array
@@ -47,7 +47,7 @@ class Begin:
 
 
 class Displacements:
-    """What a filter makes of displacements.
+    """Updates a filter with displacements.
 
     Parameters
     ----------
@@ -59,19 +59,19 @@ class Displacements:
         self._replay = replay
         self._model: ModelName = parameters.model
         n = parameters.n_states
-        self._chunk = Chunk.of((parameters,) * (n + 1))
+        self._array = KernelArray((parameters,) * (n + 1))
         tilts = MODELS[self._model].tilts
         self._plus = tilts.plus if tilts else np.add
         self._minus = tilts.minus if tilts else np.subtract
 
-    def absorb(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
-        """Absorb a displacement that ends before step ``stop``.
+    def update(self, begin: Begin, rows: Array, stop: int, moved: Array, noise: Array) -> bool:
+        """Update with a displacement that ends before step ``stop``.
 
         Parameters
         ----------
         begin : Begin
         rows : (N_KEPT, lanes), changed
-            What the filter is now.
+            The state of the filter.
         stop : int
         moved : ndarray, shape (2,)
             m forward and left, in the body's frame at the begin.
@@ -81,7 +81,7 @@ class Displacements:
         Returns
         -------
         bool
-            False if it was too far off to be believed, or the update would lead away from it or spoil the covariance.
+            False if it was rejected: its NIS was too large, or the update would diverge or spoil the covariance.
         """
         x0, p0 = self._state(begin.rows)
         x1, p1 = self._state(rows)
@@ -98,7 +98,7 @@ class Displacements:
         covariance = 0.5 * (covariance + covariance.T)
         begun = self._plus(x0, np.linalg.solve(s, h0 @ p0 + h1 @ crossed).T @ innovation)
         left = moved - body_displacement(begun, mean)
-        # Of a straight line what is left is R S^-1 nu, which is smaller; a heading too unsure is not on one.
+        # In a linear problem the residual is R S^-1 nu, smaller than nu; a very uncertain heading is not linear.
         farther = left @ np.linalg.solve(noise, left) > innovation @ np.linalg.solve(noise, innovation)
         if farther or not definite(covariance[np.newaxis])[0]:
             return False
@@ -119,19 +119,19 @@ class Displacements:
         return mean[0], covariance[0]
 
     def _transported(self, begin: Begin, x0: Array, p0: Array, stop: int) -> Array:
-        """A: what becomes of an error at the begin, (n, n)."""
+        """Return A, the transition of an error from the begin, (n, n)."""
         n, step = len(x0), _SMALL * np.sqrt(np.diag(p0))
         moved = np.array([x0, *(self._plus(x0, e) for e in np.diag(step))])
         moved = np.vstack([moved, np.broadcast_to(x0, (LANES - n - 1, n))])
         rows = np.repeat(begin.rows[:, :1], LANES, axis=1)
         rows[R.FACED] = 0.0
         rows[:N_STATE] = pack_states(moved, np.broadcast_to(p0, (LANES, n, n)), self._model)
-        run_steps(self._replay, self._chunk, rows, begin.place.copy(), stop)
+        run_steps(self._replay, self._array, rows, begin.place.copy(), stop)
         means, _ = unpack_states(rows[state_rows(self._model)], self._model)
         return np.array([self._minus(mean, means[0]) for mean in means[1 : n + 1]]).T / step
 
     def _expected(self, x0: Array, x1: Array, std0: Array, std1: Array) -> tuple[Array, Array, Array]:
-        """The displacement that two states tell, (2,), and what it changes by with the error of each, (2, n)."""
+        """Return the displacement between two states, (2,), and its Jacobians, (2, n) each."""
         at = body_displacement(x0, x1)
         step0, step1 = _SMALL * std0, _SMALL * std1
         h0 = np.array([body_displacement(self._plus(x0, e), x1) - at for e in np.diag(step0)]).T / step0
@@ -140,7 +140,7 @@ class Displacements:
 
 
 def body_displacement(begin: Array, end: Array) -> Array:
-    """How far the car came, m forward and left in its frame at the begin, (..., 2), of states (..., n)."""
+    """Return the displacement between states (..., n), m forward and left at the begin, (..., 2)."""
     x, y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]
     c, s = np.cos(begin[..., THETA]), np.sin(begin[..., THETA])
     return np.stack([c * x + s * y, c * y - s * x], axis=-1)

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.suited import suited
 from sigmaswarm.drives.checks import FEWEST_FIXES
 from sigmaswarm.drives.drive import Array, Drive, Gps, Truth
 from sigmaswarm.drives.outages import hidden_fixes, random_windows
 from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.sensors import suggest_filter
 from sigmaswarm.errors import InputError, SigmaswarmError, SigmaswarmWarning
 from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.parameters import FilterParameters
@@ -29,7 +29,7 @@ from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.filters.tilted import rotation
 from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.importing.fixes import ReceiverLog, read_fixes
-from sigmaswarm.scoring.doubt import share_known
+from sigmaswarm.scoring.truth_noise import share_known
 from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.search import Progress
 from sigmaswarm.tuning.tune import tune
@@ -152,7 +152,7 @@ def _tuned(
     Without ``standstill``, which fixes to a centimeter say better: tuned on them it is taken so strictly that one
     standstill that is none, in an outage, puts the track off by meters and leaves the covariance small.
     """
-    found = suited([receiver])
+    found = suggest_filter([receiver])
     use = tuple(option for option in found.use if option != "standstill")
     asked: Any = {"model": found.model, "use": use, "objective": OBJECTIVE, "seed": seed}
     return tune(receiver, executor=executor, progress=progress, **asked)

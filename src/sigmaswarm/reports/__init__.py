@@ -1,5 +1,5 @@
 """Reports: results for people.
 
-`views/` makes tables and charts of result records, as numbers; `pages/` puts them in the order in which they are read;
-`draw/` draws them. The files here say what a command leaves in its folder.
+`views/` makes charts and tables of result records and `pages/` arranges them; `figures.py` draws charts as PNG and SVG,
+`page.py` renders HTML. The other files write the pictures that a command leaves in its folder.
 """

@@ -1,7 +1,4 @@
-"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else.
-
-All that the pictures show is said in `views/`.
-"""
+"""The folder of an evaluation: its records, its pictures, and the tuning, so that its page needs nothing else."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +8,7 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.files import make_folder, write_whole
-from sigmaswarm.reports.draw.png import figure_of, new_figure, save
+from sigmaswarm.reports.figures import figure_of, new_figure, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
@@ -20,13 +17,13 @@ from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 
 
 def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
-    """Write all that `sigmaswarm report` and people look at; the paths of all files.
+    """Write the records and pictures of an evaluation; return the paths of all files.
 
     Parameters
     ----------
     evaluation : Evaluation
     folder : Path
-        Made where it is missing.
+        Created if missing.
     tuning : Path, optional
         The tuning.toml that was evaluated, or the folder that holds it; copied.
     """
@@ -36,11 +33,11 @@ def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = 
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
-    """Copy a tuning.toml, or that of a folder, its history and landmarks; the paths of what was copied."""
+    """Copy a tuning.toml or that of a folder, its history and its fingerprints; return the paths of the copies."""
     file = tuning / FILE if tuning.is_dir() else tuning
     written: list[Path] = []
-    beside = (HISTORY_FILE, SEEN_FILE)
-    for name, source in ((FILE, file), *((name, file.parent / name) for name in beside)):
+    sources = {FILE: file} | {name: file.parent / name for name in (HISTORY_FILE, SEEN_FILE)}
+    for name, source in sources.items():
         copy = folder / name
         if source.is_file() and not (copy.exists() and copy.samefile(source)):
             write_whole(copy, source.read_bytes())
@@ -49,7 +46,7 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
 
 
 def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write the figures of an evaluation into its folder; their paths."""
+    """Write the figures of an evaluation into its folder; return their paths."""
     labels = LABELS | dict(evaluation.names)
     written = [save(comparison(evaluation), folder / "comparison.png")]
     for name, found in evaluation.drives.items():
@@ -75,7 +72,7 @@ def errors(picture: Picture, labels: Mapping[str, str]) -> Figure | None:
 
 
 def comparison(evaluation: Evaluation) -> Figure:
-    """Bars of the mean scores of each method, where there are any: without truth no errors."""
+    """Bars of the mean scores of each method, where there are any."""
     charts = [
         replace(chart, title=chart.x.title, x=replace(chart.x, title=""))
         for chart in method_bars(evaluation.record, evaluation.names, evaluation.measures)
@@ -91,6 +88,6 @@ def comparison(evaluation: Evaluation) -> Figure:
 
 
 def consistency(name: str, found: Evaluated) -> Figure | None:
-    """What the tuned filter's innovations say; None where it failed or saw too few fixes."""
+    """Consistency of the tuned filter; None where it failed or had too few fixes."""
     charts = consistency_charts(name, found)
     return figure_of(*charts, size=(11, 3.4)) if charts else None

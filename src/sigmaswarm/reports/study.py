@@ -1,4 +1,4 @@
-"""The tables and pictures of a study, as files; all they say is said in `views/`."""
+"""The tables and figures of a study, as files."""
 
 from pathlib import Path
 
@@ -6,23 +6,23 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.study.config import MAIN
 from sigmaswarm.experiments.study.record import Results
-from sigmaswarm.experiments.study.run import Study
+from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, write_whole
-from sigmaswarm.reports.draw.png import figure_of, save_both
-from sigmaswarm.reports.draw.text import Printed
-from sigmaswarm.reports.views import study_rivals
+from sigmaswarm.reports.figures import figure_of, save_both
 from sigmaswarm.reports.views import study_tables as views
 from sigmaswarm.reports.views.study_charts import convergence_chart, spread_chart
 from sigmaswarm.reports.views.study_drive import error_charts, nis_charts, trajectory_chart
+from sigmaswarm.reports.views.study_rivals import curve_charts, rivals_table, rivals_tables
+from sigmaswarm.tables import Table
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
     tables, figures = make_folder(folder / "tables"), make_folder(folder / "figures")
     record = study.record
-    runtime = {"runtime": Printed(views.runtime_table(record.results, record.live))}
+    runtime = {"runtime": views.runtime_table(record.results, record.live)}
     if record.results.rivals is not None:
-        runtime["runtime-rivals"] = Printed(study_rivals.rivals_table(record.results, record.rival_times))
+        runtime["runtime-rivals"] = rivals_table(record.results, record.rival_times)
     written: list[Path] = []
     for name, table in (study_tables(study.results) | runtime).items():
         for ending, text in (("md", table.to_markdown()), ("tex", table.to_latex()), ("csv", table.to_csv())):
@@ -33,8 +33,8 @@ def save_study(study: Study, folder: Path) -> list[Path]:
     return written
 
 
-def study_tables(results: Results) -> dict[str, Printed]:
-    """All tables of a study but that of the run time, which no two runs share.
+def study_tables(results: Results) -> dict[str, Table]:
+    """Return all tables of a study but those of run times, which differ between runs.
 
     Parameters
     ----------
@@ -43,17 +43,16 @@ def study_tables(results: Results) -> dict[str, Printed]:
 
     Returns
     -------
-    dict of str to Printed
-        ``table-1`` to ``table-3`` beside the paper's, ``comparison-honest`` and ``comparison-paper``, three of the
-        conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
+    dict of str to Table
+        ``table-1`` to ``table-3`` with the paper's figures, ``comparison-honest`` and ``comparison-paper``, three of
+        the conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
         ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
     """
-    tables = views.study_tables(results) | study_rivals.rivals_tables(results)
-    return {name: Printed(table) for name, table in tables.items()}
+    return views.study_tables(results) | rivals_tables(results)
 
 
 def study_figures(study: Study) -> dict[str, Figure]:
-    """All figures of a study.
+    """Draw all figures of a study.
 
     Parameters
     ----------
@@ -68,7 +67,7 @@ def study_figures(study: Study) -> dict[str, Figure]:
     results, spreads, picture = study.results, study.record.spreads, study.picture
     courses = [convergence_chart(results, protocol, [MAIN], "linear") for protocol in results.protocols]
     boxes = [spread_chart(results, spreads, measure, all_rows=True) for measure in views.ERRORS]
-    curves = study_rivals.curve_charts(results)
+    curves = curve_charts(results)
     return {
         "convergence": figure_of(*(c for c in courses if c), size=(10, 4)),
         "trajectory": figure_of(trajectory_chart(picture), size=(6.4, 5.6)),

@@ -1,8 +1,5 @@
-"""One look for all pictures: colors that the color-blind can tell apart, and lines that stay legible in grey."""
+"""One look for all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
 
-from pathlib import Path
-
-from sigmaswarm.errors import InputError
 from sigmaswarm.reports.views.charts import Dash, Look
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
@@ -13,7 +10,7 @@ VERMILION, PURPLE, SKY, INDIGO = "#D55E00", "#CC79A7", "#56B4E9", "#332288"
 CHARCOAL, SLATE, GREY, SILVER, MIST = "#4d4d4d", "#51585f", "#999999", "#cccccc", "#e5e5e5"
 
 MANY = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
-"""For as many lines as there are; `DASHES` tells those apart that repeat a color."""
+"""Colors of many lines; `DASHES` distinguishes those that repeat a color."""
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dot", "dashdot")
 
 # Line styles differ, too, so that a grey print stays legible.
@@ -42,13 +39,3 @@ STUDY_LOOKS: dict[str, Look] = {
 }
 """Of the series in a study's tracks, the first one on top."""
 LABELS = {"truth": "truth", **method_names(also=(OWN, *ALSO)), **METHODS}
-
-
-def check_file(path: Path, suffix: str = ".png") -> None:
-    """Raise `InputError` where no file of that kind can be written, before any work is done."""
-    if path.suffix != suffix:
-        raise InputError(f"{path}: can't tell the format; end the name in {suffix}")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name a file")
-    if not path.parent.is_dir():
-        raise InputError(f"{path.parent}: no such folder; make it first")

@@ -6,24 +6,23 @@ from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import groupby
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.datasets.dataset import LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
-from sigmaswarm.filters.groups import Sets
+from sigmaswarm.filters.kernel_array import KernelArray, Sums
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.replay import Replay, Sums, joined, run_packed
+from sigmaswarm.filters.replay import Replay, run_array
 from sigmaswarm.filters.student import INNOVATION_DOF
-from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.jobs import Job, jobs_for
+from sigmaswarm.filters.table import tables_of
+from sigmaswarm.scoring.jobs import Job, cores, jobs_for, run_jobs
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import OUTAGE_LENGTH, forecast_replay, outage_replay, tracking_replay
-from sigmaswarm.scoring.workers import cores, in_turn
 
 T = TypeVar("T")
 
@@ -32,7 +31,7 @@ T = TypeVar("T")
 class Scores:
     """Scores of every parameter set on every drive; each array has shape (n_sets, n_drives).
 
-    The names and units are those of `Score`; NaN where a score can't be said or the filter failed.
+    The names and units are those of `Score`; NaN where a score is not defined or the filter failed.
     """
 
     position_rmse: Array
@@ -53,19 +52,19 @@ class Scores:
         return Score(**numbers, failed=bool(self.failed[at]))
 
     def stacked(self) -> Array:
-        """All scores as one array, shape (n_scores, n_sets, n_drives), to travel."""
+        """All scores as one array, shape (n_scores, n_sets, n_drives), for transport."""
         return np.array([getattr(self, field.name) for field in fields(self)], dtype=np.float64)
 
     @classmethod
     def unstacked(cls, stacked: Array) -> "Scores":
-        """What `stacked` made."""
+        """Scores from the array of `stacked`."""
         *numbers, failed = (np.asfortranarray(one) for one in stacked)
         return cls(*numbers, failed=failed.astype(np.bool_))
 
 
 @dataclass(frozen=True)
 class Passes:
-    """How often a drive is run, and what it is taken for: see `Replayer` and `PreparedDrive`."""
+    """Passes over a drive, and its preprocessing: see `Replayer` and `PreparedDrive`."""
 
     outages: bool = False
     forecasts: bool = False
@@ -73,43 +72,8 @@ class Passes:
     as_recorded: bool = False
 
 
-class Replays(Protocol):
-    """Drives made ready, wherever they are held, to be replayed by any number of parameter sets."""
-
-    @property
-    def held(self) -> Held:
-        """The drives."""
-        ...
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Filter steps that one parameter set costs on each drive, over all passes, shape (n_drives,)."""
-        ...
-
-    def subset(self, drives: Sequence[int]) -> "Replays":
-        """Those of some of the drives, by index."""
-        ...
-
-    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
-        """Scores of all sets on all drives; the result has the same bits wherever the drives are held."""
-        ...
-
-    def measured(
-        self,
-        take: Callable[[Scores], Array],
-        parameter_sets: Sequence[FilterParameters],
-        executor: Executor | None = None,
-    ) -> Array:
-        """What a function of a module takes of the scores, number by number, shape (n_sets, n_drives)."""
-        ...
-
-    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """What a function of a module says of each drive, which it shares with what is replayed."""
-        ...
-
-
 class Replayer:
-    """Drives made ready once, to be replayed by any number of parameter sets.
+    """Drives prepared once, to be replayed by any number of parameter sets.
 
     Parameters
     ----------
@@ -151,7 +115,7 @@ class Replayer:
 
     @classmethod
     def together(cls, parts: Sequence["Replayer"]) -> "Replayer":
-        """The drives of several, which have the same passes, without making anything ready again."""
+        """Join replayers with the same passes, without preparing anything again."""
         whole = copy(parts[0])
         whole._forget()
         whole._ready = tuple(one for part in parts for one in part._ready)
@@ -162,12 +126,12 @@ class Replayer:
         return whole
 
     @property
-    def held(self) -> Here:
+    def dataset(self) -> LocalDataset:
         """The drives."""
-        return Here(self.drives)
+        return LocalDataset(self.drives)
 
     def subset(self, drives: Sequence[int]) -> "Replayer":
-        """A replayer of some of the drives, by index, without making anything ready again."""
+        """A replayer of some of the drives, by index, without preparing anything again."""
         if list(drives) == list(range(len(self.drives))):
             return self
         part = copy(self)
@@ -180,12 +144,12 @@ class Replayer:
 
     @property
     def truth_moments(self) -> list[int]:
-        """How many moments of truth each drive is scored at."""
+        """Number of moments of truth at which each drive is scored."""
         return [replay.targets.n_positions for replay in self._passes["tracking"]]
 
     @property
     def hidden_fixes(self) -> list[int]:
-        """How many fixes are hidden to be forecast on each drive; empty without forecasts."""
+        """Number of fixes that are hidden on each drive; empty without forecasts."""
         return [replay.n_hidden for replay in self._passes.get("forecasts", ())]
 
     @property
@@ -206,11 +170,11 @@ class Replayer:
 
     @cached_property
     def _jobs(self) -> dict[tuple[int, ModelName, int], list[Job]]:
-        """As `jobs_for` shared them out: generations are all alike."""
+        """Results of `jobs_for`."""
         return {}
 
     def _forget(self) -> None:
-        """Let go of what was found out about other drives."""
+        """Clear the caches, which are of other drives."""
         for found in ("_steps", "_counts", "_jobs"):
             self.__dict__.pop(found, None)
 
@@ -227,47 +191,51 @@ class Replayer:
         parameter_sets: Sequence[FilterParameters],
         executor: Executor | None = None,
     ) -> Array:
-        """What a function takes of the scores, shape (n_sets, n_drives)."""
+        """Apply a function to the scores, shape (n_sets, n_drives)."""
         return np.asfortranarray(take(self.scores(parameter_sets, executor)))
 
     def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
-        """What a function says of each drive."""
+        """Apply a function to each prepared drive."""
         return [function(one) for one in self._ready]
 
     def _run(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None) -> dict[str, Sums]:
-        """Every pass by every set, in pieces so that all workers have something to do."""
-        workers = min(getattr(executor, "_max_workers", None) or cores(), cores()) if executor else 1
-        sets = Sets(parameter_sets)
-        shared_as = len(parameter_sets), sets.groups[0][1].like.model, workers
-        jobs = self._jobs.get(shared_as)
-        if jobs is None:
-            jobs = self._jobs[shared_as] = jobs_for(self._steps, *shared_as)
-        packs = {part: sets.packed(part) for part in dict.fromkeys(job.sets for job in jobs)}
-        for _, group in sets.groups:
-            group.keep_starts(self.initial)
+        """Run every pass by every set, in jobs that keep all workers busy."""
+        workers = cores() if executor else 1
+        work: list[tuple[Job, NDArray[np.intp], KernelArray]] = []
+        for places, table in tables_of(parameter_sets):
+            array = KernelArray(table)
+            array.compute_starts(self.initial)
+            work += [
+                (job, places[job.sets.start : job.sets.stop], array.part(job.sets))
+                for job in self._jobs_for(len(table), array.model, workers)
+            ]
         # The longest first, so that no worker is left with one at the end.
-        order = sorted(range(len(jobs)), key=lambda k: jobs[k].seconds, reverse=True)
-        longest_first = [jobs[k] for k in order]
-        asked = [
-            (self._passes[job.name][job.replays.start : job.replays.stop], packs[job.sets])
-            for job in longest_first
+        work.sort(key=lambda item: item[0].work, reverse=True)
+        tasks = [
+            (self._passes[job.name][job.replays.start : job.replays.stop], array) for job, _, array in work
         ]
-        sums = dict(zip(order, in_turn(run_packed, asked, executor, workers), strict=True))
-        done = {name: list[Sums]() for name in self._passes}
-        for (name, _), part in groupby(range(len(jobs)), key=lambda k: (jobs[k].name, jobs[k].replays)):
-            done[name].append(joined([sums[k] for k in part], axis=1))
-        return {name: joined(each, axis=0) for name, each in done.items()}
+        sums = {name: Sums.empty(len(self.drives), len(parameter_sets)) for name in self._passes}
+        for (job, places, _), part in zip(work, run_jobs(run_array, tasks, executor), strict=True):
+            sums[job.name].put(slice(job.replays.start, job.replays.stop), places, part)
+        return sums
+
+    def _jobs_for(self, n_sets: int, model: ModelName, workers: int) -> list[Job]:
+        """As `jobs_for`; kept, since all generations of a search have the same jobs."""
+        key = n_sets, model, workers
+        if key not in self._jobs:
+            self._jobs[key] = jobs_for(self._steps, n_sets, model, workers)
+        return self._jobs[key]
 
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """By what the sums of each replay are divided, each of shape (n_drives, 1); NaN for 0: of nothing no mean is known.
+    """Divisors of the sums of each replay, each of shape (n_drives, 1); NaN in place of 0.
 
     Attributes
     ----------
-    moments : how many positions are compared
-    positions, headings : what their errors count together
-    fixes, hidden : how many
+    moments : number of positions that are compared
+    positions, headings : total weights of their errors
+    fixes, hidden : numbers of fixes
     """
 
     moments: Array
@@ -278,7 +246,7 @@ class Counts:
 
     @classmethod
     def of(cls, replays: Sequence[Replay]) -> "Counts":
-        """Of the replays of a pass."""
+        """Counts of the replays of a pass."""
         each = [
             (t.n_positions, t.position_weight, t.heading_weight, len(replay.timeline.fixes), replay.n_hidden)
             for replay in replays
@@ -289,7 +257,7 @@ class Counts:
 
 
 def scores_of(passes: Mapping[str, Sequence[Replay]], sums: Mapping[str, Sums]) -> Scores:
-    """Scores from what each pass (``tracking``, ``outages``, ``forecasts``) added up; NaN of a pass that is missing."""
+    """Scores from the sums of each pass (``tracking``, ``outages``, ``forecasts``); NaN for a missing pass."""
     return _scores_by({name: Counts.of(passes[name]) for name in sums}, sums)
 
 
@@ -332,4 +300,4 @@ def _forecast_scores(counts: Counts, sums: Sums) -> dict[str, Array]:
 
 
 _SCORES = {"tracking": _tracking_scores, "outages": _outage_scores, "forecasts": _forecast_scores}
-"""What the sums of each pass say, each of shape (n_drives, n_sets)."""
+"""Scores from the sums of each pass, each of shape (n_drives, n_sets)."""

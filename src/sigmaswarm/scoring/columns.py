@@ -1,34 +1,34 @@
-"""What a track keeps of estimates: place, errors against truth, and 3 sigma, row by row."""
+"""Columns of a track: position, errors against truth, and 3 sigma of each estimate."""
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.doubt import is_known
 from sigmaswarm.scoring.score import truth_at
+from sigmaswarm.scoring.truth_noise import is_known
 
 
 class TrueMotion:
-    """Truth, made ready to be compared with estimates in pieces."""
+    """Truth prepared for comparison with estimates in pieces."""
 
     def __init__(self, truth: Truth) -> None:
         self._truth = truth
         self._theta = np.unwrap(truth.theta)
 
     def distance(self, time: Array, x: Array, y: Array) -> Array:
-        """From the truth, m; NaN where truth is not known."""
+        """Distance from the truth, m; NaN where truth is not known."""
         true_x, true_y = truth_at(self._truth, time)
         return np.hypot(x - true_x, y - true_y)
 
     def heading_error(self, time: Array, theta: Array) -> Array:
-        """Deg; NaN where truth is not known."""
+        """Heading error, deg; NaN where truth is not known."""
         true = np.where(is_known(self._truth, time), np.interp(time, self._truth.time, self._theta), np.nan)
         return np.degrees(wrap_angle(theta - true))
 
 
 def columns_of(time: Array, mean: Array, covariance: Array, truth: TrueMotion | None) -> dict[str, Array]:
-    """The columns of `Tracks` of estimates: means (r, n), covariances (r, n, n), or an empty array."""
+    """Columns of `Tracks` from means (r, n) and covariances (r, n, n), or an empty array."""
     columns = {"time": time, "x": mean[:, 0], "y": mean[:, 1]}
     if truth is not None:
         columns["position_error"] = truth.distance(time, mean[:, 0], mean[:, 1])

@@ -1,4 +1,4 @@
-"""Whether a filter's covariances say what its errors are: NIS, NEES and the whiteness of the innovations.
+"""Consistency of a filter's covariances: NIS, NEES and the whiteness of the innovations.
 
 Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and Navigation, Wiley 2001,
 section 5.4.
@@ -18,7 +18,7 @@ from sigmaswarm.filters.run import Innovations, run_innovations
 
 
 def _chi2_below(share: float | list[float], degrees: int) -> Array:
-    """Below what a share of a chi-square of so many degrees of freedom lies."""
+    """Quantiles of the chi-square distribution."""
     from scipy.special import gammaincinv  # 0.1 s to import; scipy.stats, which has chi-square, 0.4 s
 
     return np.asarray(2 * gammaincinv(degrees / 2, share), np.float64)
@@ -27,19 +27,19 @@ def _chi2_below(share: float | list[float], degrees: int) -> Array:
 GATE_95 = -2 * math.log(0.05)
 """NIS below which 95% of the fixes lie where the filter is consistent: 5.99."""
 FAR_NEES = 4.0
-"""Mean NEES from which on errors are plainly too large: by a factor of 1.4, as it has no band."""
+"""Mean NEES above which errors are clearly too large: by a factor of 1.4; NEES has no band."""
 RIGHT_NEES = 1.5
-"""Mean NEES from which on, up to `FAR_NEES`, a filter is taken to be right about its position."""
+"""Mean NEES from which, up to `FAR_NEES`, a filter's position covariance is taken to be right."""
 LAGS = 10
 """Fixes over which innovations are tested for correlation."""
 
 Summary = tuple[float, tuple[float, float], float | None, float] | None
-"""Of a filter on one drive: mean NIS, its 95% band, mean NEES or None; None where nothing can be said."""
+"""Mean NIS on one drive, its 95% band, mean NEES or None, correlation of neighbors; None where it is unknown."""
 
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """What the fixes say of a filter's own covariances on one drive.
+    """Consistency of a filter's covariances on one drive.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Consistency:
     mean_nis : float
         2 where the filter is consistent; above, it is optimistic.
     nis_band : (float, float)
-        Where 95% of the means of so many independent values lie.
+        95% band of the mean of this many independent values.
     inside_gate : float
         Share of the fixes inside the 95% gate.
     autocorrelation : ndarray, shape (LAGS,)
@@ -55,12 +55,12 @@ class Consistency:
     white_p : float
         p-value of the test of G. M. Ljung and G. E. P. Box (1978) that they are white.
     mean_nees : float
-        Of the position at moments of truth; 2 where the filter is consistent, NaN without truth. Its values hang
-        together over time, so it has no band.
+        Of the position at moments of truth; 2 where the filter is consistent, NaN without truth. Its values are
+        correlated over time, so it has no band.
     missed, expected : float
-        m, RMS: by how much forecasts miss the fixes, and by how much they should as the covariances say.
+        m, RMS: actual innovations, and innovations according to their covariances.
     own_sigma : float
-        m, RMS over the drive: by how much the filter says that its position is off. NaN where that was not asked for.
+        m, RMS over the drive: standard deviation of the position according to the filter. NaN where not computed.
     """
 
     n_fixes: int
@@ -81,7 +81,7 @@ class Consistency:
 
     @property
     def summary(self) -> Summary:
-        """What `verdicts` looks at."""
+        """Input of `verdicts`."""
         nees = None if np.isnan(self.mean_nees) else self.mean_nees
         return self.mean_nis, self.nis_band, nees, float(self.autocorrelation[0])
 
@@ -89,14 +89,14 @@ class Consistency:
 def consistency(
     drive: Drive | PreparedDrive, parameters: FilterParameters, mean_nees: float = float("nan")
 ) -> Consistency | None:
-    """Look at a filter's innovations over a drive; None where it failed, or saw too few fixes to tell."""
+    """Compute a filter's consistency over a drive; None where it failed or had too few fixes."""
     return consistency_of(run_innovations(drive, parameters), mean_nees)
 
 
 def consistency_of(
     innovations: Innovations, mean_nees: float = float("nan"), own_sigma: float = float("nan")
 ) -> Consistency | None:
-    """What innovations say; None where a covariance is none, or they are too few."""
+    """Compute consistency from innovations; None where a covariance is invalid or they are too few."""
     n = len(innovations.time)
     s = innovations.covariance
     if n <= 2 * LAGS or not (
@@ -133,18 +133,18 @@ Kind = Literal[
     "optimistic_position",
     "unknown",
 ]
-"""Optimistic: forecasts miss the fixes by more than the filter's covariances say; pessimistic: by less.
+"""Optimistic: innovations are larger than their covariances; pessimistic: smaller.
 
-Alike: by less, and each fix by much what the one before was missed by, so that, without truth, nothing can be said.
-Lasting: by less, and the errors against truth are as large as they say; what the fixes share hides from forecasts.
-Correlated: by as much as they say, but each by some of what the one before was missed by; without truth.
+Alike: smaller, and neighbors are much alike, so that nothing is known without truth.
+Lasting: smaller, and the errors against truth are as large as the covariances; predictions share the fixes' errors.
+Correlated: as large as the covariances, but neighbors are correlated; without truth.
 """
 ALIKE = 0.5
-"""Correlation of an innovation to the next one from which on they are much alike."""
+"""Correlation of neighboring innovations from which they are much alike."""
 CORRELATED = 0.2
-"""The same, from which on a consistent NIS does not say all."""
+"""The same, from which a consistent NIS is not sufficient."""
 FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
-"""What has to be said beside the verdicts where no truth is known."""
+"""Added to the verdicts where no truth is known."""
 
 VERDICTS: dict[Kind, str] = {
     "optimistic": "is too sure of its forecasts: they miss the fixes by more than its covariances say",
@@ -172,7 +172,7 @@ VERDICTS: dict[Kind, str] = {
 
 
 def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
-    """What the consistency on several drives says of a filter, a sentence for each kind that holds for a drive."""
+    """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
     known = [entry for entry in found if entry]
     optimistic = sum(nis > high for nis, (_, high), *_ in known)
     low_nis = sum(nis < low for nis, (low, _), *_ in known)
@@ -208,6 +208,6 @@ def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Around zero, which is the mean that a consistent filter's innovations have."""
+    """Autocorrelation around zero, the mean of a consistent filter's innovations."""
     power = float(values @ values)
     return np.array([float(values[k:] @ values[:-k]) / power for k in range(1, LAGS + 1)])

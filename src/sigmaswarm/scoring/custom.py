@@ -1,4 +1,4 @@
-"""How far a model of the user's own is from what its log knows to be true."""
+"""Errors of a user's model against the truth in its log."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from sigmaswarm.geodesy import wrap_angle
 
 @dataclass(frozen=True, eq=False)
 class StateTargets:
-    """True states of one log, ready to be compared with any number of estimates.
+    """True states of one log, prepared for comparison with any number of estimates.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class StateTargets:
 
 
 def state_targets(log: Log, model: Model) -> StateTargets:
-    """The truth of the model's ``scored`` states, or of all that the log has.
+    """Prepare the truth of the model's ``scored`` states, or of all that the log has.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What methods drift while fixes are hidden: outages placed again and again, for one placement is a draw of chance."""
+"""Drift of methods while fixes are hidden, over several random placements of the outages."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -14,31 +14,31 @@ from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay, joined, run_replays
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.scoring.batch import scores_of
-from sigmaswarm.scoring.doubt import root_mean
 from sigmaswarm.scoring.records import DriftRecord
 from sigmaswarm.scoring.targets import (
     Seed,
-    drift_counts,
     drift_reference,
+    drift_weights,
     outage_replay,
     outage_windows,
     placements,
 )
+from sigmaswarm.scoring.truth_noise import root_mean
 
 SMOOTHED = "smoothed"
-"""The method that is the tuned filter in hindsight."""
+"""The tuned filter, smoothed."""
 SWARM = "swarm"
-"""The method that is a swarm of the tuned filter."""
+"""A filter bank of the tuned filter."""
 LEARNED = ("outage-lstm", "noise-gru")
-"""The methods that are the tuned filter with a network beside it, by the names of the networks: see `learned`."""
+"""The tuned filter with a learned network, by the names of the networks: see `learned`."""
 OWN = "against"
-"""The method that is another tuning, or a filter of the user's own."""
+"""Another tuning, or a filter of the user's own."""
 UNTUNED = "untuned"
-"""The method that is the tuned filter's model and parts by data sheet."""
+"""The baseline: the tuned filter's model with noises from data sheets."""
 
 
 class Run(Protocol):
-    """What goes over a replay and gives its estimates in pieces."""
+    """An iterator over the estimates of a drive, in pieces."""
 
     @property
     def initial(self) -> InitialState: ...
@@ -50,18 +50,18 @@ class Run(Protocol):
 
 
 Runs = Mapping[str, Callable[[Replay], Run]]
-"""Methods that are more than a filter, by their names."""
+"""Methods that are not a single filter, by their names."""
 
 
 class Outages:
-    """The outages of one length on a drive, placed again and again, and what methods drift over them.
+    """The outages of one length on a drive in several placements, and the drifts of methods over them.
 
     Attributes
     ----------
     seeds : list
-        Of the placements; empty where no outage fits.
+        Seeds of the placements; empty where no outage fits.
     failed : set of str
-        The methods that failed in one of them.
+        Methods that failed in one of them.
     """
 
     def __init__(self, ready: PreparedDrive, *, length: float, seed: int, most: int | None = None) -> None:
@@ -77,7 +77,7 @@ class Outages:
         return outage_windows(self._ready.drive, self._ready.initial, length=self._length, seed=seed)
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """What an estimate drifts that never sees a fix: it needs no run of its own for that."""
+        """Add an estimate that uses no fix: it needs no run of its own."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
@@ -87,9 +87,9 @@ class Outages:
         *,
         watched: bool = True,
     ) -> None:
-        """Run filters with the fixes hidden, and what else there is. No steps are kept.
+        """Run filters and other methods with the fixes hidden. No steps are kept.
 
-        Where they are ``watched`` they start anew where they lost their way; else they share the lanes of one run.
+        ``watched``: filters are monitored and reset after divergence; otherwise they share the lanes of one run.
         """
         for seed in self.seeds:
             self._ready.forget()
@@ -120,7 +120,7 @@ class Outages:
             self._follow(method, make(outages))
 
     def _follow(self, method: str, run: Run) -> None:
-        """What a run is off at the ends of the outages."""
+        """Add the error of a run at the ends of the outages."""
         of = self._each.setdefault(method, [])
         ends, at, places = self._ends[len(of)], 0, np.empty((0, 2))
         for piece in run:
@@ -132,10 +132,10 @@ class Outages:
         reference = drift_reference(self._ready)
         true = [np.interp(ends, reference.time, column) for column in (reference.x, reference.y)]
         squares = np.square(places - np.column_stack(true)).sum(axis=1)
-        of.append(root_mean(squares, drift_counts(self._ready, ends)))
+        of.append(root_mean(squares, drift_weights(self._ready, ends)))
 
     def drift(self, method: str) -> float:
-        """RMS over the outages of all placements, m; NaN where none fits or the method failed."""
+        """Return the RMS over the outages of all placements, m; NaN where none fits or the method failed."""
         if not self.seeds or method in self.failed:
             return float("nan")
         counts = [len(ends) for ends in self._ends]
@@ -143,13 +143,13 @@ class Outages:
 
     @property
     def record(self) -> DriftRecord:
-        """As scores.json holds it."""
+        """The record in scores.json."""
         each = {m: [v if np.isfinite(v) else None for v in values] for m, values in self._each.items()}
         return DriftRecord(outages=sum(map(len, self._ends)), each=each)
 
 
 def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: np.ndarray) -> float:
-    """RMS position error at the windows' ends; dead reckoning needs no run of its own for that."""
+    """Return the RMS position error at the ends of the windows, m."""
     if not len(ends):
         return float("nan")
     reference = drift_reference(ready)
@@ -157,4 +157,4 @@ def rms_drift(ready: PreparedDrive, estimate: Estimate | Piece, ends: np.ndarray
         np.interp(ends, estimate.time, estimate.mean[:, i]) - np.interp(ends, reference.time, column)
         for i, column in enumerate((reference.x, reference.y))
     ]
-    return root_mean(np.square(errors).sum(axis=0), drift_counts(ready, ends))
+    return root_mean(np.square(errors).sum(axis=0), drift_weights(ready, ends))

@@ -11,22 +11,21 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm import notebook
+from sigmaswarm.datasets.dataset import datasets_of
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import Landmarks, Overlap, known_overlap, landmarks
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
-from sigmaswarm.filters.swarm.run import SwarmRun
-from sigmaswarm.fleets.gathering import held_drives
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.doubt import share_known
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.records import (
@@ -48,14 +47,16 @@ from sigmaswarm.scoring.targets import (
     tracking_replay,
 )
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Picture, Tracker, Tracks, compared, save_tracks
+from sigmaswarm.scoring.truth_noise import share_known
+from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.versions import versions
 
 if TYPE_CHECKING:
     import pandas as pd
     from distributed import Client
 
-    from sigmaswarm.drives.places import Place
-    from sigmaswarm.fleets.held import Held
+    from sigmaswarm.datasets.dataset import Dataset
+    from sigmaswarm.drives.reader import Location
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,7 @@ class Evaluated:
     data : mapping
         What identifies the drive.
     restarts : mapping of method to tuple of float
-        s: when a filter was lost and started anew, see `filters.recovery`.
+        s: when a filter was lost and started anew, see `filters.divergence`.
     frozen : int
         Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
     drifts : mapping of measure to DriftRecord
@@ -112,7 +113,7 @@ class Evaluated:
         return DriveRecord.model_validate({**self.data, **of})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """Scores of every method on every drive.
 
@@ -144,16 +145,23 @@ class Evaluation:
         return {name: found.consistency for name, found in self.drives.items()}
 
     def mean(self, method: str, measure: str) -> float | None:
-        """The mean of a measure over the drives that have it; None where none has, or the method failed."""
+        """Return the mean of a measure over the drives that have it; None where none has, or the method failed.
+
+        ``method`` is a key as in scores.json (``untuned``) or a name as it is printed (``baseline``).
+        """
+        method = self._key(method)
         if any(found.scores[method].failed for found in self.drives.values()):
             return None
         known = [v for drive in self.drives if (v := self.value(drive, method, measure)) is not None]
         return float(np.mean(known)) if known else None
 
     def value(self, drive: str, method: str, measure: str) -> float | None:
-        """One figure, None where it can't be said."""
-        value = MEASURES[measure].of(self.drives[drive].scores[method])
+        """Return one score, or None where it is not known; ``method`` as in `mean`."""
+        value = MEASURES[measure].of(self.drives[drive].scores[self._key(method)])
         return float(value) if np.isfinite(value) else None
+
+    def _key(self, method: str) -> str:
+        return next((key for key, name in self.names.items() if name == method), method)
 
     def improvement(self, over: str = UNTUNED, measure: str = "position_rmse_m") -> float | None:
         """The paper's equation 5: (manual - tuned) / manual x 100, in percent, of the means over drives."""
@@ -183,14 +191,14 @@ class Evaluation:
     @property
     def record(self) -> ScoresRecord:
         """As scores.json holds it."""
-        told = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
+        consistency = {name: c and ConsistencyRecord.of(c) for name, c in self.consistency.items()}
         return ScoresRecord(
             drives={
                 drive: {m: {k: self.value(drive, m, k) for k in MEASURES} for m in self.names}
                 for drive in self.drives
             },
             mean={m: {k: self.mean(m, k) for k in MEASURES} for m in self.names},
-            consistency=told,
+            consistency=consistency,
             restarts={
                 drive: {m: list(found.restarts.get(m, ())) for m in self.names if m in found.restarts}
                 for drive, found in self.drives.items()
@@ -201,18 +209,32 @@ class Evaluation:
                 if over in self.names
             },
             drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
+            failed={
+                drive: failed
+                for drive, found in self.drives.items()
+                if (failed := [m for m, score in found.scores.items() if score.failed])
+            },
+            stale_fixes={drive: found.frozen for drive, found in self.drives.items() if found.frozen},
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """For machines: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
+        """Return scores.json: ``{"drives": {name: {method: {measure: value}}}, "mean": {method: {...}}}``."""
         return self.record.model_dump(mode="json")
 
+    @property
+    def view(self) -> EvaluationView:
+        """Tables and sentences, as the terminal, notebooks and the page show them."""
+        return EvaluationView(self.record, self.asked, self.names)
+
     def to_frame(self) -> pl.DataFrame:
-        """One row per drive and method."""
+        """Return one row per drive and method; methods have the names that the command line prints."""
+        return self._frame(self.names)
+
+    def _frame(self, names: Mapping[str, str]) -> pl.DataFrame:
         rows = [
-            {"drive": drive, "method": m, **{k: self.value(drive, m, k) for k in MEASURES}}
+            {"drive": drive, "method": name, **{k: self.value(drive, m, k) for k in MEASURES}}
             for drive in self.drives
-            for m in self.names
+            for m, name in names.items()
         ]
         return pl.DataFrame(rows, schema_overrides=dict.fromkeys(MEASURES, pl.Float64))
 
@@ -226,33 +248,17 @@ class Evaluation:
         """
         return notebook.to_pandas(self.to_frame().to_dict(as_series=False))
 
+    def __repr__(self) -> str:
+        return self.view.to_text()
+
     def _repr_html_(self) -> str:
-        """What a notebook shows: means over the drives, each drive below, and where raw GPS is better."""
-        heads = ("method", *(measure.heading for measure in self.measures.values()))
-
-        def rows(value: Callable[[str, str], float | None]) -> list[list[str]]:
-            return [
-                [name, *(notebook.number(value(m, k)) for k in MEASURES)] for m, name in self.names.items()
-            ]
-
-        each = "".join(
-            notebook.table(drive, heads, rows(partial(self.value, drive))) for drive in self.drives
-        )
-        if len(self.drives) == 1:
-            return each + notebook.listed("To know:", self.worse_than_raw)
-        shown = notebook.table(
-            f"Mean over {len(self.drives)} drives, lower is better", heads, rows(self.mean)
-        )
-        return (
-            f"{shown}{notebook.listed('To know:', self.worse_than_raw)}"
-            f"<details><summary>each drive</summary>{each}</details>"
-        )
+        return self.view.to_html()
 
     def save(self, folder: Path) -> list[Path]:
         """Write scores.json, scores.csv, evaluation.json, tracks.npz and the other filter, if any; their paths."""
         paths = [folder / name for name in (SCORES_FILE, "scores.csv", ASKED_FILE, TRACKS_FILE)]
         write_json(paths[0], self.to_dict())
-        write_whole(paths[1], self.to_frame().write_csv())
+        write_whole(paths[1], self._frame({m: m for m in self.names}).write_csv())
         write_json(paths[2], self.asked.model_dump())
         save_tracks([found.tracks for found in self.drives.values() if found.tracks], paths[3])
         if self.against is not None:
@@ -274,7 +280,7 @@ class Evaluation:
 
 
 def evaluate(
-    drives: "Sequence[Drive | Place] | Drive | Place | Held",
+    drives: "Sequence[Drive | Location] | Drive | Location | Dataset",
     parameters: FilterParameters,
     *,
     against: FilterParameters | None = None,
@@ -312,7 +318,7 @@ def evaluate(
         Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
         behind it.
     swarm : bool
-        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveSwarm`.
+        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
         What else to compare, by names of `ALSO`: each makes a run of a replay, as of a trained network.
     cluster : distributed.Client, optional
@@ -328,15 +334,15 @@ def evaluate(
     """
     if isinstance(drives, FilterParameters):
         raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
-    (held,) = held_drives(drives, cluster=cluster)
-    if not len(held):
+    (dataset,) = datasets_of(drives, cluster=cluster)
+    if not len(dataset):
         raise InputError("no drives were given; name at least one drive folder")
     own = {} if against is None else {OWN: against}
     also: dict[str, Callable[[Replay], Run]] = {}
     if smooth:
         also[SMOOTHED] = partial(Smoothing, parameters=parameters, recover=True)
     if swarm:
-        also[SWARM] = partial(SwarmRun, parameters=parameters, recover=True, as_recorded=as_recorded)
+        also[SWARM] = partial(BankRun, parameters=parameters, recover=True, as_recorded=as_recorded)
     also |= more
     one = partial(
         _one,
@@ -349,7 +355,7 @@ def evaluate(
         also=also,
     )
     found: dict[str, Evaluated] = {}
-    for drive, each, marks in held.one_by_one(one):
+    for drive, each, marks in dataset.imap(one):
         name = _unique(drive, found)
         known = None if seen is None or marks is None else known_overlap(marks, seen)
         found[name] = replace(each if name == drive else each.called(name), seen=known)

@@ -1,31 +1,24 @@
-"""How a batch of filters is shared out: jobs of some replays and some lanes each, the longest first.
+"""Jobs of a batch: some replays by some parameter sets each, run by an executor.
 
-A kernel takes up to `most_lanes` filters at once; fewer take less time together, but more each. Beside it a job holds
-Python's lock for a moment, in which no other job gets on. So few large jobs suit few workers, and many small ones many:
-`jobs_for` looks what each way of sharing would take, by the model of `makespan`, and takes the shortest.
+A kernel runs up to `most_lanes` parameter sets at once, and fewer of them take more time each. So jobs are as large as
+that, but for those that would leave workers idle at the end.
 """
 
-import heapq
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, wait
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, product
-from typing import NamedTuple
+from typing import Any, TypeVar
 
-from sigmaswarm.filters.compiled.layout import WIDEST, lanes_for, most_lanes
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.compiled.layout import WIDEST, most_lanes
 from sigmaswarm.filters.names import ModelName
 
-STEP, STEP_MORE = 20e-9, 3.2e-9
-"""s: a step, and more for each lane of planar5; a lane of another model, of n states, costs (n / 5)^2 times as much."""
-HELD, HELD_MORE = 70e-6, 25e-6
-"""s: how long a job holds Python's lock, and how much longer for each replay."""
-MANY = 16
-"""Jobs of each worker: with more it does not matter how they are shared out."""
-TOGETHER = 64
-"""Parameter sets that one worker alone takes in a job: more would take more memory."""
+Result = TypeVar("Result")
+
+MOST_SETS = 64
+"""Parameter sets in a job of a single worker; more would take more memory."""
 SHORT = 20_000
-"""Steps: replays that are shorter may be run one after the other in one job."""
+"""Steps: shorter replays share a job, unless workers would be idle."""
 
 
 @dataclass(frozen=True)
@@ -34,80 +27,85 @@ class Job:
 
     Attributes
     ----------
-    name : of the pass
-    replays : range
-        Of the pass.
-    sets : range
-        Of the parameter sets; at most `most_lanes`, or of one worker TOGETHER.
-    seconds : float
-        What it takes, about.
+    name : str
+        The pass.
+    replays, sets : range
+    steps : int
+        Steps of the replays together.
     """
 
     name: str
     replays: range
     sets: range
-    seconds: float
+    steps: int
+
+    @property
+    def work(self) -> int:
+        """Steps times sets."""
+        return self.steps * len(self.sets)
 
 
 def jobs_for(steps: Mapping[str, Sequence[int]], n_sets: int, model: ModelName, workers: int) -> list[Job]:
-    """All replays by all sets, in the order of passes, replays and sets.
+    """Divide a batch into jobs, in the order of passes, replays and sets.
 
-    ``steps`` : by each pass's name, how many each of its replays has
+    Parameters
+    ----------
+    steps : mapping of str to sequence of int
+        The steps of each replay, by pass.
     """
-    most = most_lanes(model)
-    if workers == 1:  # nobody else waits: the fewest are the best
-        return list(_jobs(list(_parts(steps, math.inf)), n_sets, model, (TOGETHER, TOGETHER), wide=0))
-    parts = list(_parts(steps, SHORT))
-    if len(parts) >= MANY * workers:
-        return list(_jobs(parts, n_sets, model, (most, most), wide=0))
-    widths = range(most, 0, -WIDEST)
-    ways = list[list[Job]]()
-    for short, (wide, narrow) in product((SHORT, 0), combinations_with_replacement(widths, 2)):
-        parts = list(_parts(steps, short))
-        rounds = len(parts) // workers * workers  # of what all workers have one each of
-        ways.append(list(_jobs(parts, n_sets, model, (wide, narrow), wide=rounds)))
-    return min(ways, key=lambda jobs: makespan(jobs, workers))
-
-
-def makespan(jobs: Iterable[Job], workers: int) -> float:
-    """s that the jobs take, about, if each worker takes the longest that is left; never less than the lock is held."""
-    each = sorted((job.seconds for job in jobs), reverse=True)
-    busy = [0.0] * workers
-    for seconds in each:
-        heapq.heapreplace(busy, busy[0] + seconds)
-    return max(max(busy), len(each) * HELD)
-
-
-class _Part(NamedTuple):
-    """Replays of one pass that go into a job together, and their steps."""
-
-    name: str
-    replays: range
-    steps: int
-
-
-def _jobs(
-    parts: Sequence[_Part], n_sets: int, model: ModelName, lanes: tuple[int, int], *, wide: int
-) -> Iterator[Job]:
-    """The parts by all sets: so many of the longest parts by the first number of lanes, the others by the second."""
-    more, most = STEP_MORE * (len(MODELS[model].states) / 5) ** 2, most_lanes(model)
-    longest = set(sorted(range(len(parts)), key=lambda k: parts[k].steps, reverse=True)[:wide])
-    for k, part in enumerate(parts):
-        width = lanes[0] if k in longest else lanes[1]
+    total = sum(map(sum, steps.values()))
+    parts = list(_parts(steps, total if workers == 1 else min(SHORT, total / workers)))
+    most = MOST_SETS if workers == 1 else most_lanes(model)
+    # Whole rounds of all workers are wide; the shortest parts, which are left over, are split among the workers.
+    left_over = sorted(parts, key=lambda part: part.steps)[: len(parts) % workers]
+    narrow = min(most, -(-n_sets // workers // WIDEST) * WIDEST)
+    jobs = list[Job]()
+    for part in parts:
+        width = narrow if part in left_over else most
         for first in range(0, n_sets, width):
-            sets = range(first, min(first + width, n_sets))
-            blocks = -(-len(sets) // most)
-            step = blocks * STEP + more * lanes_for(len(sets))
-            held = HELD + len(part.replays) * HELD_MORE
-            yield Job(part.name, part.replays, sets, held + step * part.steps)
+            jobs.append(Job(part.name, part.replays, range(first, min(first + width, n_sets)), part.steps))
+    return jobs
 
 
-def _parts(steps: Mapping[str, Sequence[int]], short: float) -> Iterator[_Part]:
-    """Replays, in their order, in parts that are worth a job each."""
-    for name, of in steps.items():
-        first, so_far = 0, 0
-        for last, more in enumerate(of):
-            so_far += more
-            if so_far >= short or last == len(of) - 1:
-                yield _Part(name, range(first, last + 1), so_far)
-                first, so_far = last + 1, 0
+def _parts(steps: Mapping[str, Sequence[int]], least: float) -> Iterator[Job]:
+    """Group consecutive replays of each pass into parts of at least so many steps."""
+    for name, each in steps.items():
+        first, total = 0, 0
+        for last, more in enumerate(each):
+            total += more
+            if total >= least or last == len(each) - 1:
+                yield Job(name, range(first, last + 1), range(0), total)
+                first, total = last + 1, 0
+
+
+def cores() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_jobs(
+    function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], executor: Executor | None
+) -> list[Result]:
+    """Call a function with each tuple of arguments, in an executor; without one, in this thread.
+
+    After an exception or an interrupt no further job begins, and those that have begun end before it is raised.
+    """
+    if executor is None:
+        return [function(*job) for job in jobs]
+    futures = list[Future[Result]]()
+    try:
+        for job in jobs:
+            futures.append(executor.submit(function, *job))
+        # Jobs begin in order. If one has not when its turn comes, the executor is busy otherwise (this may be one of
+        # its threads): it runs here.
+        return [
+            function(*job) if future.cancel() else future.result()
+            for job, future in zip(jobs, futures, strict=True)
+        ]
+    finally:
+        begun = [future for future in futures if not future.cancel()]
+        try:
+            wait(begun)
+        except BaseException:  # interrupted once more
+            wait(begun)
+            raise

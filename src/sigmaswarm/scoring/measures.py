@@ -1,4 +1,4 @@
-"""What is compared with what: methods and measures, and what people call them."""
+"""The methods and measures of a comparison, and their display names."""
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
 
 METHODS = {
     "tuned": "tuned filter",
-    UNTUNED: "data-sheet filter",
+    UNTUNED: "baseline",
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
-"""The rows of every comparison: what files and what people call them."""
+"""The rows of every comparison: keys in files and display names."""
 HOW_UNTUNED = (
-    "The data-sheet filter has the tuned one's model and parts, and noises that nobody tuned: R from the stated "
-    "accuracy of the fixes (else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual guesses of the rest"
+    "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the fixes "
+    "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
 )
-"""In a sentence, for people must not take it for what a good engineer reaches in a week."""
-HOW_AGAINST = "Another tuning, or a filter of your own, beside it: sigmaswarm evaluate --against TUNING"
-"""In a sentence, for who does not look for it."""
+"""A sentence that defines the baseline: it is not what a good engineer reaches in a week."""
+HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
+"""A sentence for users who do not know the option."""
 
 KIND_NAMES = {
     "ukf": "UKF",
@@ -31,17 +31,17 @@ KIND_NAMES = {
     "strong-tracking-ukf": "strong tracking UKF",
     "fuzzy-ukf": "fuzzy UKF",
 }
-"""What people call the kinds of filters."""
+"""Display names of the filter types."""
 
 
 ALSO = {SMOOTHED: "tuned, smoothed", SWARM: "tuned, as a swarm"} | {
     name: f"tuned, {name}" for name in LEARNED
 }
-"""The rows behind the tuned filter that are there if they are asked for."""
+"""Optional rows after the tuned filter."""
 
 
 def filter_called(kind: str, model: str) -> str:
-    """What people call a filter: its kind, and its model where that is not the paper's."""
+    """Return the display name of a filter: its type, and its model where that is not the paper's."""
     return KIND_NAMES.get(kind, kind) + ("" if model == "planar5" else f", {model}")
 
 
@@ -52,10 +52,10 @@ def method_names(
     also: Collection[str] = (),
     against: tuple[str, str] | None = None,
 ) -> dict[str, str]:
-    """`METHODS`, the tuned filter called after its kind and model.
+    """Return the display names of the methods, with the type and model of the tuned filter.
 
-    ``also``: what there is beside them: `OWN`, the filter to compare with, which comes first, and of `ALSO`.
-    ``against``: kind and model of `OWN`, where they are known.
+    ``also``: optional rows, `OWN` (the other filter, which comes first) and those of `ALSO`.
+    ``against``: type and model of `OWN`, where they are known.
     """
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
@@ -64,7 +64,7 @@ def method_names(
 
 @dataclass(frozen=True)
 class Measure:
-    """Something that is compared: what people call it, its unit, and how it is taken from a score."""
+    """A measure: its title, its unit, and its value in a score."""
 
     title: str
     unit: str
@@ -77,7 +77,7 @@ class Measure:
 
 
 def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
-    """What is compared, in the units in which people read it; ``outage_length``, s, is that of the shorter outages."""
+    """Return the measures in display units; ``outage_length``, s, is that of the shorter outages."""
     return {
         "position_rmse_m": Measure("position RMSE", "m", lambda s: s.position_rmse),
         "position_median_m": Measure("position 50%", "m", lambda s: s.position_median),
@@ -92,4 +92,4 @@ def measures(outage_length: float = OUTAGE_LENGTH) -> dict[str, Measure]:
 
 MEASURES = measures()
 POSITION_MEASURES = {"position_rmse_m": "RMSE", "position_median_m": "50%", "position_95_m": "95%"}
-"""Those in which a filter is held against the raw fixes, and what a sentence calls them."""
+"""Measures in which a filter is compared with the raw fixes, and their names in sentences."""

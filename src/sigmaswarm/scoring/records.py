@@ -1,4 +1,4 @@
-"""What an evaluation leaves in scores.json and evaluation.json."""
+"""The records of an evaluation: scores.json and evaluation.json."""
 
 import math
 from collections.abc import Iterable
@@ -11,11 +11,11 @@ from sigmaswarm.scoring.consistency import Consistency, Summary
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
 
 Measured = dict[str, float | None]
-"""By measure; None where it can't be said."""
+"""By measure; None where it is not known."""
 
 
 class ConsistencyRecord(BaseModel):
-    """What scores.json says of the tuned filter's covariances on a drive."""
+    """Consistency of the tuned filter on a drive."""
 
     n_fixes: int
     mean_nis: float
@@ -31,7 +31,7 @@ class ConsistencyRecord(BaseModel):
 
     @classmethod
     def of(cls, found: Consistency) -> "ConsistencyRecord":
-        """The same in plain types."""
+        """Convert to plain types."""
         return cls(
             n_fixes=found.n_fixes,
             mean_nis=found.mean_nis,
@@ -48,16 +48,16 @@ class ConsistencyRecord(BaseModel):
 
     @property
     def summary(self) -> Summary:
-        """What `verdicts` looks at."""
+        """The figures that `verdicts` reads."""
         return self.mean_nis, self.nis_band_95, self.mean_nees, self.autocorrelation[0]
 
 
 FEW = 4
-"""Outages of one placement: of fewer, all placements hide much the same fixes."""
+"""Outages of one placement: with fewer, all placements hide much the same fixes."""
 
 
 class DriftRecord(BaseModel):
-    """The drifts over outages of one length on a drive, as placements that chance made tell them.
+    """Drifts over outages of one length on a drive, for each random placement of the outages.
 
     ``each``: by method, m, RMS over the outages of each placement; None where a filter failed.
     """
@@ -66,27 +66,31 @@ class DriftRecord(BaseModel):
     each: dict[str, list[float | None]]
 
     def spread(self, method: str) -> tuple[float, float] | None:
-        """The least and the greatest that a single placement would have said, m."""
+        """Return the lowest and the highest drift of a single placement, m."""
         known = [v for v in self.each.get(method, []) if v is not None]
         return (min(known), max(known)) if known else None
 
 
 class ScoresRecord(BaseModel):
-    """scores.json: drive, method, measure; means over the drives; consistency; what the tuning improved."""
+    """scores.json: by drive, method and measure; means over the drives; consistency; improvement by the tuning."""
 
     drives: dict[str, dict[str, Measured]] = Field(min_length=1)
     mean: dict[str, Measured]
     consistency: dict[str, ConsistencyRecord | None] = Field(default_factory=dict)
     improvement_percent: dict[str, Measured] = Field(default_factory=dict)
     restarts: dict[str, dict[str, list[float]]] = Field(default_factory=dict)
-    """By drive and method, s: when a filter was lost and started anew."""
+    """By drive and method, s: resets after divergence."""
     drifts: dict[str, dict[str, DriftRecord]] = Field(default_factory=dict)
-    """By drive and measure: how many outages there were, and what each placement of them says."""
+    """By drive and measure."""
+    failed: dict[str, list[str]] = Field(default_factory=dict)
+    """By drive: methods that failed."""
+    stale_fixes: dict[str, int] = Field(default_factory=dict)
+    """By drive: fixes that repeat an earlier one although the vehicle may have moved; filters do not use them."""
 
     def drift_said(self, measure: str, method: str = "tuned") -> str:
-        """Of how many outages a drift is the RMS, and what a single placement would have said.
+        """Describe the number of outages behind a drift, and the range of drifts of a single placement.
 
-        Empty if unknown, or where the method failed in any placement: what the others say is of other outages.
+        Empty if unknown, or where the method failed in any placement: the others have other outages.
         """
         found = [of[measure] for of in self.drifts.values() if measure in of]
         drawn = [one.each.get(method, []) for one in found]
@@ -97,16 +101,18 @@ class ScoresRecord(BaseModel):
         means = [sum(one[i] for one in each) / len(each) for i in range(count)]
         outages = sum(one.outages for one in found)
         said = f"{outages} outages in {count} placements"
-        said += f"; a single placement says {min(means):.3g} to {max(means):.3g} m"
-        few = ", all on the same short stretch: another one may say far more" if outages < FEW * count else ""
+        said += f"; a single placement gives {min(means):.3g} to {max(means):.3g} m"
+        few = (
+            ", all on the same short stretch: another one may give far more" if outages < FEW * count else ""
+        )
         return said + few
 
     def mean_of(self, method: str, measure: str) -> float | None:
-        """Over the drives that have it; None where it can't be said."""
+        """Return the mean over the drives that have it, or None."""
         return self.mean.get(method, {}).get(measure)
 
-    def told(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
-        """The methods and measures of which anything is known: without truth no errors, and nothing of raw GPS."""
+    def known(self, methods: Iterable[str], measures: Iterable[str]) -> tuple[list[str], list[str]]:
+        """Return the methods and measures that have any value: without truth no errors and no raw GPS."""
         methods, measures = [*methods], [*measures]
         known = [
             m for m in measures if any(self.mean_of(method, m) is not None for method in methods)
@@ -117,16 +123,16 @@ class ScoresRecord(BaseModel):
 
 
 class AgainstRecord(BaseModel):
-    """What names a filter that was compared with."""
+    """Name of the other filter that was compared."""
 
     kind: str
     model: str
 
 
 class EvaluationRecord(BaseModel):
-    """evaluation.json: what was asked, of which drives.
+    """evaluation.json: the options and the drives.
 
-    ``against``: the other filter, where there was one; its parameters are in against.toml.
+    ``against``: the other filter that was compared, if any; its parameters are in against.toml.
     """
 
     outage_length_s: float

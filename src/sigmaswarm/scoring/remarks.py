@@ -1,11 +1,11 @@
-"""What is said of scores in sentences: who lost its way, who is worse than what, how far off a filter may be."""
+"""Sentences about scores: resets, comparisons with the raw fixes and the baseline, errors without truth."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from sigmaswarm.drives.fingerprint import DriveRecord
-from sigmaswarm.filters.recovery import said_of_restarts
+from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.scoring.consistency import CORRELATED
 from sigmaswarm.scoring.drifts import UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
@@ -15,7 +15,7 @@ from sigmaswarm.wording import counted
 
 
 def restarted(scores: ScoresRecord) -> tuple[str, ...]:
-    """A sentence for each drive on which the tuned filter lost its way."""
+    """Return a sentence for each drive on which the tuned filter diverged."""
     return tuple(
         f"the tuned filter {said_of_restarts(drive, found['tuned'])}"
         for drive, found in scores.restarts.items()
@@ -24,7 +24,7 @@ def restarted(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 def said_of_drives(data: Sequence[DriveRecord]) -> str:
-    """What a sentence calls drives: how many they are, and how much of them the tuning saw."""
+    """Return the number of drives, and how much of them the tuning saw."""
     called = counted(len(data), "drive")
     if not any(drive.seen_s for drive in data):
         known = all(drive.seen_s is not None for drive in data)
@@ -39,21 +39,21 @@ def said_of_drives(data: Sequence[DriveRecord]) -> str:
 
 
 ALL_OF_IT = 0.99
-"""Share of a drive from which on nobody needs to be told that truth lacks somewhere."""
+"""Share of a drive with truth above which gaps in it are not reported."""
 
 
 def partly_scored(data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """A sentence for each drive of which truth is known in parts only."""
+    """Return a sentence for each drive with truth for a part of it only."""
     return tuple(
-        f"errors on {drive.name} are those of {drive.truth_share:.0%} of the time from the filters' start on: "
-        "truth is not known of the rest"
+        f"errors on {drive.name} cover {drive.truth_share:.0%} of the time from the filters' start: the rest has no "
+        "truth"
         for drive in data
         if drive.has_truth and drive.truth_share is not None and drive.truth_share < ALL_OF_IT
     )
 
 
 def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
-    """A sentence for each drive on which the tuned filter's position is worse than the fixes that it was given."""
+    """Return a sentence for each drive on which the tuned filter's position is worse than the raw fixes."""
     said: list[str] = []
     for drive, found in scores.drives.items():
         pairs = {
@@ -71,41 +71,40 @@ def worse_than_raw(scores: ScoresRecord) -> tuple[str, ...]:
 
 
 FAR_BELOW = 1.0
-"""Mean NIS, half of what it should be, below which forecasts say nothing of the error."""
+"""Mean NIS (half of what it should be) below which predictions do not measure the error."""
 MOST_TOLD = 3
-"""Drives of which it is said how far off the filter may be."""
+"""Drives without truth for which the error is estimated."""
 
 
 def how_far(scores: ScoresRecord, data: Sequence[DriveRecord]) -> tuple[str, ...]:
-    """How many metres the tuned filter is off on each of the first drives without truth, as far as the log tells."""
+    """Estimate the tuned filter's position error on each of the first drives without truth, in a sentence."""
     blind = [one.name for one in data if one.has_truth is False]
     told = [(name, c) for name in blind if (c := scores.consistency.get(name)) and c.own_sigma_m]
     return tuple(_without_truth(name, c) for name, c in told[:MOST_TOLD])
 
 
 def said_of_first_look(look: FirstLook) -> str:
-    """How many metres the tuned filter is off on a drive that it was tuned on, in a sentence; empty if unknown."""
+    """Return the position error on a training drive in a sentence; empty if unknown."""
     name, rmse = look.picture.whole.name, look.position_rmse
     if np.isfinite(rmse["tuned"]):
         others = ", ".join(
             f"{METHODS[m]} {rmse[m]:.2g} m" for m in (UNTUNED, "raw_gps") if np.isfinite(rmse[m])
         )
-        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), where it was tuned: elsewhere it is rather more"
+        return f"{rmse['tuned']:.2g} m RMSE on {name} ({others}), a training drive: expect more on others"
     if look.consistency is None or not look.consistency.own_sigma:
         return ""
     return _without_truth(name, ConsistencyRecord.of(look.consistency))
 
 
 def _without_truth(drive: str, found: ConsistencyRecord) -> str:
-    said = said_of_position(found)
-    return f"How far off on {drive}, without truth? {said[0].upper()}{said[1:]}"
+    return f"Position error on {drive} without truth: {said_of_position(found)}"
 
 
 def said_of_position(found: ConsistencyRecord) -> str:
-    """How many metres a filter is off on a drive without truth, as far as the log tells.
+    """Estimate the position error of a filter on a drive without truth, in a sentence.
 
-    That is its own word (RMS of its sigmas), held against its forecasts of the fixes. Where it misses these by far less
-    than it expects, the receiver smooths its fixes, or their errors last: then it may be off by as much as they are.
+    It is the RMS of its sigmas, checked against its predictions of the fixes. Where these deviate far less than
+    expected, the receiver smooths its fixes or their errors last: then the filter may be off by as much as the fixes.
     """
     own, missed, expected = found.own_sigma_m or 0.0, found.missed_m or 0.0, found.expected_m or 0.0
     (low, high), nis = found.nis_band_95, f"mean NIS {found.mean_nis:.2g} where 2 is right"
@@ -113,27 +112,27 @@ def said_of_position(found: ConsistencyRecord) -> str:
     if found.mean_nis < low and (alike or found.mean_nis < FAR_BELOW):
         fixes = max(expected**2 - own**2, 0.0) ** 0.5
         return (
-            f"this log can't tell: perhaps {fixes:.2g} m, by which the filter takes the fixes to be off. It says "
-            f"{own:.2g} m (RMS) of itself, but its forecasts miss the fixes by less than it expects ({nis}): the "
-            "receiver smooths its fixes, or their errors last"
+            f"not known, perhaps {fixes:.2g} m, the error that the filter assumes of the fixes. The filter estimates "
+            f"{own:.2g} m (RMS) for itself, but the fixes deviate from its predictions by less than expected ({nis}): "
+            "the receiver smooths its fixes, or their errors last"
         )
-    said = f"{own:.2g} m (RMS), as the filter itself says"
-    included = f"its forecasts miss the fixes by {missed:.2g} m, their own errors included"
+    said = f"{own:.2g} m (RMS), the filter's own estimate"
+    included = f"the fixes deviate from its predictions by {missed:.2g} m, their own errors included"
     if found.mean_nis > high:
-        return f"more than {said}: {included}, which is more than it expects ({nis})"
+        return f"more than {said}: {included}, more than expected ({nis})"
     if found.mean_nis < low:
-        return f"{said}, or somewhat less: {included}, which is less than it expects ({nis})"
+        return f"{said}, or somewhat less: {included}, less than expected ({nis})"
     if alike:
-        return f"{said}, or more: {included}, as it expects, but each fix in part like the one before"
-    return f"about {said}, and the log bears it out: {included}, as it expects. What all fixes share is not in it"
+        return f"{said}, or more: {included}, as expected, but neighboring fixes share a part of it"
+    return f"about {said}, and the log agrees: {included}, as expected. An error that all fixes share is not in it"
 
 
 NOTABLE = 0.9
-"""Share of the tuned filter's error below which another's is said to be less."""
+"""Share of the tuned filter's error below which the baseline's is reported as lower."""
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """A sentence where the data-sheet filter is better on average over the drives, by what; else none."""
+    """Return a sentence where the baseline is better on average over the drives."""
     compared = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
     pairs = {m: (scores.mean_of("tuned", m), scores.mean_of(UNTUNED, m)) for m in compared}
     known = {
@@ -147,6 +146,6 @@ def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tu
         for m, (tuned, other) in worse.items()
     )
     if "position_rmse_m" in worse or 2 * len(worse) > len(known):
-        return (f"the tuned filter is WORSE than the data-sheet filter, which nobody tuned: {each}",)
+        return (f"the tuned filter is WORSE than the baseline: {each}",)
     others = f"worse in {len(worse)} of {len(known)} measures"
-    return (f"the tuned filter is {others} than the data-sheet filter, which nobody tuned: {each}",)
+    return (f"the tuned filter is {others} than the baseline: {each}",)

@@ -1,8 +1,8 @@
-"""Errors against truth: the plain definitions, in NumPy, for one estimate.
+"""Errors against truth of one estimate: the definitions in NumPy.
 
 error = estimate - truth, at truth times from the start common to all methods (`InitialState.time`) to the last
-IMU sample, the estimate linearly interpolated to the truth time. Where truth states its deviation, a moment counts by
-it: see `doubt.py`. `targets.py` feeds the same definitions to the compiled batch; tests hold the two together.
+IMU sample, the estimate linearly interpolated to the truth time. Where truth states standard deviations, moments
+are weighted: see `truth_noise.py`. `targets.py` gives the same definitions to the compiled batch; tests compare them.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from sigmaswarm.drives.drive import Array, Drive, Truth
 from sigmaswarm.filters.models import THETA
 from sigmaswarm.filters.run import Estimate
 from sigmaswarm.geodesy import wrap_angle
-from sigmaswarm.scoring.doubt import counts_at, heading_counts, is_known, position_counts, root_mean
+from sigmaswarm.scoring.truth_noise import heading_weights, is_known, position_weights, root_mean, weights_at
 
 HEADING_COUNTS_ABOVE = 2.0
 """m/s: below this true speed the heading error is not scored."""
@@ -23,7 +23,7 @@ HEADING_COUNTS_ABOVE = 2.0
 
 @dataclass(frozen=True)
 class Score:
-    """How wrong a method was on one drive; NaN where it can't be said.
+    """Errors of a method on one drive; NaN where one is not defined.
 
     Attributes
     ----------
@@ -32,9 +32,9 @@ class Score:
     heading_rmse : rad, RMS of the wrapped error where the true speed is over 2 m/s
     outage_drift : m, RMS over windows without fixes of the position error at the window's end
     long_outage_drift : m, the same over windows of 30 s
-    fix_rmse : m, RMS residual of the fixes after they were absorbed (the paper's equation 4)
-    forecast_rmse : m, RMS innovation of fixes hidden for 3 to 5 s, forecast through those windows
-    innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each is absorbed
+    fix_rmse : m, RMS residual of the fixes after their update (the paper's equation 4)
+    forecast_rmse : m, RMS innovation of fixes hidden in windows of 3 to 5 s
+    innovation_nll : nats, mean over the fixes of -ln N(nu; 0, S), before each update
     innovation_t : nats, the same under Student's t: see `negative_log_t`, with v = 4
     forecast_t : nats, the same over the hidden fixes of ``forecast_rmse``, with v = 8
     mean_nis : mean of nu^T S^-1 nu over the fixes; 2 where the covariance is right
@@ -59,7 +59,7 @@ class Score:
 
 
 def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: float) -> Array:
-    """How unlikely innovations are where some fixes lie far off: ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c).
+    """Negative log-likelihood of innovations with outliers: ln 2 pi + ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c).
 
     The negative logarithm of Student's t in two dimensions with v degrees of freedom, but for a constant, if c = v. A c
     of its own makes it least for Gaussian innovations where their mean NIS is 2: see `sigmaswarm.filters.student`.
@@ -84,7 +84,7 @@ def negative_log_t(innovation: Array, covariance: Array, dof: float, scale: floa
 
 
 class PieceErrors:
-    """What `score_estimate` says of estimates that come in pieces.
+    """Errors of estimates that come in pieces, as of `score_estimate`.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class PieceErrors:
         self._time, self._pose = initial.time, initial.mean[: THETA + 1].copy()
         self._parts: list[Array] = []
         self._turned: list[Array] = []
-        self._counts: list[tuple[Array | None, Array | None]] = []
+        self._weights: list[tuple[Array | None, Array | None]] = []
 
     def add(self, time: Array, mean: Array) -> None:
         """The next estimates: times (r,) in s, and means (r, n) of a model's states."""
@@ -112,27 +112,27 @@ class PieceErrors:
         self._parts.append(np.hypot(x - truth.x, y - truth.y))
         fast = _fast(truth)
         self._turned.append(wrap_angle(theta - truth.theta)[fast])
-        turned = heading_counts(truth)
-        self._counts.append((position_counts(truth), None if turned is None else turned[fast]))
+        turned = heading_weights(truth)
+        self._weights.append((position_weights(truth), None if turned is None else turned[fast]))
         self._next, self._time, self._pose = stop, time[-1], pose[-1]
 
     @property
     def quantiles(self) -> tuple[float, float]:
-        """The 50% and 95% quantiles so far, m; NaN where there are none, or an estimate was none."""
+        """The 50% and 95% quantiles so far, m; NaN where there are none, or an estimate was NaN."""
         return quantiles_of(np.concatenate(self._parts)) if self._parts else quantiles_of(np.empty(0))
 
     @property
     def score(self) -> Score:
-        """Of position and heading so far."""
+        """Score of position and heading so far."""
         if not self._parts:
             return Score()
         off, wrong = np.concatenate(self._parts), np.concatenate(self._turned)
         median, most = quantiles_of(off)
-        counts, turned = (
-            [one for one in each if one is not None] for each in zip(*self._counts, strict=True)
+        weights, turned = (
+            [one for one in each if one is not None] for each in zip(*self._weights, strict=True)
         )
         return Score(
-            position_rmse=root_mean(off**2, np.concatenate(counts) if counts else None),
+            position_rmse=root_mean(off**2, np.concatenate(weights) if weights else None),
             position_median=median,
             position_95=most,
             heading_rmse=root_mean(wrong**2, np.concatenate(turned) if turned else None),
@@ -158,7 +158,9 @@ def score_estimate(drive: Drive, estimate: Estimate) -> Score:
     if drive.truth is None:
         return Score(failed=estimate.failure is not None)
     errors = PieceErrors(drive.truth, estimate.initial)
-    for first in range(0, len(estimate.time), 100_000):  # a long drive's at once would be held several times
+    for first in range(
+        0, len(estimate.time), 100_000
+    ):  # a long drive at once would take several times its memory
         part = slice(first, first + 100_000)
         errors.add(estimate.time[part], estimate.mean[part])
     return replace(errors.score, failed=estimate.failure is not None)
@@ -175,10 +177,10 @@ def score_raw_gps(drive: Drive, initial: InitialState) -> Score:
     gps = drive.gps.select((drive.gps.time >= initial.time) & (drive.gps.time <= drive.imu.time[-1]))
     x, y = truth_at(drive.truth, gps.time)
     error = np.hypot(gps.x - x, gps.y - y)
-    told = np.isfinite(error)
-    error, counts = error[told], counts_at(drive.truth, gps.time[told])
+    known = np.isfinite(error)
+    error, weights = error[known], weights_at(drive.truth, gps.time[known])
     median, most = quantiles_of(error)
-    return Score(position_rmse=root_mean(error**2, counts), position_median=median, position_95=most)
+    return Score(position_rmse=root_mean(error**2, weights), position_median=median, position_95=most)
 
 
 def quantiles_of(errors: Array) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What the compiled batch compares its estimates with: truth along the drive, or at the end of outages."""
+"""Targets of the compiled batch: truth along the drive, or at the end of outages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,18 +9,18 @@ from sigmaswarm.drives.outages import balanced_windows, hidden_fixes, random_win
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.drives.timeline import Timeline
 from sigmaswarm.filters.replay import Replay, Targets
-from sigmaswarm.scoring.doubt import counts_at, heading_counts, is_known, position_counts
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE, scored_truth
+from sigmaswarm.scoring.truth_noise import heading_weights, is_known, position_weights, weights_at
 
 OUTAGE_LENGTH = 5.0
 """s without fixes, after which the drift is measured."""
 LONG_OUTAGE_LENGTH = 30.0
-"""s: so long that the biases of a filter show."""
+"""s: long enough to show the biases of a filter."""
 Seed = int | tuple[int, ...]
 OUTAGES_WANTED = 200
-"""On a drive: so many tell its drift to about a tenth."""
+"""On a drive: this many determine its drift to about a tenth."""
 MOST_PLACEMENTS = 8
-"""Of outages on a drive: more would hide the same seconds again."""
+"""Most placements of outages on a drive: more would hide the same seconds again."""
 OUTAGE_FIRST_AFTER = 10.0
 """s from the start to the first outage, at least."""
 OUTAGE_APART = 5.0
@@ -42,27 +42,27 @@ def outage_replay(ready: PreparedDrive, *, length: float = OUTAGE_LENGTH, seed: 
     reference = drift_reference(ready)
     x, y = np.interp(ends, reference.time, reference.x), np.interp(ends, reference.time, reference.y)
     headings = np.zeros_like(ends), np.zeros(len(ends), dtype=np.bool_)
-    counts, doubts = drift_counts(ready, ends), np.empty((0, 4))
-    if counts is not None:
-        doubts = np.column_stack([counts, *np.zeros((3, len(ends)))])
-    targets = Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends), doubts)
+    weights, noise = drift_weights(ready, ends), np.empty((0, 4))
+    if weights is not None:
+        noise = np.column_stack([weights, *np.zeros((3, len(ends)))])
+    targets = Targets(np.ones_like(ends), x, y, *headings, _end(timeline, ends), noise)
     return Replay(timeline, ready.initial, targets)
 
 
 def drift_reference(ready: PreparedDrive) -> Gps | Truth:
-    """What the drift over outages is told from: truth, or else the fixes, but for frozen ones."""
+    """Reference of the drift over outages: truth, or else the fixes without stale ones."""
     drive = ready.drive
     return drive.gps.select(~ready.frozen) if drive.truth is None else drive.truth
 
 
-def drift_counts(ready: PreparedDrive, ends: Array) -> Array | None:
-    """What the error at the end of each outage counts, (k,); None: 1."""
+def drift_weights(ready: PreparedDrive, ends: Array) -> Array | None:
+    """Weights of the errors at the ends of outages, (k,); None: 1."""
     truth = ready.drive.truth
-    return None if truth is None else counts_at(truth, ends)
+    return None if truth is None else weights_at(truth, ends)
 
 
 def forecast_replay(ready: PreparedDrive, *, seed: int = 0) -> Replay:
-    """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each hidden fix is compared with its forecast."""
+    """Fixes hidden in seeded windows of 3 to 5 s, all over the drive; each is compared with its prediction."""
     windows = forecast_windows(ready.drive, ready.initial, seed=seed)
     timeline = ready.timeline(hidden_fixes(ready.drive.gps.time, windows))
     return Replay(timeline, ready.initial, Targets.none(timeline))
@@ -74,10 +74,10 @@ def forecast_windows(drive: Drive, initial: InitialState, *, seed: int) -> Array
 
 
 def placements(drive: Drive, initial: InitialState, *, length: float, seed: int) -> list[Seed]:
-    """What places outages of ``length`` s anew, again and again: one placement's drift is a draw of chance.
+    """Seeds of repeated random placements of outages of ``length`` s, since one placement's drift is random.
 
-    As many as make `OUTAGES_WANTED`, at most `MOST_PLACEMENTS` and at least two; none where no outage fits. The first
-    is that of ``seed`` alone.
+    There are enough for `OUTAGES_WANTED`, at most `MOST_PLACEMENTS` and at least two; none where no outage fits. The
+    first is ``seed`` itself.
     """
     fitting = len(outage_windows(drive, initial, length=length, seed=seed))
     wanted = min(max(-(-OUTAGES_WANTED // fitting), 2), MOST_PLACEMENTS) if fitting else 0
@@ -87,7 +87,7 @@ def placements(drive: Drive, initial: InitialState, *, length: float, seed: int)
 def outage_windows(drive: Drive, initial: InitialState, *, length: float, seed: Seed) -> Array:
     """Windows of exactly ``length`` s, shape (k, 2), each ending at an IMU sample; k may be 0.
 
-    Where truth states its deviation, windows that end in its gaps are left out.
+    Where truth states deviations, windows that end in its gaps are left out.
     """
     reference = (drive.gps if drive.truth is None else drive.truth).time
     last = min(drive.imu.time[-1], reference[-1])
@@ -113,14 +113,14 @@ def _truth_targets(drive: Drive, timeline: Timeline) -> Targets:
     later = np.maximum(np.searchsorted(nodes, truth.time, side="left"), 1)
     weight = (truth.time - nodes[later - 1]) / (nodes[later] - nodes[later - 1])
     counts = np.hypot(truth.vx, truth.vy) > HEADING_COUNTS_ABOVE
-    doubts, position, heading = np.empty((0, 4)), position_counts(truth), heading_counts(truth)
+    noise, position, heading = np.empty((0, 4)), position_weights(truth), heading_weights(truth)
     if position is not None and truth.std_x is not None and truth.std_y is not None:
         heading = np.ones(len(truth)) if heading is None else heading
-        doubts = np.column_stack([position, heading, truth.std_x**2, truth.std_y**2])
-    return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time), doubts)
+        noise = np.column_stack([position, heading, truth.std_x**2, truth.std_y**2])
+    return Targets(weight, truth.x, truth.y, truth.theta, counts, _end(timeline, truth.time), noise)
 
 
 def _end(timeline: Timeline, times: Array) -> NDArray[np.int32]:
-    """How many of the moments lie before the end of each step; counted when an IMU sample is reached."""
+    """Number of the moments before the end of each step; it changes at IMU samples."""
     done = np.searchsorted(times, timeline.imu_time, side="right")
     return np.concatenate([[0], done]).astype(np.int32)[np.cumsum(timeline.sampled, dtype=np.int32)]

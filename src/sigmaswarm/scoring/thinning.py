@@ -1,4 +1,4 @@
-"""Series that come in pieces, kept in a size that does not grow with the drive."""
+"""Thinning of series that come in pieces, to a size that does not grow with the drive."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,10 +10,10 @@ Columns = Mapping[str, NDArray[np.floating[Any]]]
 
 
 class Thinned:
-    """At most so many rows of a series; no peak of the error, or of the NIS, gets lost.
+    """At most so many rows of a series, with all peaks of the error or of the NIS.
 
-    The first row, the last, and of each of equal parts in between the rows where the error is least and greatest (its
-    first and last row where there is no error). Which rows are kept does not depend on the pieces.
+    Kept are the first row, the last, and of each of equal parts in between the rows with the smallest and the largest
+    error (the first and the last row where there is no error). The choice does not depend on the pieces.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ class Thinned:
             parts, inner = most // 2 - 1, n - 2
             sizes = inner // parts + (np.arange(parts) < inner % parts)
             self._ends = np.concatenate([[1], 1 + np.cumsum(sizes), [n]])
-        self._first = 0  # row of the series where what waits begins
+        self._first = 0  # row of the series at which the waiting rows begin
         self._waiting: dict[str, NDArray[np.floating[Any]]] = {}
         self._kept: list[Columns] = []
 
     def add(self, columns: Columns) -> None:
-        """The next rows."""
+        """Add the next rows."""
         if self._ends is None:
             self._kept.append({name: np.array(values) for name, values in columns.items()})
             return
@@ -43,7 +43,7 @@ class Thinned:
         ends = self._ends[self._ends > self._first] - self._first
         whole = ends[ends <= len(columns["time"])]
         if len(whole):
-            rows = _telling(_what_matters(columns), whole)
+            rows = _extremes(_key(columns), whole)
             self._kept.append({name: values[rows] for name, values in columns.items()})
             columns = {name: values[whole[-1] :] for name, values in columns.items()}
             self._first += int(whole[-1])
@@ -51,22 +51,22 @@ class Thinned:
 
     @property
     def columns(self) -> Columns:
-        """What was kept, after the last piece."""
+        """Return the kept rows, after the last piece."""
         if not self._kept:
             return {"time": np.empty(0)}
         return {name: np.concatenate([part[name] for part in self._kept]) for name in self._kept[0]}
 
 
-def _what_matters(columns: Columns) -> NDArray[np.floating[Any]]:
+def _key(columns: Columns) -> NDArray[np.floating[Any]]:
     order = np.arange(len(columns["time"]), dtype=np.float64)
     return np.nan_to_num(columns.get("position_error", columns.get("nis", order)), nan=0.0)
 
 
-def _telling(matters: NDArray[np.floating[Any]], ends: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Rows of the least and the greatest value before each end, each once."""
+def _extremes(key: NDArray[np.floating[Any]], ends: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the rows of the smallest and the largest value before each end, each once."""
     rows: list[int] = []
     for first, end in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-        part = matters[first:end]
+        part = key[first:end]
         rows += [first + int(part.argmin()), first + int(part.argmax())]
     return np.unique(rows)
 
@@ -79,7 +79,7 @@ class CloseUp:
     place : ndarray, shape (2,)
         m east and north.
     side : float
-        m, of what is shown; twice as much is kept, since axes of equal scale may show more.
+        m; twice as much is kept, since axes of equal scale may show more.
     """
 
     def __init__(self, place: NDArray[np.float64], side: float) -> None:
@@ -88,7 +88,7 @@ class CloseUp:
         self._was_near = True
 
     def add(self, columns: Columns) -> None:
-        """The next rows."""
+        """Add the next rows."""
         if "x" not in columns:
             return
         points = np.column_stack([columns["x"], columns["y"]]).astype(np.float64)
@@ -100,6 +100,6 @@ class CloseUp:
 
     @property
     def columns(self) -> Columns:
-        """x and y, after the last piece."""
+        """Return x and y, after the last piece."""
         points = np.concatenate(self._kept) if self._kept else np.empty((0, 2))
         return {"x": points[:, 0], "y": points[:, 1]}

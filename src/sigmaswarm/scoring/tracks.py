@@ -17,14 +17,14 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays, whole_file
+from sigmaswarm.filters.bank.run import BankRun
+from sigmaswarm.filters.bank.spread import START
 from sigmaswarm.filters.dead_reckoning import run_imu_only
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.presets import datasheet
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.recording import Piece, Recording
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.filters.run import Estimate, replay_of
-from sigmaswarm.filters.swarm.run import SwarmRun
-from sigmaswarm.filters.swarm.spread import START
 from sigmaswarm.scoring.columns import TrueMotion, columns_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
 from sigmaswarm.scoring.drifts import UNTUNED, Run
@@ -88,7 +88,7 @@ class Picture:
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
     """The same filter by data sheet, and the tuned one; the tuned one last, to be drawn on top."""
-    return {UNTUNED: datasheet(drive, like=tuned), "tuned": tuned}
+    return {UNTUNED: baseline(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
@@ -141,7 +141,7 @@ class Tracker:
         """Take what is more than a filter over all fixes of the drive, and keep its track; its score."""
         samples = int((self._ready.drive.imu.time > self._ready.initial.time).sum())
         errors = self._follow(series, run, run.initial, samples)
-        if isinstance(run, SwarmRun):
+        if isinstance(run, BankRun):
             log = run.log
             moved = {name: log.moved[:, i] for i, name in enumerate(log.names) if name != START}
             self._keep(series + SHARES, [{"time": log.time, **log.shares}], len(log.time))

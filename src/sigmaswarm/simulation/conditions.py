@@ -4,12 +4,13 @@ import os
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from sigmaswarm.datasets.cluster import Cluster
+from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.fleets.connection import Cluster
 from sigmaswarm.simulation.environments import ENVIRONMENTS, find_environment
 from sigmaswarm.simulation.maneuvers import MANEUVERS, find_maneuver
 from sigmaswarm.simulation.scenarios import check_duration, drive_name, simulate
@@ -21,22 +22,13 @@ PAPER_MANEUVERS = tuple(name for name in MANEUVERS if name != "urban")
 """The paper's five."""
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """A drive for a worker of a cluster to simulate: a `fleets.sources.Source`."""
+def simulated_source(maneuver: str, environment: str, run: int, **options: Any) -> Source:
+    """Make the source of a drive that a worker of a cluster simulates."""
+    return partial(_simulated, maneuver, environment, run=run, **options)
 
-    maneuver: str
-    environment: str
-    run: int
-    options: dict[str, Any]
 
-    def read(self) -> tuple[Drive, list[SigmaswarmWarning]]:
-        """Simulate the drive."""
-        return simulate(self.maneuver, self.environment, run=self.run, **self.options), []
-
-    def size(self) -> float:
-        """Size, bytes, of three minutes at 100 Hz; most drives are shorter."""
-        return 6e6
+def _simulated(*what: Any, **options: Any) -> tuple[Drive, list[SigmaswarmWarning]]:
+    return simulate(*what, **options), []
 
 
 def simulate_many(
@@ -102,9 +94,9 @@ def simulate_many(
 
 
 def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive]:
-    """Run `simulate_many` on the workers of a Dask cluster; yield the drives in their order.
+    """Run `simulate_many` on the workers of a Dask cluster; drives arrive in order.
 
-    Dask repeats the drives of a lost worker on another one.
+    If a worker dies, Dask simulates its drives on others.
 
     Raises
     ------
@@ -112,13 +104,13 @@ def simulated_on(client: "Client", *what: Any, **options: Any) -> Iterator[Drive
         If a worker has other versions, or the scheduler is gone.
     """
     cluster = Cluster(client)
-    cluster.check()
-    threads = sum(worker.threads for worker in cluster.workers().values())
+    cluster.require_same_versions()
+    threads = sum(cluster.workers().values())
     try:
         with client.get_executor(pure=False) as pool:
             yield from simulate_many(*what, executor=pool, ahead=2 * max(threads, 8), **options)
     except (OSError, CancelledError):
-        raise cluster.gone() from None
+        raise cluster.lost_scheduler() from None
 
 
 def _check(maneuvers: Sequence[str], environments: Sequence[str], runs: int, duration: float | None) -> None:

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.dataset import Dataset, datasets_of
 from sigmaswarm.drives.drive import Array, Drive, listed
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.fleets.gathering import held_drives
-from sigmaswarm.fleets.held import Held
-from sigmaswarm.scoring.batch import Passes, Replayer, Replays
-from sigmaswarm.scoring.fleet import replays_on
+from sigmaswarm.scoring.batch import Passes, Replayer
+from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.remote import Replays, replays_on
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import forecast_windows
 from sigmaswarm.tuning.objectives import Objective, objective_named
@@ -27,8 +27,8 @@ from sigmaswarm.wording import shown
 class BatchResult:
     """Costs and scores of a batch.
 
-    Only what the objective asks for is run: where it has no drifts or forecasts, these are NaN in the scores. Medians
-    and longer outages are always: `evaluate`, which runs each filter by itself, has them.
+    Only the passes that the objective needs are run: drifts and forecasts may be NaN in the scores. Medians and longer
+    outages are always NaN; `evaluate` has them.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ def run_batch(
 ) -> BatchResult:
     """Run every parameter set over every drive and score it.
 
-    A set that fails is marked and costs ``inf``; it changes nothing for the others.
+    A set that fails is marked and costs ``inf``; the others are not affected.
 
     Parameters
     ----------
@@ -66,13 +66,13 @@ def run_batch(
     objective : str
         A name in `OBJECTIVES`, or a weighted sum of them.
     worst : float
-        Share of the drives that counts for the cost, the worst ones of each set.
+        Share of the drives in the cost: the worst ones of each set.
     outage_seed : int
-        Places the outages, where the objective has them.
+        Seed of the outages, where the objective has them.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+        Run without preprocessing: use stale fixes, and take gaps in the IMU as ordinary steps.
     executor : concurrent.futures.Executor, optional
-        Shares the work; threads on all cores by default. The result's bits do not depend on it.
+        Runs the work; threads on all cores by default. The bits of the result do not depend on it.
 
     Raises
     ------
@@ -82,23 +82,23 @@ def run_batch(
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
-    (held,) = held_drives(drives, takes="run_batch takes Drives")
+    (dataset,) = datasets_of(drives, takes="run_batch takes Drives")
     sets = _sets_given(parameter_sets)
     _check_executor(executor)
     goal = objective_named(objective)
-    check_drives(held.of_each(equipment), goal)
-    replayer = replays_for(goal, held, outage_seed, as_recorded=as_recorded)
+    check_drives(dataset.map(sensors_of), goal)
+    replayer = replays_for(goal, dataset, outage_seed, as_recorded=as_recorded)
     if executor is None:
-        with ThreadPoolExecutor() as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             scores = replayer.scores(sets, pool)
     else:
         scores = replayer.scores(sets, executor)
-    each = tuple(tuple(scores[i, j] for j in range(len(held))) for i in range(len(sets)))
+    each = tuple(tuple(scores[i, j] for j in range(len(dataset))) for i in range(len(sets)))
     return BatchResult(goal.costs(scores, worst), each, np.asarray(scores.failed.any(axis=1)))
 
 
 def _sets_given(given: Any) -> Sequence[FilterParameters]:
-    """What was given, one or many, if they are parameters."""
+    """One or many parameter sets, checked."""
     sets: list[Any] = listed(given)
     stray = [type(one).__name__ for one in sets if not isinstance(one, FilterParameters)]
     if stray:
@@ -113,11 +113,11 @@ def _check_executor(given: Any) -> None:
         )
 
 
-def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> None:
+def check_drives(drives: Sequence[Drive | Sensors], objective: Objective) -> None:
     """Raise `InputError` where the objective can't be computed on the drives."""
     if not drives:
         raise InputError("no drives were given; name at least one drive folder")
-    missing = [drive.name for drive in map(equipment, drives) if not drive.truth]
+    missing = [drive.name for drive in map(sensors_of, drives) if not drive.truth]
     if objective.needs_truth and missing:
         raise InputError(
             f"{missing[0]}: has no truth, which the objective {objective.name} needs; "
@@ -125,8 +125,8 @@ def check_drives(drives: Sequence[Drive | Equipment], objective: Objective) -> N
         )
 
 
-def replays_for(objective: Objective, held: Held, seed: int, *, as_recorded: bool) -> Replays:
-    """The drives, made ready where they are for the passes that an objective needs.
+def replays_for(objective: Objective, dataset: Dataset, seed: int, *, as_recorded: bool) -> Replays:
+    """Prepare the drives, where they are, for the passes that an objective needs.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def replays_for(objective: Objective, held: Held, seed: int, *, as_recorded: boo
         As `require_fit`.
     """
     passes = Passes(objective.needs_outages, objective.needs_forecasts, seed, as_recorded)
-    return replays_on(held, passes, partial(require_fit, objective=objective.name, seed=seed))
+    return replays_on(dataset, passes, partial(require_fit, objective=objective.name, seed=seed))
 
 
 def require_fit(replayer: Replayer, objective: str, seed: int) -> None:

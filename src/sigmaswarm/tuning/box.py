@@ -1,4 +1,4 @@
-"""The box that a swarm searches, whatever its parameters mean."""
+"""Bounds of the search space, and its coordinates."""
 
 import re
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ BoxEnd = Literal["lower", "upper"]
 
 @dataclass(frozen=True)
 class TouchedBound:
-    """A parameter that ended on a bound of the box: the optimum may lie outside it.
+    """A parameter that ended at a bound: the optimum may lie beyond it.
 
-    Its text is the sentence that files hold: ``q_x at its lower bound (1e-05)``.
+    Files hold its text: ``q_x at its lower bound (1e-05)``.
     """
 
     parameter: str
@@ -26,7 +26,7 @@ class TouchedBound:
 
     @property
     def place(self) -> str:
-        """Where the parameter is."""
+        """The bound, as text."""
         return f"at its {self.end} bound ({self.value:g})"
 
     def __str__(self) -> str:
@@ -34,7 +34,7 @@ class TouchedBound:
 
     @classmethod
     def read(cls, text: Any) -> "TouchedBound":
-        """What ``str`` made."""
+        """Parse the text that ``str`` returns."""
         if isinstance(text, cls):
             return text
         found = re.fullmatch(r"(.+) at its (lower|upper) bound \((\S+)\)", str(text))
@@ -46,7 +46,7 @@ class TouchedBound:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Names and bounds of d parameters, and the coordinates in which they are searched.
+    """Bounds of d parameters, and the coordinates in which they are searched.
 
     Attributes
     ----------
@@ -74,28 +74,28 @@ class Box:
 
     @property
     def noises(self) -> NDArray[np.bool_]:
-        """Which of them are variances that all grow together with the filter's covariance, shape (d,)."""
+        """Which parameters are noise variances, shape (d,); all of them times one factor scale the covariance."""
         return np.zeros(len(self.names), dtype=np.bool_)
 
     @property
-    def doubts(self) -> Array:
-        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
+    def inflation(self) -> Array:
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
         return np.zeros(len(self.names))
 
     @property
     def least(self) -> Array:
-        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
         return self.low
 
     def values(self, points: Array) -> Array:
-        """The parameters themselves, shape (..., d), of points in search coordinates."""
+        """Convert points in search coordinates to parameters, shape (..., d)."""
         values = np.where(self.logarithmic, 10.0 ** np.where(self.logarithmic, points, 0.0), points)
-        # 10**-5.0 is a last bit away from 1e-5: clip, so that no point of the box lies outside it.
+        # 10**-5.0 differs from 1e-5 in the last bit: clip, so that no point leaves the bounds
         inside = (points >= self.low) & (points <= self.high)
         return np.where(inside, np.minimum(np.maximum(values, self.lowest), self.highest), values)
 
     def touched(self, point: Array) -> list[TouchedBound]:
-        """Parameters that lie on a bound of the box."""
+        """List the parameters at a bound."""
         margin = 1e-9 * (self.high - self.low)
         ends: tuple[tuple[BoxEnd, Array, Array], ...] = (
             ("lower", self.low, self.lowest),

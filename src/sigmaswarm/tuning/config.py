@@ -1,40 +1,87 @@
-"""What a tuning is asked for."""
+"""The options of a tuning: name, type, default, range and help text, each stated once.
 
-from typing import Any, Self, TypeVar
+The command line, `tune`, tuning.toml and the reference read these models.
+"""
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
+from typing import Annotated, Any, Self, TypeVar
 
-from sigmaswarm.errors import InputError, first_mistake
-from sigmaswarm.filters.models import MODELS
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError, model_validator
+
+from sigmaswarm.errors import InputError, first_mistake, warn_deprecated
 from sigmaswarm.filters.names import FilterKind, ModelName
-from sigmaswarm.tuning.options import DEFAULTS, OptimizerName, Option, Scale, require_packages
+from sigmaswarm.tuning.options import ACCELERATION, INERTIA, OptimizerName, Option, Scale, require_packages
 
 SWARM = ("inertia", "cognitive", "social", "zero_velocity_at_bounds")
-"""The coefficients of the swarm, which no other optimizer has."""
+"""Options of the optimizer pso alone."""
+DECIDED_LATER = ("model", "kind", "use")
+"""Options whose default depends on the drives or on the model."""
+RENAMED = {"margin": "inflation"}
+"""Options of 0.3.0 that have another name now."""
+SYNONYMS = {
+    **dict.fromkeys(("n_trials", "restarts", "n_restarts", "repeats"), "trials"),
+    **dict.fromkeys(("random_state", "random_seed", "rng"), "seed"),
+    **dict.fromkeys(("max_iter", "maxiter", "n_iterations", "iterations", "n_iter", "epochs"), "generations"),
+    **dict.fromkeys(("population", "popsize", "population_size", "n_particles", "swarm_size"), "particles"),
+    **dict.fromkeys(("loss", "cost", "metric", "scoring"), "objective"),
+    **dict.fromkeys(("algorithm", "method", "solver"), "optimizer"),
+    **dict.fromkeys(("early_stopping", "n_iter_no_change"), "patience"),
+    **dict.fromkeys(("n_jobs", "jobs", "threads", "n_workers"), "workers"),
+    "workers": "executor",
+    **dict.fromkeys(("filter", "filter_type"), "kind"),
+    **dict.fromkeys(("output", "output_dir", "folder"), "out"),
+}
+"""Names that other libraries give to our options."""
 C = TypeVar("C", bound="SearchConfig")
 
 
+def _qualified_name(optimizer: Any) -> str:
+    return optimizer if isinstance(optimizer, str) else f"{optimizer.__module__}:{optimizer.__qualname__}"
+
+
+OwnOptimizer = Annotated[Callable[..., Any], PlainSerializer(_qualified_name, return_type=str)]
+"""A class of the user's own; files hold its module and name."""
+OwnOptimizerName = Annotated[str, Field(pattern=r"^[\w.]+:[\w.<>]+$")]
+
+
 class SearchConfig(BaseModel):
-    """What any tuning is asked for, checked; saved with every result. `SearchOptions` says what each option means."""
+    """Options of any search; saved with every result."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
-    objective: str = DEFAULTS["objective"]
-    """A name in `OBJECTIVES` or a weighted sum."""
-    scale: Scale = DEFAULTS["scale"]
-    particles: int = Field(default=DEFAULTS["particles"], ge=2)
-    generations: int = Field(default=DEFAULTS["generations"], ge=1)
-    trials: int = Field(default=DEFAULTS["trials"], ge=1)
-    seed: int = Field(default=DEFAULTS["seed"], ge=0)
-    worst: float = Field(default=DEFAULTS["worst"], gt=0, le=1)
-    optimizer: OptimizerName = DEFAULTS["optimizer"]
-    polish: int = Field(default=DEFAULTS["polish"], ge=0)
-    racing: bool = DEFAULTS["racing"]
-    inertia: float = DEFAULTS["inertia"]
-    cognitive: float = DEFAULTS["cognitive"]
-    social: float = DEFAULTS["social"]
-    zero_velocity_at_bounds: bool = DEFAULTS["zero_velocity_at_bounds"]
-    patience: int | None = Field(default=DEFAULTS["patience"], ge=1)
+    objective: str = "auto"
+    """What to minimize: truth-rmse, truth-pose, innovation-nll, innovation-t, forecast-t, outage-rmse, nis, nees,
+    gps-rmse, or a weighted sum."""
+    scale: Scale = "log10"
+    """Scale on which variances are searched; the paper uses linear."""
+    particles: int = Field(default=30, ge=2)
+    """Size of the swarm: evaluations per generation."""
+    generations: int = Field(default=50, ge=1)
+    """Generations of each trial, including the initial one."""
+    trials: int = Field(default=1, ge=1)
+    """Independent runs of the search; the best one is kept, all are reported."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of all random numbers; the same seed gives the same result."""
+    worst: float = Field(default=1.0, gt=0, le=1)
+    """Share of the drives that counts, the worst ones; 1 is the mean over all drives."""
+    # loses the heading less often than the paper's pso at the same budget (docs/optimizers.md)
+    optimizer: OptimizerName | OwnOptimizer | OwnOptimizerName = "de"
+    """Search algorithm; bo needs scikit-learn. In Python also a class of your own. See docs/optimizers.md."""
+    polish: int = Field(default=0, ge=0)
+    """Evaluations of the budget reserved for a final Nelder-Mead search from the best point."""
+    racing: bool = False
+    """Drop the worse candidates of a generation after a few drives; saves time with many drives."""
+    inertia: float = INERTIA
+    """Weight w of pso."""
+    cognitive: float = ACCELERATION
+    """Coefficient c1 of pso."""
+    social: float = ACCELERATION
+    """Coefficient c2 of pso."""
+    zero_velocity_at_bounds: bool = False
+    """For pso: stop particles along the coordinates in which they reach a bound."""
+    patience: int | None = Field(default=None, ge=1)
+    """End a trial after this many generations without progress; never by default."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -46,59 +93,159 @@ class SearchConfig(BaseModel):
         for name in SWARM if self.optimizer != "pso" else ():
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(
-                    f"{name} is a coefficient of pso, not of {self.optimizer}; choose pso, or leave it out"
+                    f"{name} is an option of the optimizer pso, not of {_qualified_name(self.optimizer)}; "
+                    "choose pso, or leave it out"
                 )
         return self
 
     def optimizer_options(self) -> dict[str, Any]:
-        """What the optimizer is told beside its budget: the swarm's own coefficients."""
+        """Return the options that go to the optimizer itself."""
         return {name: getattr(self, name) for name in SWARM} if self.optimizer == "pso" else {}
 
 
 class TuneConfig(SearchConfig):
-    """What the tuning of a filter for cars is asked for, once model and use are settled; else they are the paper's."""
+    """Options of a tuning of a built-in model, after `defaults.with_filter` has chosen model and use."""
 
     model: ModelName = "planar5"
+    """Process model: planar5 (the paper's), planar8 (IMU biases), tilted12 (roll and pitch too); chosen by the logs."""
     kind: FilterKind = "ukf"
+    """Filter type: unscented, extended, adaptive (Sage-Husa), strong tracking, fuzzy; the first that the model has."""
     use: tuple[Option, ...] = ()
-    outage_seed: int = Field(default=DEFAULTS["outage_seed"], ge=0)
-    as_recorded: bool = DEFAULTS["as_recorded"]
-    prior: float | None = Field(default=DEFAULTS["prior"], ge=0, le=100)
-    """None: 1 where the fixes' likelihood alone decides, else 0; `tune` settles it before it begins, else it is 0."""
-    margin: float | None = Field(default=DEFAULTS["margin"], ge=0, le=1)
-    """None: `MARGIN` or `TILTED_MARGIN` where the fixes' likelihood alone decides, else 0; likewise."""
+    """Measurements and constraints besides position fixes; chosen by the logs by default. See docs/models.md."""
+    outage_seed: int = Field(default=0, ge=0)
+    """Seed of the outage windows, for objectives that hide fixes."""
+    as_recorded: bool = False
+    """Run without preprocessing: use stale fixes, treat IMU gaps as ordinary steps; for diagnosis and the paper."""
+    prior: float | None = Field(default=None, ge=0, le=100)
+    """Weight of a prior on R from the receiver's accuracy; 0 disables it. Default: 1 without truth, else 0."""
+    inflation: float | None = Field(default=None, ge=0, le=1)
+    """Relative cost increase allowed for inflating process noise; 0 disables it. Default without truth 0.05,
+    for tilted12 0.02."""
 
     @model_validator(mode="before")
     @classmethod
-    def _usual_kind(cls, asked: Any) -> Any:
-        """Where none is asked for, the kind that is usual for the model."""
-        model = (
-            MODELS.get(asked.get("model", cls.model_fields["model"].default))
-            if isinstance(asked, dict)
-            else None
-        )  # pyright: ignore
-        return {"kind": model.kinds[0], **asked} if model else asked
+    def _read_old_names(cls, options: Any) -> Any:
+        if not isinstance(options, Mapping):
+            return options
+        return {RENAMED.get(name, name): value for name, value in options.items()}  # pyright: ignore
+
+    @model_validator(mode="before")
+    @classmethod
+    def _default_kind(cls, options: Any) -> Any:
+        """Fill in the first filter type that the model supports."""
+        from sigmaswarm.filters.models import MODELS  # heavy, and not needed for the command line's help
+
+        if not isinstance(options, Mapping):
+            return options
+        model = MODELS.get(options.get("model", "planar5"))  # pyright: ignore
+        return {"kind": model.kinds[0], **options} if model else options
 
     @model_validator(mode="after")
-    def _margin_needs_logarithms(self) -> Self:
-        if self.margin and self.scale != "log10":
-            raise ValueError("margin raises noises by one factor, which needs scale = log10")
+    def _inflation_needs_logarithms(self) -> Self:
+        if self.inflation and self.scale != "log10":
+            raise ValueError(
+                "inflation multiplies all process noise by one factor, which needs scale = log10"
+            )
         return self
 
 
 class ModelTuneConfig(SearchConfig):
-    """What the tuning of a model of the user's own is asked for."""
+    """Options of a tuning of the user's own model."""
 
     model: dict[str, Any]
-    """What `Model.identity` says of it."""
+    """`Model.identity`."""
 
 
-def validated_config(kind: type[C], config: dict[str, Any]) -> C:
-    """The configuration of a tuning, or an `InputError` that names the option, or the package that it needs."""
+PAPER: dict[str, Any] = {
+    **{
+        name: TuneConfig.model_fields[name].default
+        for name in (
+            *("kind", "particles", "generations", "polish", "racing", "use"),
+            *("worst", "cognitive", "social", "patience"),
+        )
+    },
+    "optimizer": "pso",
+    "scale": "linear",
+    "objective": "gps-rmse",
+    "model": "planar5",
+    "as_recorded": True,
+    "prior": 0.0,
+    "inflation": 0.0,
+}
+"""The paper's setting of one tuning. The paper repeats it 20 times and leaves inertia, seed and bounds open."""
+
+
+def paper_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Combine the paper's setting with the options that it leaves open.
+
+    Raises
+    ------
+    InputError
+        If an option contradicts the paper.
+    """
+    for name, value in options.items():
+        if name in PAPER and (tuple(value) if name == "use" else value) != PAPER[name]:
+            papers = "nothing" if PAPER[name] in ((), None) else PAPER[name]
+            raise InputError(
+                f"{name} = {value!r}: contradicts the paper's setting, which has {papers}; "
+                f"leave out {name} or the paper's setting"
+            )
+    return {**options, **PAPER}
+
+
+def current_options(
+    config: type[SearchConfig], options: Mapping[str, Any], arguments: Iterable[str] = ()
+) -> dict[str, Any]:
+    """Return the options under their current names.
+
+    Parameters
+    ----------
+    config : type
+        The model that has the options.
+    options : mapping
+        As the caller gave them.
+    arguments : iterable of str
+        Other arguments of the function, to be suggested too.
+
+    Raises
+    ------
+    InputError
+        If an option does not exist; the message suggests the nearest one.
+    """
+    known, current = config.model_fields, dict[str, Any]()
+    for name, value in options.items():
+        if name in RENAMED and RENAMED[name] in known:
+            warn_deprecated(f"the option {name}", RENAMED[name])
+        elif name not in known:
+            nearest = suggested(name, [*known, *arguments])
+            hint = f"did you mean {nearest}?" if nearest else f"there are {', '.join(known)}"
+            raise InputError(f"{name} = {value!r}: no such option; {hint}")
+        current[RENAMED.get(name, name)] = value
+    return current
+
+
+def suggested(name: str, known: Iterable[str]) -> str | None:
+    """Return the option that a user probably meant, or None."""
+    names = [*known]
+    synonym = SYNONYMS.get(name.lower().replace("-", "_"))
+    for candidate in (synonym, SYNONYMS.get(synonym or "")):
+        if candidate in names:
+            return candidate
+    return next(iter(get_close_matches(name, names, n=1)), None)
+
+
+def validated_config(kind: type[C], options: Mapping[str, Any]) -> C:
+    """Check the options of a tuning.
+
+    Raises
+    ------
+    InputError
+        Naming the option and its value, or the package that it needs.
+    """
     try:
-        valid = kind(**config)
+        config = kind(**options)
     except ValidationError as error:
         name, value, _, message = first_mistake(error)
-        raise InputError(f"{name} = {value!r}: {message}" if name else message) from None
-    require_packages(valid.optimizer)
-    return valid
+        raise InputError(f"{name.split('.')[0]} = {value!r}: {message}" if name else message) from None
+    require_packages(config.optimizer)
+    return config

@@ -83,8 +83,8 @@ class ModelProblem:
         """The cost at a point."""
         return float(self.costs(point[np.newaxis], executor)[0])
 
-    def doubts(self, point: Array) -> list[str]:
-        """None: what the data of a model of the user's own are is not known."""
+    def warnings(self, point: Array) -> list[str]:
+        """Return nothing: the meaning of the data of a user's own model is not known."""
         return []
 
     @property

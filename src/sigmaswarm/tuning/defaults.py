@@ -1,104 +1,129 @@
-"""What a tuning takes where nothing is asked for: the filter that suits the drives, and the objective."""
+"""Defaults of a tuning that depend on the drives: the filter and the objective."""
 
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from sigmaswarm.doctor.suited import Equipment, equipment, suited
 from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.sensors import Sensors, sensors_of, suggest_filter
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import clash
+from sigmaswarm.tuning.config import C, TuneConfig
+from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
+from sigmaswarm.tuning.objectives import objective_named
 
 PLAIN = "planar5"
-"""The paper's model, which uses nothing beside the fixes unless it is asked to."""
+"""The paper's model, which by default uses position fixes alone."""
 OBJECTIVES_OF_CARS = ("truth-pose + 0.2 nees", "innovation-t")
-"""With truth and without: docs/objectives.md, "With truth" and "Fixes that lie far off"."""
+"""With truth and without: docs/objectives.md, "Outliers"."""
 WITH_FORECASTS = "0.5 innovation-t + 0.5 forecast-t"
-"""Without truth, of a filter that knows tilts, where fixes err anew each time: what it forecasts over seconds then
-tells it from others. Where errors last, forecasts are of these: on a u-blox M8's it ended at 11 m in place of 4. A
-planar filter gains on its own roads, too, but trusts them more: on another car's it was 3.6 times as far off as the
-fixes."""
-ROOM = 30.0
-"""s under way, in which fixes can be hidden."""
+"""Without truth, for a model with roll and pitch and receivers with white errors: forecasts over seconds then separate
+good filters from bad ones. Where errors last, the forecasts follow them: with a u-blox M8 the filter ended at 11 m
+instead of 4. A planar filter gains on its own roads too, but trusts them more: on another car's roads its error was 3.6
+times that of the fixes."""
+MIN_DRIVEN = 30.0
+"""Seconds of driving that a drive needs before fixes can be hidden in it."""
 OBJECTIVES_OF_LOGS = ("truth-rmse", "innovation-nll")
-"""The same for models of the user's own, which have these two only."""
+"""With and without truth, for models of the user's own, which have only these two."""
 
 
-def with_filter(asked: dict[str, Any], drives: Sequence[Drive | Equipment]) -> tuple[dict[str, Any], str]:
-    """The options of a tuning with a model and what it uses, and what was chosen and why, in a line.
+def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> tuple[dict[str, Any], str]:
+    """Fill in the model and what it uses; explain the choice in one line.
 
-    What the user gave stays. Where neither ``model`` nor ``use`` is given, both are those of `suited`. With ``use``
-    alone the model is, and with ``model`` alone what it uses; but planar5, the paper's, then uses nothing. What does
-    not go with the ``kind`` that is asked for, or with the objective, is left out.
+    Options that the user gave stay. Without ``model`` and ``use`` both are those of `suggest_filter`.
+    With ``use`` alone the model is; with ``model`` alone its measurements are, except for planar5, the paper's model,
+    which uses none. Measurements that conflict with the given ``kind`` or objective are left out.
 
     Parameters
     ----------
-    asked : dict
+    options : dict
         `TuneOptions` that the user gave.
-    drives : sequence of Drive or Equipment
-        All that the filter has to run on.
+    drives : sequence of Drive or Sensors
+        All drives that the filter runs on.
 
     Returns
     -------
     options : dict
-    said : str
+    explanation : str
         Empty where the user gave both.
     """
-    if "model" in asked and "use" in asked:
-        return asked, ""
-    found = suited(drives)
-    model = asked.get("model") or _with_kind(found.model, asked.get("kind"))
-    if "use" in asked:
-        return {**asked, "model": model}, f"{_called(model, asked['use'])}, as asked: {found.because}"
-    use = [] if model == PLAIN else [option for option in found.use if _goes(option, asked, model)]
-    said = _called(model, use) + (", as asked" if "model" in asked else "")
-    because = "the paper's; name what it may use with --use" if model == PLAIN else found.because
-    if "model" in asked and model not in (PLAIN, found.model):
-        because = f"{found.model} is what suits the logs: {because}"
-    return {**asked, "model": model, "use": tuple(use)}, f"{said}: {because}"
+    if "model" in options and "use" in options:
+        return options, ""
+    found = suggest_filter(drives)
+    model = options.get("model") or _model_with_kind(found.model, options.get("kind"))
+    if "use" in options:
+        return {**options, "model": model}, f"{_described(model, options['use'])}, as given: {found.because}"
+    use = [] if model == PLAIN else [option for option in found.use if _fits(option, options, model)]
+    described = _described(model, use) + (", as given" if "model" in options else "")
+    because = "the paper's model; add measurements with --use" if model == PLAIN else found.because
+    if "model" in options and model not in (PLAIN, found.model):
+        because = f"{found.model} suits the logs: {because}"
+    return {**options, "model": model, "use": tuple(use)}, f"{described}: {because}"
 
 
-def _called(model: str, use: Sequence[str]) -> str:
+def _described(model: str, use: Sequence[str]) -> str:
     return f"{model} with {', '.join(use) or 'position fixes alone'}"
 
 
-def _with_kind(model: str, kind: str | None) -> str:
-    """The model, or the largest before it that is compiled as the kind that is asked for."""
+def _model_with_kind(model: str, kind: str | None) -> str:
+    """Return the model, or the largest smaller one that supports the filter type."""
     if kind is None or model not in MODELS or kind in MODELS[model].kinds:
         return model
     return "planar8"
 
 
-def _goes(option: str, asked: dict[str, Any], model: str) -> bool:
-    """Whether an option goes with the kind and the objective that were asked for."""
-    if option == "robust" and "innovation-nll" in str(asked.get("objective")):
-        return False  # to which outliers count in full, whatever the filter makes of them
-    kind = asked.get("kind")
+def _fits(option: str, options: dict[str, Any], model: str) -> bool:
+    """Check that a measurement agrees with the filter type and the objective."""
+    if option == "robust" and "innovation-nll" in str(options.get("objective")):
+        return False  # innovation-nll counts outliers in full, whatever the filter makes of them
+    kind = options.get("kind")
     return kind is None or clash(kind, [option]) is None
 
 
-def objective_for(data: Sequence[Drive | Equipment | Log], asked: str, model: str = PLAIN) -> str:
-    """The objective that is asked for; for ``auto`` the one that suits the data and the filter's model."""
-    if asked != "auto":
-        return asked
+def objective_for(data: Sequence[Drive | Sensors | Log], objective: str, model: str = PLAIN) -> str:
+    """Return the objective; for ``auto`` the one that suits the data and the filter's model."""
+    if objective != "auto":
+        return objective
     logs = any(isinstance(one, Log) for one in data)
     with_truth, without = OBJECTIVES_OF_LOGS if logs else OBJECTIVES_OF_CARS
-    cars = [equipment(one) for one in data if not isinstance(one, Log)]
+    cars = [sensors_of(one) for one in data if not isinstance(one, Log)]
     tilts = model in MODELS and MODELS[model].tilts
     if not logs and tilts and _allows_forecasts(cars):
         without = WITH_FORECASTS
     blind = [one.name for one in data if not one.truth]
     if blind and len(blind) < len(data):
         warnings.warn(
-            f"{blind[0]} has no truth, so all are tuned with {without}; leave it out, or say --objective",
+            f"{blind[0]} has no truth, so all drives are tuned with {without}; leave it out, or set --objective",
             SigmaswarmWarning,
             stacklevel=5,
         )
     return without if blind else with_truth
 
 
-def _allows_forecasts(found: Sequence[Equipment]) -> bool:
-    """Whether most drives have fixes whose errors are white, and each is long enough to hide some."""
-    return 2 * sum(one.white for one in found) > len(found) and all(one.driven > ROOM for one in found)
+def _allows_forecasts(cars: Sequence[Sensors]) -> bool:
+    """Check that most drives have white fix errors, and that each is long enough to hide fixes."""
+    return 2 * sum(one.white for one in cars) > len(cars) and all(one.driven > MIN_DRIVEN for one in cars)
+
+
+def settled(config: C, data: Sequence[Sensors | Log]) -> C:
+    """Replace the defaults of a configuration that depend on the data."""
+    model = config.model if isinstance(config, TuneConfig) else PLAIN
+    return with_guards(config.model_copy(update={"objective": objective_for(data, config.objective, model)}))
+
+
+def with_guards(config: C) -> C:
+    """Set the prior on R and the inflation of process noise; both are on where truth does not enter the objective."""
+    if not isinstance(config, TuneConfig):
+        return config
+    objective = objective_named(config.objective)
+    alone = objective.likelihood and not objective.needs_truth
+    usual = TILTED_INFLATION if MODELS[config.model].tilts else INFLATION
+    guards = {
+        "prior": float(alone) if config.prior is None else config.prior,
+        "inflation": config.inflation
+        if config.inflation is not None
+        else (usual if alone and config.scale == "log10" else 0.0),
+    }
+    return config.model_copy(update=guards)

@@ -1,7 +1,7 @@
-"""What a tuning minimizes. A new objective is one entry in `OBJECTIVES`; a weighted sum of them is one, too.
+"""The objectives of a tuning. A new one is an entry in `OBJECTIVES`; weighted sums of them are objectives too.
 
-Each takes the scores of all parameter sets on all drives and gives a cost per set and drive; the cost of a set is the
-mean over its drives, or over the worst of them, and ``inf`` where the filter failed on any.
+An objective turns the scores of all parameter sets on all drives into a cost per set and drive. The cost of a set is
+the mean over its drives, or over the worst of them, and ``inf`` if the filter failed on any.
 """
 
 import re
@@ -18,12 +18,12 @@ from sigmaswarm.scoring.batch import Scores
 HEADING_WEIGHT = 0.1
 """m per degree of heading error, in truth-pose."""
 OUTAGE_WEIGHT = 0.1
-"""m per metre of outage drift, in truth-pose."""
+"""m per meter of outage drift, in truth-pose."""
 
 
 @dataclass(frozen=True)
 class Objective:
-    """One way to say how good a filter is.
+    """A cost of a filter on drives.
 
     Attributes
     ----------
@@ -34,12 +34,12 @@ class Objective:
         Scores to costs of shape (n_sets, n_drives); lower wins.
     needs_truth, needs_outages, needs_forecasts : bool
     likelihood : bool
-        In a sum with one the other terms are counted as if they were nats, too.
+        In a sum with such a term the others count as nats too.
     nats : float
-        Weight of the terms that are logarithms: errors larger by 1% on each element of a measurement cost 0.01 of
-        them an element. 0: the cost is positive, and 1% is 1% of it.
+        Weight of the terms that are logarithms: errors larger by 1% cost 0.01 nats per element of a measurement. 0: the
+        cost is positive, and a relative increase is one of the cost.
     warning : str or None
-        What a user should know before trusting the result.
+        Shown to the user before the search.
     """
 
     name: str
@@ -65,9 +65,9 @@ class Objective:
         return np.where(scores.failed | ~np.isfinite(costs), np.inf, costs)
 
     def rise(self, costs: Array | float, best: float, elements: int = 2) -> Array:
-        """How much worse costs are than another: 0.01 is errors that are 1% larger.
+        """Return the relative increase of costs over another; 0.01 is errors that are 1% larger.
 
-        ``elements``: how many numbers a measurement has, each with its error.
+        ``elements`` is the number of elements of a measurement.
         """
         costs = np.asarray(costs)
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -94,19 +94,19 @@ def worst_mean(costs: Array, share: float) -> Array:
     count = costs.shape[1]
     weight = np.clip(share * count - np.arange(count), 0.0, 1.0)
     used = weight > 0
-    with np.errstate(invalid="ignore"):  # a failed set's
+    with np.errstate(invalid="ignore"):  # of a failed set
         return np.sort(costs, axis=1)[:, ::-1][:, used] @ weight[used] / weight.sum()
 
 
 def _pose(scores: Scores) -> Array:
-    # A drive too short for an outage, or too slow for a heading, has no such term: the same for all sets.
+    # a drive too short for an outage, or too slow for a heading, lacks the term for all sets alike
     heading = np.nan_to_num(np.degrees(scores.heading_rmse), posinf=np.inf)
     drift = np.nan_to_num(scores.outage_drift, posinf=np.inf)
     return scores.position_rmse + HEADING_WEIGHT * heading + OUTAGE_WEIGHT * drift
 
 
 def _off(mean: Array) -> Array:
-    """How far a mean NIS or NEES is from the 2 of a consistent filter: 0.1 where it is 10% off."""
+    """Return how far a mean NIS or NEES is from the 2 of a consistent filter; 0.1 is 10%."""
     return np.abs(np.log(mean / 2))
 
 

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, motion_in_noise, stated_std, white_noise
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.filters.table import fields_of
+from sigmaswarm.filters.table import ParameterTable
 
 DECADES = 0.5
 """Standard deviation of log10 R below that of the receiver."""
@@ -57,6 +57,6 @@ def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array
 
 def typical_variance(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
     """R of the median fix, m2 east and north, shape (n, m, 2); ``std`` as in `prior_costs`."""
-    n, of = len(parameter_sets), fields_of(parameter_sets, ("measurement_noise", "accuracy_scale"))
-    floor, scale = np.broadcast_to(of["measurement_noise"], (n, 2)), np.broadcast_to(of["accuracy_scale"], n)
+    table = ParameterTable.of(parameter_sets)
+    floor, scale = table.column("measurement_noise"), table.column("accuracy_scale")
     return floor[:, None, :] + scale[:, None, None] * std**2

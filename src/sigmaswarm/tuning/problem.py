@@ -1,4 +1,4 @@
-"""What a tuning minimizes: a filter's cost on data, over a box."""
+"""The problem that a tuning solves: a filter's cost on data, over a box."""
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
@@ -9,20 +9,21 @@ from typing import Any, Protocol, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.dataset import Dataset, LocalDataset
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import described
 from sigmaswarm.drives.overlap import Landmarks, landmarks
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled.run import run_kernel
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import require_named_axes
-from sigmaswarm.fleets.held import Held, Here
-from sigmaswarm.scoring.batch import Replays, Scores
+from sigmaswarm.scoring.batch import Scores
+from sigmaswarm.scoring.remote import Replays
 from sigmaswarm.tuning.batch import check_drives, replays_for
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.lost import (
+from sigmaswarm.tuning.diagnostics import (
     FEW,
     NAMED,
     drifts_of,
@@ -30,6 +31,7 @@ from sigmaswarm.tuning.lost import (
     restarts_of,
     said_of_drifts,
     said_of_lost,
+    said_of_scale,
 )
 from sigmaswarm.tuning.objectives import Objective, mean_cost, objective_named
 from sigmaswarm.tuning.prior import prior_costs, receiver_std, typical_variance
@@ -41,16 +43,15 @@ from sigmaswarm.tuning.receiver import (
     said_of_prior,
     stated,
 )
-from sigmaswarm.tuning.scale import said_of_scale
 from sigmaswarm.tuning.space import SearchSpace, search_space
 
 P = TypeVar("P", covariant=True)
-HELD = 0.02
-"""Nats a fix that the prior costs, from which on a user is told that it decided R."""
+PRIOR_DECIDED = 0.02
+"""Cost of the prior, nats per fix, above which a warning reports that it decided R."""
 
 
 class Landscape(Protocol):
-    """What a search needs: a box, and the costs of points in it."""
+    """A box, and the costs of points in it."""
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -76,7 +77,7 @@ class Landscape(Protocol):
 
 
 class Problem(Landscape, Protocol[P]):
-    """What `tune` needs to know of a filter, its data and its objective."""
+    """A filter, its data and its objective, as `tune` uses them."""
 
     @property
     def data(self) -> list[dict[str, Any]]:
@@ -85,7 +86,7 @@ class Problem(Landscape, Protocol[P]):
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """What each drive is recognized by; empty for logs of a model of the user's own."""
+        """Landmarks by which each drive is recognized; empty for logs of a user's model."""
         ...
 
     def parameters(self, point: Array) -> P:
@@ -93,15 +94,15 @@ class Problem(Landscape, Protocol[P]):
         ...
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective at a point without what only guards the search: for other data."""
+        """The objective at a point without the prior, for other data."""
         ...
 
-    def doubts(self, point: Array) -> list[str]:
-        """What the data say against the filter at a point, which the objective does not see, in sentences."""
+    def warnings(self, point: Array) -> list[str]:
+        """List faults of the filter at a point that the objective does not see, as sentences."""
         ...
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+        """Relative increase of costs: 0.01 is 1%."""
         ...
 
     def on(self, data: Any) -> "Problem[P]":
@@ -117,11 +118,11 @@ class CarProblem:
     ----------
     config : TuneConfig
     space : SearchSpace
-        May be that of other drives, whose IMU Q refers to.
+        May be that of other drives, with the IMU interval of Q.
     data : list of dict
         Name, length and fingerprint of each drive.
     replays : Replays
-        The drives, made ready for the objective where they are held.
+        The drives, prepared for the objective.
     """
 
     config: TuneConfig
@@ -131,23 +132,23 @@ class CarProblem:
 
     @cached_property
     def objective(self) -> Objective:
-        """What is minimized on each drive."""
+        """The objective on each drive."""
         return objective_named(self.config.objective)
 
     @cached_property
     def _receiver_std(self) -> Array:
-        """Of each drive, shape (m, 2), m."""
-        return np.array(self.replays.held.of_each(receiver_std))
+        """Standard deviation of each drive's receiver, shape (m, 2), m."""
+        return np.array(self.replays.dataset.map(receiver_std))
 
     @property
     def seen(self) -> Sequence[Landmarks]:
-        """What each drive is recognized by; on a cluster looked up when it is asked for, since it is much of many."""
-        held = self.replays.held
-        return self._landmarks if isinstance(held, Here) else LandmarksOf(held)
+        """Landmarks of each drive; of a remote dataset they are fetched when used, to save memory."""
+        dataset = self.replays.dataset
+        return self._landmarks if isinstance(dataset, LocalDataset) else LandmarksOf(dataset)
 
     @cached_property
     def _landmarks(self) -> tuple[Landmarks, ...]:
-        return tuple(self.replays.held.of_each(landmarks))
+        return tuple(self.replays.dataset.map(landmarks))
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -160,54 +161,56 @@ class CarProblem:
 
     @cached_property
     def _fix_noise(self) -> list[FixNoise]:
-        return self.replays.held.of_each(fix_noise)
+        return self.replays.dataset.map(fix_noise)
 
     @cached_property
-    def equipment(self) -> list[Equipment]:
-        """What each drive has."""
-        return self.replays.held.of_each(equipment)
+    def sensors(self) -> list[Sensors]:
+        """Sensors of each drive."""
+        return self.replays.dataset.map(sensors_of)
 
-    def doubts(self, point: Array) -> list[str]:
-        """Where it is lost, what plays no part or is left free, and, where no truth was looked at, whether R can be."""
+    def warnings(self, point: Array) -> list[str]:
+        """List divergence, unused measurements, a free covariance scale and, without truth, an implausible R."""
         parameters = self.parameters(point)
         lost = self._lost(parameters)
         weighs = parameters.accuracy_scale is not None
-        found = [*lost, *(said_of_accuracy(parameters, self.replays.held.of_each(stated)) if weighs else [])]
+        found = [*lost, *(said_of_accuracy(parameters, self.replays.dataset.map(stated)) if weighs else [])]
         found += said_of_scale(self.objective.name, parameters, self.replays)
-        known = all(drive.truth for drive in self.equipment)
+        known = all(drive.truth for drive in self.sensors)
         if not (
             known and self.objective.needs_truth
         ):  # a look at the fixes' noise takes as long as reading a drive
-            found += self._held(point) or said_of_noise(parameters, self._fix_noise)
+            found += self._prior_decided(point) or said_of_noise(parameters, self._fix_noise)
         return found
 
     def _lost(self, parameters: FilterParameters) -> list[str]:
-        """Where a filter loses its way, or else, where the objective hides no fixes, drifts further than it should."""
+        """Where a filter diverges; or else, if the objective hides no fixes, where it drifts too far in outages."""
         replays = self.replays
         said = said_of_lost(replays.of_each_prepared(partial(restarts_of, parameters=parameters)))
         if said or self.objective.needs_outages:
             return said
-        some = replays.subset(range(min(len(replays.held), NAMED)))
+        some = replays.subset(range(min(len(replays.dataset), NAMED)))
         if not may_drift_far(some.of_each_prepared(partial(drifts_of, parameters=parameters, most=FEW))):
             return []
         return said_of_drifts(some.of_each_prepared(partial(drifts_of, parameters=parameters)))
 
-    def _held(self, point: Array) -> list[str]:
-        """Where the prior held R near what is known of a receiver."""
+    def _prior_decided(self, point: Array) -> list[str]:
+        """Warn where the prior decided R."""
         if not self.config.prior:
             return []
         filters = [self.parameters(point)]
         costs = self.config.prior * prior_costs(filters, self._receiver_std)[0]
         r = np.sqrt(np.mean(typical_variance(filters, self._receiver_std)[0], axis=1))
-        known = zip(self.equipment, self._receiver_std, self._fix_noise, r, costs, strict=True)
-        held = (
-            said_of_prior(one.name, std, noise, near) for one, std, noise, near, cost in known if cost > HELD
+        known = zip(self.sensors, self._receiver_std, self._fix_noise, r, costs, strict=True)
+        found = (
+            said_of_prior(one.name, std, noise, near)
+            for one, std, noise, near, cost in known
+            if cost > PRIOR_DECIDED
         )
-        return next(filter(None, held), [])
+        return next(filter(None, found), [])
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d)."""
-        return self.mean(self.each(points, range(len(self.replays.held)), executor))
+        return self.mean(self.each(points, range(len(self.replays.dataset)), executor))
 
     def each(self, points: Array, drives: Sequence[int], executor: Executor | None) -> Array:
         """The costs on some of the drives, shape (n, len(drives))."""
@@ -223,27 +226,27 @@ class CarProblem:
         return mean_cost(each, self.config.worst)
 
     def judged(self, point: Array, executor: Executor | None) -> float:
-        """The objective itself at a point: what is known of a receiver is no score."""
+        """The objective itself at a point, without the prior."""
         plain = replace(self, config=self.config.model_copy(update={"prior": 0.0}))
         return float(plain.costs(point[np.newaxis], executor)[0])
 
     def rise(self, costs: Array | float, best: float) -> Array:
-        """How much worse costs are than another: 0.01 is 1%."""
+        """Relative increase of costs: 0.01 is 1%."""
         return self.objective.rise(costs, best)
 
-    def on(self, data: Sequence[Drive] | Held) -> "CarProblem":
+    def on(self, data: Sequence[Drive] | Dataset) -> "CarProblem":
         """The same filters and objective on other drives."""
         return car_problem(data, self.config, self.space)
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarksOf(Sequence[Landmarks]):
-    """What drives are recognized by that are held elsewhere."""
+    """The landmarks of a remote dataset, computed when they are needed."""
 
-    held: Held
+    dataset: Dataset
 
     def __len__(self) -> int:
-        return len(self.held)
+        return len(self.dataset)
 
     @overload
     def __getitem__(self, k: int) -> Landmarks: ...
@@ -252,29 +255,29 @@ class LandmarksOf(Sequence[Landmarks]):
     def __getitem__(self, k: int | slice) -> Landmarks | list[Landmarks]:
         places = range(len(self))[k]
         if isinstance(places, int):
-            return self.held.subset([places]).of_each(landmarks)[0]
-        return self.held.subset(places).of_each(landmarks)
+            return self.dataset.subset([places]).map(landmarks)[0]
+        return self.dataset.subset(places).map(landmarks)
 
     def __iter__(self) -> Iterator[Landmarks]:
-        return self.held.one_by_one(landmarks)
+        return self.dataset.imap(landmarks)
 
 
 def costs_of_each(objective: str, scores: Scores) -> Array:
-    """The costs of an objective on each drive, shape (n_sets, n_drives); travels by its name."""
+    """The costs of an objective, given by its name, on each drive, shape (n_sets, n_drives)."""
     return objective_named(objective).each(scores)
 
 
 def car_problem(
-    drives: Sequence[Drive] | Held, config: TuneConfig, space: SearchSpace | None = None
+    drives: Sequence[Drive] | Dataset, config: TuneConfig, space: SearchSpace | None = None
 ) -> CarProblem:
-    """A filter for cars on drives, wherever they are held.
+    """Make the problem of tuning a filter for cars on drives, local or remote.
 
-    ``space``, where given, is that of other drives, whose IMU Q refers to.
+    ``space``, where given, is that of other drives, with the IMU interval of Q.
 
     Raises
     ------
     InputError
-        If the objective or an option asks for something that a drive does not have.
+        If the objective or an option needs data that a drive does not have.
     AlignmentError
         If a drive never moves far enough to start a filter.
     """
@@ -284,27 +287,27 @@ def car_problem(
             f"prior = {config.prior:g}: is counted in nats, and {objective.name} is not; leave prior out, or take "
             "innovation-nll or innovation-t"
         )
-    held = Here(drives) if isinstance(drives, Sequence) else drives
-    have = held.of_each(equipment)
+    dataset = LocalDataset(drives) if isinstance(drives, Sequence) else drives
+    have = dataset.map(sensors_of)
     check_drives(have, objective)
     _check_columns(have, config)
-    replays = replays_for(objective, held, config.outage_seed, as_recorded=config.as_recorded)
-    data = held.of_each(described)
+    replays = replays_for(objective, dataset, config.outage_seed, as_recorded=config.as_recorded)
+    data = dataset.map(described)
     run_kernel(config.model)  # written out here, before threads start that would all wait for it
     return CarProblem(config, space or car_space(config, usual_interval(have)), data, replays)
 
 
 def car_space(config: TuneConfig, interval: float) -> SearchSpace:
-    """The box of the filter that is asked for; ``interval``: s between two IMU samples, which Q refers to."""
+    """The search space of a configuration; ``interval``: s between two IMU samples, to which Q refers."""
     return search_space(config.model, config.scale, interval, kind=config.kind, use=config.use)
 
 
-def usual_interval(drives: Sequence[Drive | Equipment]) -> float:
+def usual_interval(drives: Sequence[Drive | Sensors]) -> float:
     """The drives' usual time between two IMU samples, s."""
-    return float(np.median([equipment(drive).interval for drive in drives]))
+    return float(np.median([sensors_of(drive).interval for drive in drives]))
 
 
-def _check_columns(drives: Sequence[Equipment], config: TuneConfig) -> None:
+def _check_columns(drives: Sequence[Sensors], config: TuneConfig) -> None:
     silent = [drive.name for drive in drives if not drive.accuracy]
     if "accuracy" in config.use and silent:
         raise InputError(

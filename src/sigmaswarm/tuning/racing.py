@@ -30,9 +30,9 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.tuning.problem import Landscape
 
 FIRST = 12
-"""A batch that races against the best so far begins with this part of the drives."""
+"""A race against the best point so far begins with this part of the drives."""
 MANY = 96
-"""Drives, from which on it does; a part of fewer drives says too little for a test."""
+"""Fewest drives of such a race; with fewer, a part is too small for a test."""
 Order = Sequence[int] | NDArray[np.int64]
 
 
@@ -53,7 +53,7 @@ class Leader:
 
 @dataclass(frozen=True, eq=False)
 class Raced:
-    """What a batch of candidates is told, and what it took.
+    """Costs of a batch of candidates, and the work they took.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Raced:
     leader: Leader | None = None
 
     def __add__(self, other: "Raced") -> "Raced":
-        """Two batches after another."""
+        """Join two consecutive batches."""
         costs = np.concatenate([self.costs, other.costs])
         return Raced(costs, self.steps + other.steps, self.failures + other.failures, other.leader)
 
 
 def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
-    """How many candidates are tried on how many drives: half as many on twice as many, until it is all drives."""
+    """Return the rungs (candidates, drives): half as many on twice as many, up to all drives."""
     found = [(n_candidates, n_drives // FIRST if n_drives >= MANY else min(1, n_drives))]
     while (drives := found[-1][1]) < n_drives:
         found.append(((found[-1][0] + 1) // 2, min(2 * drives, n_drives)))
@@ -87,7 +87,7 @@ def rungs(n_candidates: int, n_drives: int) -> list[tuple[int, int]]:
 
 
 def leader_at(problem: Landscape, point: Array, executor: Executor | None) -> Leader:
-    """The best point so far, shape (d,), looked at again: whoever goes on with a search has forgotten its costs."""
+    """Run the best point so far, shape (d,), again: a resumed search does not know its costs on each drive."""
     each = problem.each(point[np.newaxis], range(len(problem.steps)), executor)
     return Leader(float(problem.mean(each)[0]), each[0])
 
@@ -101,7 +101,7 @@ def race(
 ) -> Raced:
     """Try points, shape (n, d), on the drives in that order, and drop the worse half at each rung.
 
-    Of many drives ``leader`` is who they race against. Without one, or of a single point, all are tried on all.
+    With many drives they race against ``leader``; without one, or with a single point, all are tried on all drives.
     """
     many, n = len(order) >= MANY, len(points)
     rival = leader if many and n > 1 else None
@@ -133,14 +133,14 @@ def race(
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, seen: Order) -> NDArray[np.bool_]:
-    """Who is better than another on the same drives by more than a standard error of the mean difference."""
+    """Select those better than the rival on the same drives by more than a standard error of the mean difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate's
         spread = (each - rival.each[np.asarray(seen)]).std(axis=1, ddof=1)
     return costs + spread / np.sqrt(len(seen)) < rival.cost
 
 
 def _leading(leader: Leader | None, costs: Array, each: Array, finished: NDArray[np.int64]) -> Leader | None:
-    """The better of who led and the best of those that went all the way; at equal costs, who was first."""
+    """Return the better of the leader and the best finished candidate; at equal costs the leader."""
     if not len(finished):
         return leader
     best = int(finished[np.argmin(costs[finished])])
@@ -149,7 +149,7 @@ def _leading(leader: Leader | None, costs: Array, each: Array, finished: NDArray
 
 
 def _in_order(each: Array, order: Order) -> Array:
-    """The columns in the drives' own order: a sum's last bits depend on it, and a full cost is to have all of them."""
+    """Sort the columns into the drives' own order, since a sum's last bits depend on it."""
     columns = np.argsort(order[: each.shape[1]], kind="stable")
     return np.ascontiguousarray(each[:, columns])  # its layout matters to them, too
 
@@ -157,10 +157,10 @@ def _in_order(each: Array, order: Order) -> Array:
 def _behind(
     costs: Array, finished: NDArray[np.int64], dropped: list[NDArray[np.int64]], otherwise: float
 ) -> Array:
-    """Shift those that were dropped together, the last ones first, behind the worst of those that went further.
+    """Shift dropped candidates, the last group first, behind the worst of those that went further.
 
-    Where nobody went all the way, behind ``otherwise``: the best so far, or if all failed who did, infinity, since
-    nobody is to win by having seen less.
+    Without a finished candidate they go behind ``otherwise``: the best so far, or infinity if all failed, since no
+    candidate may win on fewer drives.
     """
     told = costs.copy()
     floor = _highest(costs[finished], otherwise)
@@ -173,5 +173,5 @@ def _behind(
 
 
 def _highest(costs: Array, otherwise: float) -> float:
-    """The highest cost of those that did not fail."""
+    """Return the highest finite cost."""
     return float(costs[np.isfinite(costs)].max(initial=-np.inf)) if np.isfinite(costs).any() else otherwise

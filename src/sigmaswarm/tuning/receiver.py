@@ -1,4 +1,4 @@
-"""Whether a tuned R can be what a receiver's errors are: a filter that forecasts fixes well may only copy them."""
+"""Plausibility of a tuned R: a filter that forecasts fixes well may only copy them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,20 +8,20 @@ import numpy as np
 from sigmaswarm.doctor.checks.noise import LASTS
 from sigmaswarm.doctor.evidence import gather
 from sigmaswarm.drives.drive import Array, Drive
-from sigmaswarm.drives.noise import UNSTATED_GPS_STD, stated_std
+from sigmaswarm.drives.sensors import UNSTATED_GPS_STD, stated_std
 from sigmaswarm.drives.split import clip
 from sigmaswarm.errors import DriveError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.wording import to_do
 
 FAR_BELOW = 3.0
-"""Times by which R's deviation is smaller than what the fixes say of themselves, to be told."""
+"""Factor between the receiver's deviation and R's above which a warning is given."""
 NO_PART = 0.05
-"""Share of R below which the stated accuracy of a fix does nothing."""
+"""Share of R below which the stated accuracy of a fix has no effect."""
 LOOK = 600.0
-"""s of a drive that are looked at for its fixes' scatter: minutes tell it, and hours take seconds."""
+"""Seconds of a drive whose fixes are checked for scatter; minutes suffice, and hours take long."""
 SMOOTH = 0.5
-"""m: fixes that scatter less come of a receiver that filters, or of RTK; only its owner knows."""
+"""Scatter in m below which the receiver either filters its fixes or uses RTK."""
 UNKNOWN = "no log without truth can tell how far off they are together"
 REMEDY = (
     "tune with --use accuracy where the receiver states its deviation, or score against a reference receiver"
@@ -30,14 +30,14 @@ REMEDY = (
 
 @dataclass(frozen=True)
 class FixNoise:
-    """What a drive says of its fixes' errors.
+    """Estimates of the errors of a drive's fixes.
 
     Attributes
     ----------
     stated : float
-        m per axis, the median of what the receiver states; NaN where it states nothing.
+        Median deviation that the receiver states, m per axis; NaN without one.
     scatter : float
-        m per axis, about a path of ten seconds that the IMU can follow; NaN where that can't be told.
+        Scatter about a path of ten seconds that the IMU can follow, m per axis; NaN if unknown.
     """
 
     stated: float
@@ -45,7 +45,7 @@ class FixNoise:
 
 
 def fix_noise(drive: Drive) -> FixNoise:
-    """What a drive says of its fixes' errors, in its middle where it is long; truth is not looked at."""
+    """Estimate the errors of a drive's fixes from its middle part, without truth."""
     middle = float(drive.imu.time[0] + drive.imu.time[-1]) / 2
     try:
         scatter = gather(clip(drive, middle - LOOK / 2, middle + LOOK / 2)).scatter or np.nan
@@ -55,12 +55,12 @@ def fix_noise(drive: Drive) -> FixNoise:
 
 
 def stated(drive: Drive) -> float:
-    """m per axis, the median of what a drive's receiver states; NaN where it states nothing."""
+    """Return the median deviation that a drive's receiver states, m per axis; NaN without one."""
     return float(np.mean(stated_std(drive) or np.nan))
 
 
 def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> list[str]:
-    """Sentences on R beside what the fixes of the training drives say of themselves; for tunings without truth."""
+    """Warn of an R that contradicts the fixes of the training drives; for tunings without truth."""
     if parameters.accuracy_scale is not None or not drives:
         return []
     r = float(np.mean(parameters.measurement_noise)) ** 0.5
@@ -83,7 +83,7 @@ def said_of_noise(parameters: FilterParameters, drives: Sequence[FixNoise]) -> l
 
 
 def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list[str]:
-    """What held R, whose deviation is ``r`` (m), near what is known of a drive's receiver; empty where nothing did.
+    """Explain why the prior kept R, whose deviation is ``r`` (m), near a drive's receiver; empty if it did not.
 
     ``receiver``: `receiver_std` of the drive of that name, shape (2,), m.
     """
@@ -104,7 +104,7 @@ def said_of_prior(name: str, receiver: Array, noise: FixNoise, r: float) -> list
 
 
 def said_of_accuracy(parameters: FilterParameters, each: Sequence[float]) -> list[str]:
-    """Where the filter hardly goes by what the receivers state, `stated` of each drive, though it was asked to."""
+    """Warn if the stated accuracy of the fixes, `stated` of each drive, has no effect on the filter."""
     std = _median(each)
     if parameters.accuracy_scale is None or not np.isfinite(std):
         return []

@@ -1,12 +1,13 @@
-"""What a tuning leaves in its folder: tuning.toml, as it is read back, and the costs over generations."""
+"""The files of a tuning: tuning.toml as it is read, and convergence.csv."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import polars as pl
-from pydantic import BaseModel, BeforeValidator, Field
+from pydantic import AliasChoices, BaseModel, BeforeValidator, Field
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.fingerprint import DriveRecord
@@ -15,10 +16,10 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
-from sigmaswarm.tuning.result import Tuning
+from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
-"""Of the range in which the cost rises by less than 1%; ``-`` where it reaches the box's end."""
+"""Of the range in which the cost rises by less than 1%; ``-`` where it reaches the bound."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -32,17 +33,24 @@ class ResultRecord(BaseModel):
     validation_cost: float | None = None
     validation_gap: float | None = None
     validation_drives: list[str] = Field(default_factory=list)
+    inflation_factor: float = Field(
+        default=1.0, validation_alias=AliasChoices("inflation_factor", "margin_raised_by")
+    )
     touched_bounds: list[Annotated[TouchedBound, BeforeValidator(TouchedBound.read)]] = Field(
         default_factory=list
     )
     unidentified: list[str] = Field(default_factory=list)
     remarks: list[str] = Field(default_factory=list)
-    doubts: list[str] = Field(default_factory=list)
-    """Those of the remarks that the data make."""
+    warnings: list[str] = Field(default_factory=list, validation_alias=AliasChoices("warnings", "doubts"))
+    """The remarks that come from the data."""
     best_trial: int = 0
     trial_costs: list[float] = Field(default_factory=list)
     evaluations: int = 0
     failures: int = 0
+    filter_steps: int = 0
+    filter_steps_without_racing: int = 0
+    lower_cost_at: dict[str, float] = Field(default_factory=dict)
+    """Parameters whose move alone lowers the cost, and the relative change."""
 
 
 class TuningRecord(BaseModel):
@@ -59,10 +67,10 @@ class TuningRecord(BaseModel):
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """What the drives are recognized by that a filter's file says it was tuned on.
+    """Return what the training drives named in a filter's file are recognized by.
 
-    A file that was copied without seen.npz, or is of an earlier version, knows whole drives only: of a drive that is
-    none of them nothing can be said (`drives.overlap.known_overlap`).
+    Without seen.npz beside it, or written by an earlier version, only whole drives are recognized
+    (`drives.overlap.known_overlap`).
 
     Raises
     ------
@@ -93,12 +101,12 @@ class History:
     trials: tuple[TrialHistory, ...]
 
     @classmethod
-    def of(cls, tuning: Tuning[Any]) -> "History":
-        """Of what `tune` found."""
+    def of(cls, trials: Sequence[Trial]) -> "History":
+        """Take the history from the trials of a tuning."""
         return cls(
             tuple(
                 TrialHistory(i, np.arange(1.0, len(trial.best) + 1), trial.best, trial.median)
-                for i, trial in enumerate(tuning.trials)
+                for i, trial in enumerate(trials)
             )
         )
 

@@ -1,58 +1,46 @@
-"""`Tuning`: what a tuning found, and how it is kept."""
+"""`Tuning`: the result of a tuning, and its file."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
-import numpy as np
 import tomli_w
 from typing_extensions import TypeVar
 
 from sigmaswarm import notebook
 from sigmaswarm.drives.overlap import Landmarks
+from sigmaswarm.errors import InputError, warn_deprecated
 from sigmaswarm.files import write_whole
-from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters, densities, units
+from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
-from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig
+from sigmaswarm.tuning.config import ModelTuneConfig, SearchConfig, TuneConfig, validated_config
 from sigmaswarm.tuning.custom import MODEL_OBJECTIVES
 from sigmaswarm.tuning.objectives import objective_named
-from sigmaswarm.tuning.scale import SCALE_FREE
-from sigmaswarm.tuning.search import Trial
-from sigmaswarm.tuning.sensitivity import NOISE_SCALE, RISE, Sensitivity
+from sigmaswarm.tuning.record import FILE, ResultRecord, TuningRecord, seen_by
+from sigmaswarm.tuning.remarks import remarks_on
+from sigmaswarm.tuning.search import Trial, saved_trials
+from sigmaswarm.tuning.sensitivity import Sensitivity
+from sigmaswarm.tuning.space import search_space
 from sigmaswarm.versions import versions
-from sigmaswarm.wording import counted, in_order, to_do
+from sigmaswarm.wording import counted
 
 P = TypeVar("P", default=FilterParameters)
-NOT_VALIDATED = (
-    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
-)
-"""The remark that an evaluation answers."""
-MARGIN_TAKEN = (
-    "{} times those of the lowest cost: the objective hardly tells the two filters apart, and on roads and IMUs that "
-    "the tuning has not seen, the one that doubts more does better. On the same roads it drifts somewhat farther over "
-    "outages; --margin 0 leaves it out"
-)
-OF_THESE_SENSORS = (
-    "tuned with truth it belongs to the receiver and the IMU of these drives: on others it may be far worse than their "
-    "fixes. For those tune without truth (--objective innovation-t)"
-)
-MORE_DRIVES = "tune on more drives, or on drives that are more like those of the validation"
-LARGE_GAP = 0.2
-"""Share by which a validation cost may be worse before a user is told."""
+SHOWN_REMARKS = 5
+"""Remarks in the text form of a tuning."""
 
 
 @dataclass(frozen=True)
 class Validation:
-    """What a tuning is worth on drives that it did not see.
+    """Result on drives that the search did not see.
 
     Attributes
     ----------
     cost : float
         The objective on the validation drives.
     gap : float
-        How much larger errors are than on the training drives; 0.1 is 10%.
+        Relative increase of the errors over the training drives; 0.1 is 10%.
     drives : tuple of str
     """
 
@@ -61,7 +49,7 @@ class Validation:
     drives: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types, as tuning.toml holds them."""
+        """Plain types, as in tuning.toml."""
         return {
             "validation_cost": self.cost,
             "validation_gap": self.gap,
@@ -69,128 +57,90 @@ class Validation:
         }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tuning(Generic[P]):
-    """What `tune` found.
+    """Result of `tune`.
 
     Attributes
     ----------
     parameters : FilterParameters, or dict of str to float for a model of your own
         Of the best trial.
     cost : float
-        Its objective on the training drives.
+        The objective on the training drives.
     touched_bounds : list of TouchedBound
-        Which parameters ended on a bound of the box: the optimum may lie outside it.
-    trials : tuple of Trial
+        Parameters at a bound: the optimum may lie beyond it.
+    trial_costs : tuple of float
+        Lowest cost of each trial.
     best_trial : int
     config : TuneConfig, or ModelTuneConfig for a model of your own
+    trials : tuple of Trial
+        Empty if loaded from a tuning.toml without the folders of its trials.
+    evaluations, failures : int
+        Parameter sets tried, and how many of them failed.
+    steps : int
+        Filter steps that the search took.
+    full_steps : int
+        Filter steps of as many evaluations without racing.
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks
-        What each drive is recognized by, whole or in parts: for `evaluate`.
-    doubts : tuple of str
-        What the drives say against the filter, and the objective does not see.
+        What `evaluate` recognizes each training drive by, whole or in parts.
+    warnings : tuple of str
+        Faults of the filter on the training drives that the objective does not see.
     sensitivities : tuple of Sensitivity
         How far each parameter can move before the cost rises by 1%.
     validation : Validation or None
-        What the objective says on drives that were held back from the search.
-    steps_per_set : int
-        Filter steps that one parameter set takes on all drives.
-    raised_by : float
-        The factor by which the option ``margin`` has raised what is doubted: see `tuning.margin`; 1 without it.
+    inflation_factor : float
+        Factor of the process-noise inflation, see `tuning.inflation`; 1 without it.
     """
 
     parameters: P
     cost: float
     touched_bounds: list[TouchedBound]
-    trials: tuple[Trial, ...]
+    trial_costs: tuple[float, ...]
     best_trial: int
     config: SearchConfig
+    trials: tuple[Trial, ...] = ()
+    evaluations: int = 0
+    failures: int = 0
+    steps: int = 0
+    full_steps: int = 0
     data: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     seen: Sequence[Landmarks] = ()
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     sensitivities: tuple[Sensitivity, ...] = ()
     validation: Validation | None = None
-    steps_per_set: int = 0
-    raised_by: float = 1.0
+    inflation_factor: float = 1.0
 
     @property
-    def steps(self) -> int:
-        """Filter steps that the search took."""
-        return sum(int(trial.steps[-1]) for trial in self.trials)
+    def doubts(self) -> tuple[str, ...]:
+        """Deprecated: `warnings`."""
+        warn_deprecated("Tuning.doubts", "Tuning.warnings")
+        return self.warnings
 
     @property
-    def full_steps(self) -> int:
-        """Filter steps that as many evaluations take on all drives: more than `steps` if they were raced."""
-        return self.steps_per_set * sum(trial.evaluations for trial in self.trials)
+    def raised_by(self) -> float:
+        """Deprecated: `inflation_factor`."""
+        warn_deprecated("Tuning.raised_by", "Tuning.inflation_factor")
+        return self.inflation_factor
 
     @property
     def unidentified(self) -> list[str]:
-        """Parameters for which any value in the box does as well, within 1% of the cost."""
+        """Parameters that may have any value within their bounds at 1% of the cost."""
         return [s.name for s in self.sensitivities if not s.identified]
 
     @property
     def remarks(self) -> list[str]:
-        """What a user should know before trusting the result, in sentences; first what asks for action (`TO_DO`)."""
-        remarks = [
-            *self.doubts,
-            *([MARGIN_TAKEN.format(self._raised)] if self.raised_by != 1.0 else []),
-            *(
-                f"{touched}: the optimum may lie outside the box"
-                for touched in self.touched_bounds
-                if touched.parameter not in self.unidentified
-            ),
-        ]
-        if names := ", ".join(name for name in self.unidentified if name != NOISE_SCALE):
-            remarks.append(
-                f"the objective can't tell: {names}; each alone may have any value in the box within 1% of the cost"
-            )
-        if NOISE_SCALE in self.unidentified and self.config.objective not in SCALE_FREE:
-            why = "it can't tell how large all noises are together, so don't trust the covariances"
-            remarks.append(to_do("add innovation-nll or nis to the objective", why))
-        if self._heading_is_loose():
-            remedy = (
-                "for a car leave --model and --use out, which then suit the logs, or tune with truth-pose"
-            )
-            why = (
-                "fixes alone hold the heading loosely: it may be off by tens of degrees and the position fine"
-            )
-            remarks.append(to_do(remedy, why))
-        better = min(self.sensitivities, key=lambda s: s.lowest_rise, default=None)
-        if better is not None and better.lowest_rise < -RISE and self.raised_by == 1.0:
-            why = f"moving {better.name} alone makes the cost {-better.lowest_rise:.0%} better"
-            remarks.append(to_do("search longer, with more trials, or polish", why))
-        if isinstance(self.parameters, FilterParameters) and "truth" in self.config.objective:
-            remarks.append(OF_THESE_SENSORS)
-        if self.validation is None:
-            remarks.append(NOT_VALIDATED)
-        elif not np.isfinite(self.validation.cost):
-            remarks.append(to_do(MORE_DRIVES, "the tuned filter failed on at least one validation drive"))
-        elif self.validation.gap > LARGE_GAP:
-            gap = f"{self.validation.gap:.0%} larger than on the training drives"
-            remarks.append(to_do(MORE_DRIVES, f"errors on the validation drives are {gap}"))
-        return in_order(remarks)
-
-    def _heading_is_loose(self) -> bool:
-        p = self.parameters
-        held = not isinstance(p, FilterParameters) or p.lateral_noise or p.velocity_noise
-        return not held and "truth-pose" not in self.config.objective
-
-    @property
-    def _raised(self) -> str:
-        """What a margin has raised, and how much."""
-        p, factor = self.parameters, f"{self.raised_by:.3g}"
-        if not isinstance(p, FilterParameters) or not MODELS[p.model].tilts:
-            return f"all process noises are {factor}"
-        root = f"{self.raised_by**0.5:.3g}"
-        return f"the walks of the biases are {factor}, the noises of position and velocity {root}"
+        """Sentences to read before trusting the result; those that ask for action (`TO_DO`) come first."""
+        return remarks_on(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types, as tuning.toml holds them."""
+        """Plain types, as in tuning.toml."""
         ranges = {
             s.name: [s.lowest if s.lowest is not None else "-", s.highest if s.highest is not None else "-"]
             for s in self.sensitivities
         }
+        lower = {s.name: s.lowest_rise for s in self.sensitivities if s.lowest_rise < 0}
         return {
             **self._filter(),
             "result": {
@@ -198,17 +148,18 @@ class Tuning(Generic[P]):
                 "objective": self.config.objective,
                 "objective_meaning": self._meaning(),
                 **({} if self.validation is None else self.validation.to_dict()),
-                **({} if self.raised_by == 1.0 else {"margin_raised_by": self.raised_by}),
+                **({} if self.inflation_factor == 1.0 else {"inflation_factor": self.inflation_factor}),
                 "touched_bounds": [str(touched) for touched in self.touched_bounds],
                 "unidentified": self.unidentified,
                 "remarks": self.remarks,
-                "doubts": list(self.doubts),
+                "warnings": list(self.warnings),
                 "best_trial": self.best_trial,
-                "trial_costs": [trial.cost for trial in self.trials],
-                "evaluations": sum(trial.evaluations for trial in self.trials),
-                "failures": sum(trial.failures for trial in self.trials),
+                "trial_costs": list(self.trial_costs),
+                "evaluations": self.evaluations,
+                "failures": self.failures,
                 "filter_steps": self.steps,
                 "filter_steps_without_racing": self.full_steps,
+                **({"lower_cost_at": lower} if lower else {}),
             },
             "within_1_percent_of_the_cost": ranges,
             "config": self.config.model_dump(mode="json", exclude_none=True),
@@ -235,8 +186,24 @@ class Tuning(Generic[P]):
         guarded = f" + {prior:g} x the prior of R where it is smaller than the receiver's" if prior else ""
         return objective_named(name).summary + guarded
 
+    def _headline(self) -> str:
+        on = counted(len(self.data), "drive")
+        return f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
+
+    def __repr__(self) -> str:
+        lines = [self._headline(), f"filter: {_filter_name(self.config)}, {len(self.trial_costs)} trial(s)"]
+        if self.validation:
+            cost, gap = notebook.number(self.validation.cost), self.validation.gap
+            on = counted(len(self.validation.drives), "validation drive")
+            lines.append(f"cost {cost} on {on}, errors {gap:+.1%}")
+        remarks = self.remarks
+        lines += remarks[:SHOWN_REMARKS]
+        if more := len(remarks) - SHOWN_REMARKS:
+            lines += [f"and {counted(more, 'more remark')}: see .remarks"] if more > 0 else []
+        return "\n".join(lines)
+
     def _repr_html_(self) -> str:
-        """What a notebook shows: each parameter and how far it can move, and what to know before trusting it."""
+        """Show each parameter, how far it can move, and the remarks in a notebook."""
         rows = [
             (
                 s.name,
@@ -245,11 +212,77 @@ class Tuning(Generic[P]):
             )
             for s in self.sensitivities
         ]
-        on = counted(len(self.data), "drive")
-        caption = f"Tuned for {self.config.objective}: cost {notebook.number(self.cost)} on {on}"
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
-        return notebook.table(caption, heads, rows) + notebook.listed("Before you trust it:", self.remarks)
+        table = notebook.table(self._headline(), heads, rows)
+        return table + notebook.listed("Before you trust it:", self.remarks)
 
     def save(self, path: str | Path) -> None:
-        """Write a tuning.toml, which `FilterParameters.load` reads."""
+        """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""
         write_whole(Path(path), tomli_w.dumps(self.to_dict()))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Tuning[Any]":
+        """Read a tuning.toml, or the folder of a tuning.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read, or is not the result of a tuning.
+        """
+        file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+        record = load_record(TuningRecord, file)
+        if record.result is None:
+            raise InputError(f"{file}: has no [result] table; give a file written by `sigmaswarm tune`")
+        own = isinstance(record.config.get("model"), dict)
+        config = validated_config(ModelTuneConfig if own else TuneConfig, record.config)
+        parameters: Any = record.filter if own else FilterParameters.load(file)
+        result = record.result
+        values = record.filter
+        if isinstance(config, TuneConfig):
+            space = search_space(config.model, config.scale, kind=config.kind, use=config.use)
+            values = space.values_of(parameters)
+        return Tuning(
+            parameters=parameters,
+            cost=result.cost,
+            touched_bounds=result.touched_bounds,
+            trial_costs=tuple(result.trial_costs),
+            best_trial=result.best_trial,
+            config=config,
+            trials=saved_trials(file.parent, len(result.trial_costs)),
+            evaluations=result.evaluations,
+            failures=result.failures,
+            steps=result.filter_steps,
+            full_steps=result.filter_steps_without_racing,
+            data=[drive.model_dump(exclude_unset=True) for drive in record.data],
+            seen=tuple(seen_by(file)),
+            warnings=tuple(result.warnings),
+            sensitivities=_sensitivities(record, values),
+            validation=_validation(result),
+            inflation_factor=result.inflation_factor,
+        )
+
+
+def _filter_name(config: SearchConfig) -> str:
+    if not isinstance(config, TuneConfig):
+        return "a model of your own"
+    return f"{config.model} ({config.kind}) with {', '.join(config.use) or 'position fixes alone'}"
+
+
+def _sensitivities(record: TuningRecord, values: Mapping[str, Any]) -> tuple[Sensitivity, ...]:
+    changes = record.result.lower_cost_at if record.result else {}
+    return tuple(
+        Sensitivity(
+            name=name,
+            value=float(values.get(name, 1.0)),
+            lowest=None if low == "-" else low,
+            highest=None if high == "-" else high,
+            lowest_rise=changes.get(name, 0.0),
+        )
+        for name, (low, high) in record.within_1_percent_of_the_cost.items()
+    )
+
+
+def _validation(result: ResultRecord) -> Validation | None:
+    if result.validation_cost is None or result.validation_gap is None:
+        return None
+    return Validation(result.validation_cost, result.validation_gap, tuple(result.validation_drives))

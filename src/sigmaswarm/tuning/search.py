@@ -1,8 +1,9 @@
-"""The trials of a tuning: ask the optimizer, tell it the costs, and save every generation."""
+"""The trials of a tuning: ask the optimizer for points, run them, tell it the costs, save every generation."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,12 @@ from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Landscape
 from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
-from sigmaswarm.tuning.store import ResultFolder, load_checkpoint, save_checkpoint, unreadable
+from sigmaswarm.tuning.store import ResultFolder, finished_trial, load_checkpoint, save_checkpoint, unreadable
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a tuning is, told after every generation."""
+    """Progress of a tuning, passed to the callback after every generation."""
 
     trial: int
     generation: int
@@ -57,9 +58,22 @@ class Trial:
     failures: int
 
 
+def saved_trials(folder: Path, count: int) -> tuple[Trial, ...]:
+    """Read the trials in the folder of a finished tuning; empty if one is missing."""
+    found = [finished_trial(folder, number) for number in range(count)]
+    return (
+        tuple(
+            Trial(cost=result["cost"], **history, **result["counts"])
+            for result, history in (done for done in found if done)
+        )
+        if all(found)
+        else ()
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What the trials of one tuning share.
+    """Settings that the trials of one tuning share.
 
     Attributes
     ----------
@@ -67,11 +81,11 @@ class Search:
     problem : Landscape
         What is minimized.
     executor : concurrent.futures.Executor or None
-        Shares the work of a generation; None: nobody does.
+        Runs the work of a generation; None runs it in this thread.
     folder : ResultFolder or None
         Where every generation is saved.
     progress : callable or None
-        Told of every generation.
+        Called after every generation.
     """
 
     config: SearchConfig
@@ -116,7 +130,7 @@ class Search:
         )
 
     def _generation(self, number: int, optimizer: Budgeted, past: "_Past") -> Raced:
-        """Ask for as many points as there are particles, in one batch or several. Nothing told once stalled."""
+        """Run one generation in one or several batches; empty when the trial is over."""
         told = Raced(np.empty(0), 0, 0, past.leader)
         if self._stalled(past.best) and not optimizer.settle():
             return told
@@ -127,7 +141,7 @@ class Search:
         return told
 
     def _told(self, number: int, spent: int, points: Array, leader: Leader | None) -> Raced:
-        """What is told of a batch: its costs on all drives, or those of a race over them."""
+        """Compute the costs of a batch on all drives, or by a race over them."""
         if not self.config.racing:
             costs = self.problem.costs(points, self.executor)
             return Raced(costs, len(points) * int(self.problem.steps.sum()), int(np.isinf(costs).sum()))
@@ -147,7 +161,7 @@ class Search:
         save_checkpoint(self.folder.checkpoint(number), state | past.arrays(), notes)
 
     def _resumed(self, number: int, optimizer: Budgeted) -> "_Past":
-        """Put the optimizer where its checkpoint left it; the history so far."""
+        """Restore the optimizer from its checkpoint; return the history so far."""
         checkpoint = self.folder.checkpoint(number) if self.folder else None
         saved = load_checkpoint(checkpoint) if checkpoint else None
         if checkpoint is None or saved is None:
@@ -161,7 +175,7 @@ class Search:
             raise unreadable(checkpoint) from None
 
     def _leader(self, optimizer: Budgeted) -> Leader | None:
-        """Who a resumed search races against: the best so far, if it had a finite cost and drives are many."""
+        """Return the leader of a resumed race: the best point so far, with a finite cost and many drives."""
         needed = self.config.racing and len(self.problem.steps) >= MANY and np.isfinite(optimizer.global_cost)
         return leader_at(self.problem, optimizer.global_best, self.executor) if needed else None
 
@@ -174,7 +188,7 @@ class Search:
 
 @dataclass
 class _Past:
-    """What a trial has told so far, a generation at a time."""
+    """History of a trial, one entry per generation."""
 
     best: list[float]
     median: list[float]

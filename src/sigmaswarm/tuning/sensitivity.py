@@ -1,8 +1,7 @@
-"""How well a tuning knows its parameters: how far each can move before the cost rises by 1%.
+"""Sensitivity of the cost: how far each parameter can move before the cost rises by 1%.
 
-One at a time, all others left where they are: a parameter that looks sharp here may still be traded for another. One
-such trade is known beforehand and tried as well: all noise variances times one factor, which changes what a filter says
-of its own errors, but hardly its estimates.
+One parameter moves at a time, so a parameter that looks well determined may still be traded for another. One such trade
+is known and tried as well: all noise variances times one factor, which changes the covariance but hardly the estimates.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,9 +16,9 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.problem import Problem
 
 RISE = 0.01
-"""Share by which the cost may rise."""
+"""Relative increase of the cost."""
 HALVINGS = 10
-"""The steps away from the optimum are the way to the bound, halved so often, doubled until the bound is reached."""
+"""The first step is the distance to the bound, halved so often; it is doubled until the bound is reached."""
 NOISE_SCALE = "all noise variances times"
 
 
@@ -33,9 +32,9 @@ class Sensitivity:
     value : float
         In the tuned filter; 1 for the factor of all noise variances.
     lowest, highest : float or None
-        Where the cost has risen by 1%; None where it has not when the box ends.
+        Where the cost has risen by 1%; None if it has not at the bound.
     lowest_rise : float
-        The best that was met on the way, as a share of the cost: below 0, the search had not ended.
+        Lowest relative change of the cost on the way; below 0 the search had not converged.
     """
 
     name: str
@@ -46,7 +45,7 @@ class Sensitivity:
 
     @property
     def identified(self) -> bool:
-        """False where the whole box does as well: the objective can't tell this parameter."""
+        """False if any value within the bounds does as well."""
         return self.lowest is not None or self.highest is not None
 
 
@@ -80,7 +79,7 @@ def sensitivities(
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A direction in the box: the steps to its two ends, and what a point on it is called."""
+    """A direction: the steps to its two bounds, and the parameter's value at a point."""
 
     name: str
     down: Array
@@ -106,7 +105,7 @@ def _ways(space: Box, point: Array) -> Iterator[_Way]:
 
 
 def _crossing(shares: Array, rise: Array) -> float | None:
-    """The share of the way at which the cost has risen by 1%, linear between the steps; None: it never does."""
+    """Return the share of the way at which the cost has risen by 1%, linear between the steps, or None."""
     above = np.flatnonzero(~(rise < RISE))
     if not len(above):
         return None

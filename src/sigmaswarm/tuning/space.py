@@ -20,16 +20,16 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""What a filter can use beside position fixes; each is a switch, and its parameters are then tuned with the rest."""
+"""Optional measurements and features of a filter; the parameters of a chosen one are tuned with the rest."""
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """One parameter that is searched: where it goes in FilterParameters, and its range.
+    """One parameter that is searched: its field of FilterParameters, and its range.
 
     ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
-    number. ``spread``: it spans powers of ten. ``doubt``: how many
-    decades a margin raises it by where it raises what is doubted most by one; ``least``: below which it leaves none.
+    number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
+    of its factor; ``least``: the lower limit that it applies.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Dimension:
     lowest: float
     highest: float
     spread: bool = True
-    doubt: float = 0.0
+    inflation: float = 0.0
     least: float = -math.inf
 
 
@@ -66,7 +66,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "robust": (Dimension("robust_dof", "robust_dof", 0, 1.0, 30.0),),
 }
 ACCURACY_FLOOR = (1e-4, 1e3)
-"""m2: R beside what the receiver states of each fix."""
+"""m2: R in addition to the stated variance of each fix."""
 NOISES = (
     *("process_noise", "measurement_noise", "accuracy_scale"),
     *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
@@ -78,9 +78,9 @@ LEAST = {
     "gyro_bias_std": 2e-4,
 }
 """Of a filter that knows tilts: variances per second, rad2 and (rad/s)2, and what is known of biases at the start, m/s2
-and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.margin`."""
+and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.inflation`."""
 USUAL_INTERVAL = 0.01
-"""s: the IMU of a drive that is not known yet."""
+"""s: IMU interval where no drive is known yet."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     "adaptive-ukf": (ADAPTIVE,),
@@ -93,7 +93,7 @@ KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
         Dimension("fuzzy_gain_q", "fuzzy_gains", 1, 1.0, 100.0),
     ),
 }
-"""What a kind of filter is tuned by beside its noise."""
+"""Parameters of a filter type besides its noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,27 +112,36 @@ class SearchSpace(Box):
 
     @property
     def noises(self) -> NDArray[np.bool_]:
-        """Which dimensions are variances of noise, shape (d,)."""
+        """True for variances of noise, shape (d,)."""
         return np.array([d.field in NOISES for d in self.dimensions])
 
     @property
-    def doubts(self) -> Array:
-        """How many decades a `margin` raises each by for one of what is doubted most, shape (d,)."""
-        return np.array([d.doubt for d in self.dimensions])
+    def inflation(self) -> Array:
+        """Decades by which `tuning.inflation` raises each parameter per decade of its factor, shape (d,)."""
+        return np.array([d.inflation for d in self.dimensions])
 
     @property
     def least(self) -> Array:
-        """Below which a `margin` leaves none, in search coordinates, shape (d,)."""
+        """Lower limits that `tuning.inflation` applies, in search coordinates, shape (d,)."""
         return self._encode(np.maximum([d.least for d in self.dimensions], self.lowest))
 
     def decode(self, points: Array) -> ParameterTable:
         """Parameters of points in the box, shape (n, d), in search coordinates."""
         values = self.values(points)
-        return ParameterTable(self._any, {name: values[:, places] for name, places in self._places.items()})
+        columns = {name: values[:, places] for name, places in self._places.items()}
+        return ParameterTable(self._any, columns, len(points))
+
+    def values_of(self, parameters: FilterParameters) -> dict[str, float]:
+        """Return the value of every dimension in a filter."""
+        found = dict[str, float]()
+        for i, dimension in enumerate(self.dimensions):
+            value, places = getattr(parameters, dimension.field), self._places[dimension.field]
+            found[dimension.name] = value[places.index(i)] if isinstance(places, list) else value
+        return found
 
     @cached_property
     def _places(self) -> dict[str, int | list[int]]:
-        """The dimension that each field is, or those that its entries are."""
+        """Index of the dimension of each field, or those of its entries."""
         found: dict[str, int | list[int]] = {}
         for i, dimension in enumerate(self.dimensions):
             before = found.get(dimension.field, [])
@@ -155,10 +164,10 @@ def search_space(
     kind: FilterKind = "ukf",
     use: Sequence[Option] = (),
 ) -> SearchSpace:
-    """The box for a filter: the paper's for planar5, their own for others; ``scale`` says how variances are searched.
+    """Make the search space of a filter, with the paper's bounds for planar5; ``scale`` is that of the variances.
 
-    All but planar5 without the lateral constraint have the same noise to the east as to the north: q_xy, q_vxy, r_xy. A
-    box that is per second is brought to ``nominal_interval``, or to 10 ms.
+    All but planar5 without the lateral constraint share the noise of east and north: q_xy, q_vxy, r_xy. Bounds per
+    second are converted to ``nominal_interval``, or to 10 ms.
 
     Raises
     ------
@@ -193,11 +202,11 @@ def search_space(
 def _dimensions(
     model: ModelName, kind: FilterKind, use: Sequence[Option], interval: float
 ) -> Iterator[Dimension]:
-    """The dimensions in order; but in the paper's own filter, east and north share their noise.
+    """Dimensions in order; except in the paper's own filter, east and north share their noise.
 
-    A car does not know the compass. Fitted to roads to the east, a filter had 1000 times more noise of the velocity to
-    the north; on a road close to the north the lateral constraint then mends an error to the side by a push along the
-    road, up to sqrt(1000) / 2 times as large: docs/results.md, "Why the lateral constraint...".
+    Otherwise a filter tuned on roads to the east had 1000 times more noise of the velocity to the north. On a road
+    close to the north the lateral constraint then corrects a lateral error by a change along the road, up to
+    sqrt(1000) / 2 times as large: docs/results/planar5.md, "One noise for both map axes".
     """
     if kind != "ekf":
         yield from SCALING
@@ -207,9 +216,9 @@ def _dimensions(
         alike = list(states)
         lowest, highest = alike[0].variance
         scale = interval if alike[0].per_second else 1.0
-        box, doubt = (scale * lowest, scale * highest), _doubt(alike[0], described)
+        box, inflation = (scale * lowest, scale * highest), _inflation(alike[0], described)
         least = scale * LEAST.get(name, 0.0) if described.tilts else -math.inf
-        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, doubt=doubt, least=least)
+        yield Dimension(f"q_{name}", "process_noise", len(alike), *box, inflation=inflation, least=least)
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
@@ -223,8 +232,8 @@ def _dimensions(
             yield from OPTION_DIMENSIONS[option]
 
 
-def _doubt(state: State, model: CarModel) -> float:
-    """Of a state's noise: see `tuning.margin`, which says what was measured."""
+def _inflation(state: State, model: CarModel) -> float:
+    """Decades for a state's noise; `tuning.inflation` states the measurements behind them."""
     if not model.tilts or state.bias_of:
         return 1.0
     return 0.0 if state.unit == "rad" else 0.5

@@ -1,12 +1,12 @@
-"""Results on disk: whole or not at all, the same bytes for the same result, and resumable in between.
+"""The folder of a tuning: written atomically, the same bytes for the same result, resumable.
 
 A folder of results holds
 
-    config.json          what was asked for and on which data; a resumed run must ask for the same
+    config.json          the configuration and the data; a resumed run must have the same
     checkpoint-000.npz   the optimizer's whole state after the last generation, while a trial runs
     trial-000/           result.json and history.npz of a finished trial
     tuning.toml          the best trial's filter, once all trials are done
-    seen.npz             what its drives are recognized by, whole or in parts (`drives.overlap`)
+    seen.npz             landmarks of its drives, whole or in parts (`drives.overlap`)
 """
 
 import json
@@ -17,6 +17,7 @@ import numpy as np
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
+from sigmaswarm.tuning.config import RENAMED
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -43,8 +44,25 @@ def load_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
 
 
 def unreadable(checkpoint: Path) -> InputError:
-    """What to say of a checkpoint that is there, but can't be gone on with."""
+    """Create the error for a checkpoint that can't be read."""
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
+
+
+def finished_trial(path: Path, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Read the result and the history of a finished trial from a tuning's folder; None where there is none.
+
+    Raises
+    ------
+    InputError
+        If the trial is there but can't be read.
+    """
+    folder = path / f"trial-{trial:03d}"
+    if not folder.exists():
+        return None
+    try:
+        return json.loads((folder / "result.json").read_text()), read_arrays(folder / "history.npz")
+    except Exception:  # as of a damaged checkpoint
+        raise InputError(f"{folder}: not a readable result; delete the folder to redo this trial") from None
 
 
 def _short(key: str, config: dict[str, Any]) -> str:
@@ -56,8 +74,16 @@ def _short(key: str, config: dict[str, Any]) -> str:
     return f"{key} = {value}"
 
 
+def _with_current_names(config: Any) -> Any:
+    """Rename the options of 0.3.0 in a saved configuration."""
+    if not isinstance(config, dict):
+        return config
+    items: Any = config.items()  # pyright: ignore
+    return {RENAMED.get(key, key): _with_current_names(value) for key, value in items}
+
+
 class ResultFolder:
-    """The folder in which a tuning keeps its results.
+    """The folder of a tuning.
 
     Parameters
     ----------
@@ -66,7 +92,7 @@ class ResultFolder:
     config : dict
         The effective configuration; JSON types only.
     resume : bool
-        Go on with what the folder holds, if it was made by the same configuration.
+        Continue the run in the folder, if it has the same configuration.
 
     Raises
     ------
@@ -90,7 +116,7 @@ class ResultFolder:
                 "or choose another --out"
             )
         try:
-            saved = dict(json.loads(config_file.read_text()))
+            saved = _with_current_names(dict(json.loads(config_file.read_text())))
         except (ValueError, TypeError):
             raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
         wanted = json.loads(json.dumps(config))
@@ -107,27 +133,18 @@ class ResultFolder:
                 )
 
     def checkpoint(self, trial: int) -> Path:
-        """Where a running trial saves its state."""
+        """Return the file of a running trial's state."""
         return self.path / f"checkpoint-{trial:03d}.npz"
 
     def finished(self, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Result and history of a trial that is done, else None."""
-        folder = self.path / f"trial-{trial:03d}"
-        if not folder.exists():
-            return None
-        self.checkpoint(trial).unlink(
-            missing_ok=True
-        )  # of a run killed between keeping the one and dropping the other
-        try:
-            history = read_arrays(folder / "history.npz")
-            return json.loads((folder / "result.json").read_text()), history
-        except Exception:  # as of a damaged checkpoint
-            raise InputError(
-                f"{folder}: not a readable result; delete the folder to redo this trial"
-            ) from None
+        """Return the result and the history of a finished trial, else None."""
+        done = finished_trial(self.path, trial)
+        if done:  # a run killed between saving the result and deleting the checkpoint left both
+            self.checkpoint(trial).unlink(missing_ok=True)
+        return done
 
     def finish(self, trial: int, result: dict[str, Any], history: dict[str, Any]) -> None:
-        """Keep a trial's result, then drop its checkpoint."""
+        """Save a trial's result, then delete its checkpoint."""
         folder = self.path / f"trial-{trial:03d}"
         if not folder.exists():
             with whole_folder(folder) as new:

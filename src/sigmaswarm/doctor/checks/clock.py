@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.mounting import LEAST_SHARE, LEAST_TURN
 from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
 
 GRAVE = 0.3
@@ -14,13 +15,24 @@ GRAVE = 0.3
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the clocks' offset: what it is, or how large it would have to be to be seen."""
     late, std = evidence.clock.late, evidence.clock.std
+    if evidence.moved:
+        yield Finding(
+            "clock-offset", "serious",
+            f"the fixes are {abs(late):.1f} s {'late' if late > 0 else 'early'} against the IMU: "
+            "only then do the gyro's turns match the course",
+            "gps.csv, t", evidence.span, 0.999,
+            f"{'take' if late > 0 else 'add'} {abs(late):.2f} s {'off' if late > 0 else 'to'} the fixes' times"
+            + ("; GPS time is 18 s ahead of UTC" if abs(abs(late) - 18) < 1 else ""),
+            Repair("shift-clock", (-evidence.moved,)),
+        )  # fmt: skip
+        return
     if abs(late) < evidence.clock.least:
         if evidence.drives:
             yield _unseen(evidence)
         return
-    clear = abs(late) > CLEAR_OFFSET[1] * std
+    clear = _turns(evidence) and abs(late) > CLEAR_OFFSET[1] * std
     severity = "warning" if clear else "note"
-    if abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std):
+    if clear and abs(late) > max(GRAVE, CLEAR_OFFSET[2] * std):
         severity = "serious"
     size, way, move = (
         f"{abs(late):.2f} s",
@@ -41,6 +53,12 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         "turns and accelerations best; they may differ by a few deviations",
         Repair("shift-fixes", (-late,)) if clear else None,
     )
+
+
+def _turns(evidence: Evidence) -> bool:
+    """True where turns show the offset: changes of speed alone, as on a motorway, are no evidence for a repair."""
+    fit = evidence.yaw_fit
+    return fit is not None and fit.course_change > LEAST_TURN and fit.share > LEAST_SHARE
 
 
 def _unseen(evidence: Evidence) -> Finding:

@@ -8,7 +8,7 @@ from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
 from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.drives.noise import motion_in_noise, stated_std
+from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
 """Observed noise over the stated one."""

@@ -8,7 +8,7 @@ from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
 from sigmaswarm.drives.checks import GPS_GAP, IMU_GAP, gaps_in
 from sigmaswarm.drives.drive import Array, Gps, Imu
-from sigmaswarm.drives.noise import motion_in_noise, white_noise
+from sigmaswarm.drives.sensors import motion_in_noise, white_noise
 
 SLOW_IMU = 8.0
 """Hz: slower, turns are lost between samples."""

@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.doctor.checks import velocity
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding
-from sigmaswarm.doctor.suited import stated_spread, suited
+from sigmaswarm.drives.sensors import stated_spread, suggest_filter
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -15,7 +15,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if not evidence.drives:
         return
     drive = evidence.drive
-    chosen = suited([drive])
+    chosen = suggest_filter([drive])
     reasons = dict.fromkeys(chosen.use, "")  # of every car, unless the log gives a reason
     if drive.odometer is not None:
         reasons["odometer"] = "odometer.csv has the wheels' speed"

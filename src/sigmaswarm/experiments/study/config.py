@@ -1,6 +1,7 @@
 """The configuration of a study: one TOML file, saved with its results."""
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,16 +25,14 @@ from sigmaswarm.simulation.environments import ENVIRONMENTS
 from sigmaswarm.tuning.space import Scale
 
 ALL = "all"
-"""The pool of all conditions, and the maneuver or environment of a drive that names none."""
+"""The group of all conditions, and the maneuver or environment of a drive without one."""
 UNTUNED = "untuned"
-"""The protocol of methods that nothing is tuned for."""
-MAIN = "pso-ukf"
-"""The paper's method, which all others are compared with."""
+"""The protocol of methods without tuning."""
 ProtocolName = Literal["paper", "honest"]
 
 
 class Protocol(BaseModel):
-    """What is minimized under a protocol, and how variances are searched."""
+    """The objective of a protocol, and the scale on which variances are searched."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -45,41 +44,106 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(objective="gps-rmse", scale="linear"),
     "honest": Protocol(objective="truth-rmse", scale="log10"),
 }
-"""The paper's is its equation 4."""
+"""The objective of ``paper`` is the paper's equation 4."""
 
-BY_PSO: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
-    "pso-ukf": ("ukf", "planar5", ("paper", "honest")),
-    "pso-ekf": ("ekf", "planar5", ("honest",)),
-    "pso-adaptive-ukf": ("adaptive-ukf", "planar5", ("honest",)),
-    "pso-planar8": ("ukf", "planar8", ("honest",)),
-}
-"""Kind, model and protocols of what is tuned as the paper tunes; the paper tunes the UKF alone."""
+
+@dataclass(frozen=True)
+class Method:
+    """A row of the tables.
+
+    Attributes
+    ----------
+    label : str
+    protocols : tuple of str
+        Those it is tuned or trained under.
+    filter : (filter type, model) or None
+        Of a method whose filter is fixed.
+    paper : str or None
+        The paper's row next to it.
+    rival : bool
+        It belongs to studies with rivals alone.
+    """
+
+    label: str
+    protocols: tuple[ProtocolName, ...] = ()
+    filter: tuple[FilterKind, ModelName] | None = None
+    paper: str | None = None
+    rival: bool = False
+
+
+MAIN = "pso-ukf"
+"""The paper's method, which all others are compared with."""
 BY_DEFAULT = "default"
-"""The filter, the objective and the optimizer that `tune` takes by itself for a study's drives."""
-TUNED_METHODS: dict[str, tuple[ProtocolName, ...]] = {
-    **{method: protocols for method, (_, _, protocols) in BY_PSO.items()},
-    BY_DEFAULT: ("honest",),
-}
-"""Protocols of every tuned method."""
+"""The filter, objective and optimizer that `tune` chooses for a study's drives."""
 BY_BO = "bo-ukf"
-"""The rival that is tuned by Bayesian optimization."""
-SEARCHED_RIVALS: dict[str, tuple[FilterKind, ModelName, tuple[ProtocolName, ...]]] = {
-    "pso-fuzzy-ukf": ("fuzzy-ukf", "planar5", ("honest",)),
-    BY_BO: ("ukf", "planar5", ("honest",)),
-}
-"""As `BY_PSO`: what a study with rivals tunes beside."""
-BO_EVALUATIONS = 100
-"""At most: with more points its process takes longer than all of the filters (docs/optimizers.md)."""
-NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
 BESIDE = "pso-planar8"
-"""Beside it networks are trained: `noise-gru` takes no tilted12, and planar5 has no biases that drift could be of."""
+"""The filter that networks help: `noise-gru` does not support tilted12, and planar5 has no biases."""
+HONEST: tuple[ProtocolName, ...] = ("honest",)
+METHODS: dict[str, Method] = {
+    "imu-only": Method("IMU only", paper="imu-only"),
+    "raw-gps": Method("raw GPS"),
+    "ekf-defaults": Method("EKF, manual: defaults", paper="ekf"),
+    "ekf-datasheet": Method("EKF, manual: data sheet", paper="ekf"),
+    "adaptive-ukf-defaults": Method("adaptive UKF, manual: defaults", paper="adaptive-ukf"),
+    "adaptive-ukf-datasheet": Method("adaptive UKF, manual: data sheet", paper="adaptive-ukf"),
+    "ukf-defaults": Method("UKF, manual: defaults", paper="ukf"),
+    "ukf-datasheet": Method("UKF, manual: data sheet", paper="ukf"),
+    "ukf-paper": Method("UKF, the paper's optimum"),
+    MAIN: Method("PSO-UKF", ("paper", "honest"), ("ukf", "planar5"), MAIN),
+    "pso-ekf": Method("PSO-EKF", HONEST, ("ekf", "planar5")),
+    "pso-adaptive-ukf": Method("PSO-adaptive UKF", HONEST, ("adaptive-ukf", "planar5")),
+    BESIDE: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
+    BY_DEFAULT: Method("what tune takes by itself", HONEST),
+    "pso-fuzzy-ukf": Method("PSO-fuzzy UKF", HONEST, ("fuzzy-ukf", "planar5"), rival=True),
+    BY_BO: Method("UKF by Bayesian optimization", HONEST, ("ukf", "planar5"), rival=True),
+    "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
+    "noise-gru": Method("planar8 with noise-gru", HONEST, rival=True),
+}
+"""All methods, in the order of the tables; the paper tunes the UKF alone."""
+NETWORKS: tuple[NetworkName, ...] = get_args(NetworkName)
+BO_EVALUATIONS = 100
+"""At most: with more points its Gaussian process takes longer than all filters (docs/optimizers.md)."""
 LONG_OUTAGES = {f"outage_drift_{length:g}_s_m": length for length in (15.0, 30.0, 60.0)}
-"""What a study with rivals measures beside: names, and s without fixes."""
+"""Additional measures of a study with rivals: s without fixes, by name."""
+MEASURES = {
+    "position_rmse_m": "position RMSE against truth, m",
+    "gps_rmse_m": "RMSE against the absorbed GPS (equation 4), m",
+    "heading_rmse_deg": "heading error, deg",
+    "outage_drift_m": "drift over a 5 s outage, m",
+    "nis": "mean NIS, 2 where the filter is consistent",
+}
+"""Measures of each drive."""
 RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 
+PAPER_RESULTS: dict[str, Any] = {
+    "table_1": {
+        "imu-only": {"rmse_m": 21606.59},
+        "ukf": {"rmse_m": 2.80},
+        "pso-ukf": {"rmse_m": 0.50, "improvement_percent": 82.14},
+        "optimum": {"q": 2.00, "r": 0.10, "alpha": 0.03, "beta": 2.5, "kappa": 0.48},
+    },
+    "table_2": {
+        "ekf": {"rmse_m": 7.45, "sd_m": 0.65, "interval_m": [7.22, 7.68]},
+        "adaptive-ukf": {"rmse_m": 3.92, "sd_m": 0.38, "interval_m": [3.78, 4.06]},
+        "ukf": {"rmse_m": 2.80, "sd_m": 0.41, "interval_m": [2.62, 2.98]},
+        "pso-ukf": {"rmse_m": 0.50, "sd_m": 0.09, "interval_m": [0.46, 0.54]},
+    },
+    "table_3": {
+        "ekf": {"heading_deg": 4.8, "outage_drift_m": 18.6, "update_ms": 0.65},
+        "adaptive-ukf": {"heading_deg": 2.7, "outage_drift_m": 9.3, "update_ms": 1.15},
+        "ukf": {"heading_deg": 2.1, "outage_drift_m": 7.5, "update_ms": 1.20},
+        "pso-ukf": {"heading_deg": 0.6, "outage_drift_m": 2.0, "update_ms": 1.35},
+    },
+    "figure_2": {"stable_generation": 15, "stable_at_m": 1.5},
+    "real_time_limit_ms": 10.0,
+}
+"""Results of Malabo and Gerardo, "Adaptive Tuning of the Unscented Kalman Filter Using Particle Swarm Optimization for
+Inertial-GPS Sensor Fusion Systems", Tables I to III; the limit of an update is in ms."""
+
+
 class StudyConfig(BaseModel):
-    """A study. The defaults are the paper's, where it says them."""
+    """The configuration of a study. The defaults are the paper's where it states them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -89,51 +153,57 @@ class StudyConfig(BaseModel):
     """Simulated drives of each maneuver in each environment."""
     imu: str = "icm-20602"
     gps: str = "white-1m"
-    """The paper does not say its sensors' noise; CARLA's GNSS sensor has white noise."""
+    """The paper does not state its sensors' noise; CARLA's GNSS sensor has white noise."""
     vibration: float = Field(default=0.0, ge=0)
-    """Shaking of the IMU by road and engine, which a network may hear the speed in; 1 is that of real cars."""
+    """Vibration of the IMU by road and engine, in which a network may hear the speed; 1 is that of real cars."""
     terrain: str = "flat"
     drives: tuple[str, ...] = ()
-    """Folders of drives to be used instead of simulated ones."""
+    """Folders of drives; simulated drives by default."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Of the drives of each condition, in each trial drawn anew."""
+    """Share of the drives of each condition, drawn anew in each trial."""
     trials: int = Field(default=20, ge=2)
     particles: int = Field(default=30, ge=2)
     generations: int = Field(default=50, ge=1)
-    """The first placement included: 30 x 50 are 1500 evaluations."""
+    """Including the first placement: 30 x 50 are 1500 evaluations."""
     seed: int = Field(default=0, ge=0)
-    """Decides drives, splits and swarms."""
+    """Seed of drives, splits and swarms."""
     per_condition: bool = False
     """Tune each condition by itself instead of one filter for all of them."""
     racing: bool | None = None
-    """Drop the worse candidates of a generation before all drives are tried. None: where each tuning has many training
-    drives (`tuning.racing.MANY`)."""
+    """Drop the worse candidates of a generation early. None: where tunings have many training drives
+    (`tuning.racing.MANY`)."""
     rivals: bool = False
-    """Tune a fuzzy filter and by Bayesian optimization, and train networks, too."""
+    """Also tune a fuzzy filter, tune by Bayesian optimization, and train networks."""
     learn_minutes: float = Field(default=20.0, ge=2)
-    """Of driving, from where filters start, that a network learns from: drawn from the trial's training drives."""
+    """Minutes of driving (after the filters' start) that a network learns from, drawn from the training drives."""
     elsewhere: tuple[str, ...] = ()
-    """Folders of drives with other sensors or of another car, for what was tuned and trained; by default simulated."""
+    """Folders of test drives with other sensors or of another car; simulated by default."""
 
     @property
     def simulated(self) -> dict[str, Any]:
-        """Options of all drives that are simulated."""
+        """Options of all simulated drives."""
         return self.model_dump(include={"imu", "gps", "vibration", "terrain", "seed"})
 
     @property
-    def tuned_methods(self) -> dict[str, tuple[ProtocolName, ...]]:
-        """Protocols of what this study tunes."""
-        rivals = {method: protocols for method, (_, _, protocols) in SEARCHED_RIVALS.items()}
-        return {**TUNED_METHODS, **(rivals if self.rivals else {})}
+    def methods(self) -> dict[str, Method]:
+        """The methods of this study."""
+        return {name: method for name, method in METHODS.items() if self.rivals or not method.rival}
 
     @property
-    def networks(self) -> tuple[NetworkName, ...]:
-        """What this study trains."""
-        return NETWORKS if self.rivals else ()
+    def tuned(self) -> list[tuple[ProtocolName, str]]:
+        """Protocol and method of every tuning."""
+        methods = {name: method for name, method in self.methods.items() if name not in NETWORKS}
+        return [(protocol, name) for name, method in methods.items() for protocol in method.protocols]
+
+    @property
+    def measures(self) -> dict[str, str]:
+        """The measures of this study, with their units."""
+        longer = {name: f"drift over a {s:g} s outage, m" for name, s in self.long_outages.items()}
+        return MEASURES | longer
 
     @property
     def long_outages(self) -> dict[str, float]:
-        """Names and lengths, s, of the outages beside the usual one whose drift this study measures."""
+        """Length, s, of every outage but the usual one, by measure."""
         return LONG_OUTAGES if self.rivals else {}
 
     @field_validator("rivals")
@@ -151,38 +221,38 @@ class StudyConfig(BaseModel):
         return value
 
     @model_serializer(mode="wrap")
-    def _as_asked(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """A study without rivals says what it said before there were any, and TOML has no None."""
-        told: dict[str, Any] = dump(self)
+    def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out None, which TOML lacks, and the options of rivals in a study without."""
+        values: dict[str, Any] = dump(self)
         left_out = {
             *(() if self.rivals else RIVALS_OPTIONS),
             *(() if self.racing is not None else ("racing",)),
         }
-        return {name: value for name, value in told.items() if name not in left_out}
+        return {name: value for name, value in values.items() if name not in left_out}
 
     def to_toml(self) -> str:
-        """The file that `read_config` reads."""
+        """Return the text of study.toml, which `read_config` reads."""
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
 def read_config(path: Path | None, **changes: Any) -> StudyConfig:
-    """A study's file, or the defaults, with some options changed.
+    """Read study.toml, or take the defaults, and change some options.
 
     Raises
     ------
     InputError
-        Naming the file, the option, and what is wrong with it.
+        If the file or an option is invalid.
     """
-    asked: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     if path is not None:
         try:
-            asked = tomllib.loads(path.read_text(encoding="utf-8"))
+            options = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise InputError(f"{path}: no such file; leave --config out for the paper's study") from None
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise InputError(f"{path}: not a readable TOML file: {error}") from None
     try:
-        return StudyConfig(**(asked | changes))
+        return StudyConfig(**(options | changes))
     except ValidationError as error:
         key, value, kind, message = first_mistake(error)
         if kind == "extra_forbidden":

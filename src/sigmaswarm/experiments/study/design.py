@@ -11,33 +11,30 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from sigmaswarm.doctor.suited import Equipment, equipment
+from sigmaswarm.datasets.cluster import Cluster
+from sigmaswarm.datasets.dataset import Dataset, LocalDataset
+from sigmaswarm.datasets.remote import RemoteDataset, remote_dataset, source_of
+from sigmaswarm.datasets.worker import Source
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.fingerprint import fingerprint
 from sigmaswarm.drives.overlap import Landmarks, landmarks, overlap_of
-from sigmaswarm.drives.places import listed_places
 from sigmaswarm.drives.prepared import PreparedDrive
-from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.drives.reader import all_drive_locations, read_drive
+from sigmaswarm.drives.sensors import Sensors, sensors_of
 from sigmaswarm.drives.split import split_drives
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import (
     ALL,
     BO_EVALUATIONS,
     BY_BO,
-    BY_DEFAULT,
-    BY_PSO,
+    METHODS,
     PROTOCOLS,
-    SEARCHED_RIVALS,
     ProtocolName,
     StudyConfig,
 )
-from sigmaswarm.fleets.connection import Cluster
-from sigmaswarm.fleets.fleet import Fleet, sources_of, told_of_each
-from sigmaswarm.fleets.held import Here
-from sigmaswarm.fleets.sources import Source
-from sigmaswarm.scoring.batch import Passes, Replayer, Replays
-from sigmaswarm.scoring.fleet import FleetReplays, of_each_prepared
-from sigmaswarm.simulation.conditions import Simulated, simulate_many
+from sigmaswarm.scoring.batch import Passes, Replayer
+from sigmaswarm.scoring.remote import RemoteReplayer, Replays, map_prepared
+from sigmaswarm.simulation.conditions import simulate_many, simulated_source
 from sigmaswarm.tuning.config import TuneConfig
 from sigmaswarm.tuning.defaults import objective_for, with_filter
 from sigmaswarm.tuning.racing import MANY
@@ -46,135 +43,11 @@ if TYPE_CHECKING:
     from distributed import Client
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, eq=False)
-class Design:
-    """The drives of a study and how they are used.
-
-    Attributes
-    ----------
-    drives : tuple of Drive or Equipment
-        Each with truth and a name of its own; of those that a cluster's workers hold, what they have.
-    conditions : tuple of (maneuver, environment)
-        Of each drive.
-    strata : tuple of str
-        Of each drive: the group within which it is split.
-    config : StudyConfig
-    fleet : Fleet or None
-        The workers' drives.
-    apart : bool
-        No trial trains on any of them: all are held back.
-    """
-
-    drives: tuple[Drive | Equipment, ...]
-    conditions: tuple[tuple[str, str], ...]
-    strata: tuple[str, ...]
-    config: StudyConfig
-    fleet: Fleet | None = None
-    apart: bool = False
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """The groups that get filters of their own: the conditions, or all drives together."""
-        return tuple(dict.fromkeys(self.strata)) if self.config.per_condition else (ALL,)
-
-    @cached_property
-    def prepared(self) -> tuple[PreparedDrive, ...]:
-        """The drives made ready for filters, each once; as recorded, for the paper knows of no other rule."""
-        return tuple(
-            PreparedDrive(drive, as_recorded=True) for drive in self.drives if isinstance(drive, Drive)
-        )
-
-    def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
-        """What a function of a module says of drives made ready, by index, or of all: where they are held."""
-        chosen = range(len(self.drives)) if drives is None else drives
-        if self.fleet is None:
-            return [function(self.prepared[i]) for i in chosen]
-        return told_of_each(self.fleet.subset(chosen).ask(of_each_prepared, function, True))
-
-    def replays(self, *, outages: bool) -> Replays:
-        """All drives, to be replayed where they are held."""
-        seed = self.config.seed
-        if self.fleet is None:
-            return Replayer(self.prepared, outages=outages, outage_seed=seed)
-        return FleetReplays(
-            self.fleet, Passes(outages=outages, outage_seed=seed, as_recorded=True), _as_it_is
-        )
-
-    def tune_config(self, method: str, protocol: str) -> TuneConfig:
-        """What one of the tuned methods is asked for under a protocol."""
-        c = self.config
-        particles, generations = c.particles, c.generations
-        if method == BY_DEFAULT:
-            asked = self._suiting
-        else:
-            kind, model, _ = (BY_PSO | SEARCHED_RIVALS)[method]
-            asked = dict[str, Any](
-                optimizer="pso", kind=kind, model=model, **PROTOCOLS[protocol].model_dump()
-            )
-        if method == BY_BO:
-            particles = min(particles, BO_EVALUATIONS)
-            generations = min(generations, BO_EVALUATIONS // particles)
-            asked["optimizer"] = "bo"
-        return TuneConfig(
-            **asked,
-            particles=particles,
-            generations=generations,
-            trials=c.trials,
-            seed=c.seed,
-            outage_seed=c.seed,
-            racing=self._races and method != BY_BO,
-            as_recorded=True,
-        )
-
-    @cached_property
-    def _races(self) -> bool:
-        """Whether tunings race: as asked for, or else where it costs no accuracy, among many training drives."""
-        if self.config.racing is not None:
-            return self.config.racing
-        train = set(self.split(0)[0])
-        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MANY
-
-    @cached_property
-    def _suiting(self) -> dict[str, Any]:
-        """What `tune` takes for these drives where nothing is asked for."""
-        found, _ = with_filter({}, self.drives)
-        return {**found, "objective": objective_for(self.drives, "auto", found["model"])}
-
-    def members(self, group: str) -> list[int]:
-        """Indices of a group's drives."""
-        return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
-
-    def group_of(self, drive: int) -> str:
-        """The group whose filter stands for a drive, given by its index."""
-        return self.strata[drive] if self.config.per_condition else ALL
-
-    def split(self, trial: int) -> tuple[list[int], list[int]]:
-        """Indices of a trial's training and test drives: each condition split by itself."""
-        if self.apart:
-            return [], list(range(len(self.drives)))
-        train: list[int] = []
-        for stratum in dict.fromkeys(self.strata):
-            own = self.members(stratum)
-            key = (trial, zlib.crc32(stratum.encode()))
-            rng = np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=key))
-            train += split_drives(own, self.config.train_fraction, rng=rng)[0]
-        return sorted(train), sorted(set(range(len(self.drives))) - set(train))
-
-    @property
-    def tasks(self) -> Iterator["Task"]:
-        """All tunings of the study, in the order of their trials."""
-        for trial in range(self.config.trials):
-            for method, protocols in self.config.tuned_methods.items():
-                for protocol in protocols:
-                    for group in self.groups:
-                        yield Task(protocol, method, group, trial)
-
-    def fingerprint(self) -> str:
-        """A hash of all drives' names and numbers."""
-        each = (f"{name} {sha256}\n" for name, sha256 in self.of_each(_identity))
-        return hashlib.sha256("".join(each).encode()).hexdigest()
+ELSEWHERE_RUNS = 2
+"""Simulated drives of each condition elsewhere, at most."""
+OTHER_IMU = ("mpu-6050", "icm-20602")
+"""The IMU elsewhere: the first, or the second where the study has the first."""
+HOME_CAR, OTHER_CAR = "model3", "model3-carla"
 
 
 @dataclass(frozen=True)
@@ -187,97 +60,221 @@ class Task:
     trial: int
 
     @property
+    def variant(self) -> tuple[ProtocolName, str]:
+        """Protocol and method."""
+        return self.protocol, self.method
+
+    @property
     def folder(self) -> str:
-        """Where the tunings of all trials of this kind are kept."""
-        return kind(self.protocol, self.method, self.group)
+        """Name of the tunings of all trials of this kind, and of their folder."""
+        return tuning_name(self.protocol, self.method, self.group)
 
 
-def kind(protocol: str, method: str, group: str) -> str:
-    """A name for the tunings of a method under a protocol for a group, and for their files."""
+def tuning_name(protocol: str, method: str, group: str) -> str:
+    """Name the tunings of a method under a protocol for a group."""
     return f"{protocol}-{method}" + ("" if group == ALL else f"-{group}")
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """The drives of a study and how they are used.
+
+    Attributes
+    ----------
+    drives : tuple of Drive or Sensors
+        With truth and unique names; the sensors alone where drives are on the workers of a cluster.
+    conditions : tuple of (maneuver, environment)
+        Of each drive.
+    strata : tuple of str
+        Of each drive: the group within which it is split.
+    config : StudyConfig
+    remote : RemoteDataset or None
+        The drives on a cluster.
+    apart : bool
+        All are test drives: no trial trains on them.
+    """
+
+    drives: tuple[Drive | Sensors, ...]
+    conditions: tuple[tuple[str, str], ...]
+    strata: tuple[str, ...]
+    config: StudyConfig
+    remote: RemoteDataset | None = None
+    apart: bool = False
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups with filters of their own: the conditions, or all drives together."""
+        return tuple(dict.fromkeys(self.strata)) if self.config.per_condition else (ALL,)
+
+    @cached_property
+    def prepared(self) -> tuple[PreparedDrive, ...]:
+        """The local drives, each aligned once and not preprocessed, as in the paper."""
+        drives = (drive for drive in self.drives if isinstance(drive, Drive))
+        return tuple(PreparedDrive(drive, as_recorded=True) for drive in drives)
+
+    def of_each(self, function: Callable[[PreparedDrive], T], drives: Sequence[int] | None = None) -> list[T]:
+        """Apply a module's function to prepared drives, by index, or to all, where they are."""
+        chosen = range(len(self.drives)) if drives is None else drives
+        if self.remote is None:
+            return [function(self.prepared[i]) for i in chosen]
+        return map_prepared(self.remote.subset(chosen), function, as_recorded=True)
+
+    def replays(self, *, outages: bool) -> Replays:
+        """Prepare all drives for parameter sets, where they are."""
+        seed = self.config.seed
+        if self.remote is None:
+            return Replayer(self.prepared, outages=outages, outage_seed=seed)
+        passes = Passes(outages=outages, outage_seed=seed, as_recorded=True)
+        return RemoteReplayer(self.remote, passes, _no_check)
+
+    def tune_config(self, method: str, protocol: str) -> TuneConfig:
+        """Return the configuration of the tunings of a method under a protocol."""
+        c, particles, generations = self.config, self.config.particles, self.config.generations
+        options: dict[str, Any]
+        if chosen := METHODS[method].filter:
+            kind, model = chosen
+            options = {"optimizer": "pso", "kind": kind, "model": model, **PROTOCOLS[protocol].model_dump()}
+        else:
+            options = self._default_options
+        if method == BY_BO:
+            particles = min(particles, BO_EVALUATIONS)
+            generations = min(generations, BO_EVALUATIONS // particles)
+            options["optimizer"] = "bo"
+        return TuneConfig(
+            **options,
+            particles=particles,
+            generations=generations,
+            trials=c.trials,
+            seed=c.seed,
+            outage_seed=c.seed,
+            racing=self._races and method != BY_BO,
+            as_recorded=True,
+        )
+
+    @cached_property
+    def _races(self) -> bool:
+        """True if tunings race: as configured, or where racing costs no accuracy, among many training drives."""
+        if self.config.racing is not None:
+            return self.config.racing
+        train = set(self.split(0)[0])
+        return min(len(train.intersection(self.members(group))) for group in self.groups) >= MANY
+
+    @cached_property
+    def _default_options(self) -> dict[str, Any]:
+        """What `tune` chooses for these drives."""
+        found, _ = with_filter({}, self.drives)
+        return {**found, "objective": objective_for(self.drives, "auto", found["model"])}
+
+    def members(self, group: str) -> list[int]:
+        """Return the indices of a group's drives."""
+        return [i for i, stratum in enumerate(self.strata) if group in (ALL, stratum)]
+
+    def group_of(self, drive: int) -> str:
+        """Return the group whose filter runs on a drive, given by its index."""
+        return self.strata[drive] if self.config.per_condition else ALL
+
+    def split(self, trial: int) -> tuple[list[int], list[int]]:
+        """Return indices of a trial's training and test drives, split within each condition."""
+        if self.apart:
+            return [], list(range(len(self.drives)))
+        train: list[int] = []
+        for stratum in dict.fromkeys(self.strata):
+            rng = self.rng(trial, stratum)
+            train += split_drives(self.members(stratum), self.config.train_fraction, rng=rng)[0]
+        return sorted(train), sorted(set(range(len(self.drives))) - set(train))
+
+    def rng(self, trial: int, purpose: str) -> np.random.Generator:
+        """Return the random generator of one purpose in a trial."""
+        key = (trial, zlib.crc32(purpose.encode()))
+        return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=key))
+
+    @property
+    def tasks(self) -> Iterator[Task]:
+        """All tunings of the study, in the order of their trials."""
+        for trial in range(self.config.trials):
+            for protocol, method in self.config.tuned:
+                for group in self.groups:
+                    yield Task(protocol, method, group, trial)
+
+    def fingerprint(self) -> str:
+        """Hash the names and numbers of all drives."""
+        each = (f"{name} {sha256}\n" for name, sha256 in self.of_each(_identity))
+        return hashlib.sha256("".join(each).encode()).hexdigest()
 
 
 def make_design(
     config: StudyConfig, executor: Executor | None = None, cluster: "Client | None" = None
 ) -> Design:
-    """Simulate or read a study's drives, here or on the workers of a cluster.
+    """Simulate or read a study's drives, locally or on the workers of a cluster.
 
     Raises
     ------
     InputError
         If the drives are too few, lack truth, or can't be read or made.
     """
-    fleet: Fleet | None = None
-    drives: list[Drive] | list[Equipment]
+    remote: RemoteDataset | None = None
+    drives: list[Drive] | list[Sensors]
     if cluster is not None:
-        fleet = Fleet.read(Cluster(cluster), _sources(config))
-        for warning in fleet.warned:
+        remote, warned = remote_dataset(Cluster(cluster), _sources(config))
+        for warning in warned:
             warnings.warn(warning, stacklevel=2)
-        drives = fleet.of_each(equipment)
+        drives = remote.map(sensors_of)
     elif config.drives:
-        drives = [read_drive(place) for place in listed_places(config.drives)]
+        drives = [read_drive(place) for place in all_drive_locations(config.drives)]
     else:
-        drives = list(
-            simulate_many(
-                config.maneuvers,
-                config.environments,
-                config.runs,
-                executor=executor,
-                **config.simulated,
-            )
-        )
+        drives = _simulated(config, executor, config.runs)
     if len(drives) < 2:
         raise InputError(f"a study needs at least 2 drives to split, not {len(drives)}; give more")
-    require_scored(drives)
+    _require_truth(drives)
     if not config.drives and config.runs < 2 and config.per_condition:
         raise InputError("runs = 1: a condition of one drive can't be split; choose 2 or more")
-    held = Here([d for d in drives if isinstance(d, Drive)]) if fleet is None else fleet
+    dataset: Dataset = remote or LocalDataset([d for d in drives if isinstance(d, Drive)])
     if config.drives:  # of those that are simulated no two are the same
-        require_apart(held.of_each(landmarks))
-    conditions = tuple(held.of_each(condition_of))
+        _require_apart(dataset.map(landmarks))
+    conditions = tuple(dataset.map(_condition_of))
     strata = tuple("-".join(condition) for condition in conditions)
     lonely = [name for name in dict.fromkeys(strata) if strata.count(name) < 2]
     if lonely and config.per_condition:
         raise InputError(f"{lonely[0]}: has one drive, which can't be split; leave per_condition out")
     # Where a condition has one drive only, conditions can't be split by themselves.
-    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, fleet)
+    return Design(tuple(drives), conditions, (ALL,) * len(drives) if lonely else strata, config, remote)
 
 
 def _sources(config: StudyConfig) -> list[Source]:
-    """Where a cluster's workers get the drives."""
+    """Describe the drives for a cluster's workers."""
     if config.drives:
-        return sources_of(listed_places(config.drives))
+        return [source_of(location) for location in all_drive_locations(config.drives)]
     names = ((m, e, run) for m in config.maneuvers for e in config.environments for run in range(config.runs))
-    return [Simulated(*name, config.simulated) for name in names]
+    return [simulated_source(*name, **config.simulated) for name in names]
 
 
-def _as_it_is(_: Replayer) -> None:
-    """Whatever was made ready serves a study."""
+def _no_check(_: Replayer) -> None:
+    """Accept all drives."""
 
 
 def _identity(ready: PreparedDrive) -> tuple[str, str]:
     return ready.drive.name, fingerprint(ready.drive)
 
 
-def require_apart(marks: Sequence[Landmarks]) -> None:
-    """Refuse drives that share a part: it would be in training and test drives."""
+def _require_apart(marks: Sequence[Landmarks]) -> None:
+    """Raise an `InputError` for drives that share a part, which would be in training and test drives."""
     for i, one in enumerate(marks):
         if found := overlap_of(one, marks[:i]):
             raise InputError(
                 f"{one.name}: {found.seconds:.0f} s of it are in {', '.join(found.of)}, too; a study trains on some "
-                "drives and tests on others: leave one of them out"
+                "drives and tests on others: remove one of them"
             )
 
 
-def condition_of(drive: Drive) -> tuple[str, str]:
-    """Maneuver and environment, as its metadata names them."""
+def _condition_of(drive: Drive) -> tuple[str, str]:
+    """Return maneuver and environment from the metadata."""
     scenario = drive.metadata.get("scenario", {})
     named = scenario if isinstance(scenario, dict) else {}
     return str(named.get("maneuver", ALL)), str(named.get("environment", ALL))
 
 
-def require_scored(drives: Sequence[Drive | Equipment]) -> None:
-    """Refuse drives without truth, and two of one name."""
+def _require_truth(drives: Sequence[Drive | Sensors]) -> None:
+    """Raise an `InputError` for drives without truth or two of one name."""
     names: set[str] = set()
     for drive in drives:
         if not drive.truth:
@@ -290,3 +287,41 @@ def require_scored(drives: Sequence[Drive | Equipment]) -> None:
                 f"{drive.name}: two drives have this name; rename a folder, or set name in its drive.toml"
             )
         names.add(drive.name)
+
+
+def designs_elsewhere(home: Design, executor: Executor | None = None) -> dict[str, Design]:
+    """Read or simulate test drives of other sensors and of another car, by their description.
+
+    Raises
+    ------
+    InputError
+        If drives can't be read, lack truth, or share parts with the study's.
+    """
+    c = home.config
+    if not c.rivals or (c.drives and not c.elsewhere):
+        return {}
+    if c.elsewhere:
+        drives = [read_drive(place) for place in all_drive_locations(c.elsewhere)]
+        own = tuple(drive for drive in home.drives if isinstance(drive, Drive))
+        _require_apart([landmarks(drive) for drive in (*own, *drives)])
+        return {"as given": _test_design(drives, c)}
+    imu = next(name for name in OTHER_IMU if name != c.imu)
+    runs, seed = min(c.runs, ELSEWHERE_RUNS), c.seed + 1  # other roads
+    other_imu = _simulated(c, executor, runs, seed=seed, imu=imu)
+    other_car = _simulated(c, executor, runs, seed=seed, vehicle=OTHER_CAR)
+    return {
+        f"IMU {imu} for {c.imu}": _test_design(other_imu, c),
+        f"car {OTHER_CAR} for {HOME_CAR}": _test_design(other_car, c),
+    }
+
+
+def _simulated(config: StudyConfig, executor: Executor | None, runs: int, **other: Any) -> list[Drive]:
+    options = {**config.simulated, **other}
+    return list(simulate_many(config.maneuvers, config.environments, runs, executor=executor, **options))
+
+
+def _test_design(drives: list[Drive], config: StudyConfig) -> Design:
+    _require_truth(drives)
+    conditions = tuple(map(_condition_of, drives))
+    strata = tuple("-".join(condition) for condition in conditions)
+    return Design(tuple(drives), conditions, strata, config, apart=True)

@@ -1,27 +1,62 @@
-"""The networks of a study: each trained beside the same trial's filter, on that trial's training drives alone.
+"""The networks of a study: each trained in a trial to help the trial's filter, on the trial's training drives alone.
 
 Each has a folder in learned/, as `sigmaswarm learn` makes it. They are trained one after the other, so that the
 processor time of each is its own.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from sigmaswarm.experiments.study.config import ALL, BESIDE
+import numpy as np
+
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.study.config import ALL, BESIDE, NETWORKS
 from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.lessons import curve_minutes, lessons
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
-from sigmaswarm.learned.fitting import exact
 from sigmaswarm.learned.folder import Learned, load_learned
 from sigmaswarm.learned.learn import LEARNERS, learn
-from sigmaswarm.tuning.options import require_packages
+from sigmaswarm.scoring.batch import scores_of
+from sigmaswarm.scoring.drifts import rms_drift
+from sigmaswarm.scoring.score import PieceErrors
+from sigmaswarm.scoring.targets import OUTAGE_LENGTH, outage_replay, outage_windows, tracking_replay
+
+LEAST = 21.0
+"""s after a filter's start: `noise-gru` learns in segments of 20 s, and outages of 10 s begin 10 s after the start."""
+ALONE = 80.0
+"""s after the start: the last quarter of such a drive can be held back where it is the only one."""
+FEWEST = 3
+"""Drives of which the last third is held back, to stop the training early and to calibrate."""
+FIRST_POINT = 2.0
+"""Minutes at the first point of a learning curve."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """The drives that a network learns from.
+
+    Attributes
+    ----------
+    shown, held_back : tuple of Drive
+        To train on, and to stop the training early; `learn` holds back the ends of one or two drives.
+    driven : float
+        s after the starts of filters, over both.
+    """
+
+    shown: tuple[Drive, ...]
+    held_back: tuple[Drive, ...]
+    driven: float
 
 
 @dataclass(frozen=True)
 class Training:
-    """One training: a network, in a trial, on some minutes of driving; None: on all that a network learns from."""
+    """A training of a network in a trial, on some minutes of driving; None: on all that the study allows."""
 
     network: NetworkName
     trial: int
@@ -29,64 +64,83 @@ class Training:
 
     @property
     def task(self) -> Task:
-        """Its place among the tunings."""
+        """The network as a task of the study."""
         return Task("honest", self.network, ALL, self.trial)
 
     @property
     def folder(self) -> str:
-        """Relative to the study's."""
+        """Its folder, relative to the study's."""
         what = f"trial-{self.trial:03d}" if self.minutes is None else f"curve-{self.minutes:g}-minutes"
         return f"learned/{self.network}/{what}"
 
+    @property
+    def epochs(self) -> int:
+        """At most."""
+        return LEARNERS[self.network].epochs
+
 
 @dataclass(frozen=True, eq=False)
-class Taught:
-    """A network that was trained, and the filter beside it.
-
-    Attributes
-    ----------
-    parameters : FilterParameters
-    learned : Learned
-    driven : float
-        s that it learned from, behind the starts of filters.
-    """
+class Trained:
+    """A trained network, the parameters of its filter, and the s of driving that it learned from."""
 
     parameters: FilterParameters
     learned: Learned
     driven: float
 
 
-def require_rivals() -> None:
-    """Say in one line what the rivals need and is not installed.
+def lessons(design: Design, trial: int, minutes: float) -> Lessons:
+    """Draw some minutes of a trial's training drives, or all of them: whole drives and the beginning of one.
+
+    More minutes include the drives of fewer. Drives may be added where a network could not learn otherwise.
 
     Raises
     ------
     InputError
-        If a package is missing.
+        If the trial's training drives are too few or too short for a network.
     """
-    with exact():
-        require_packages("bo")
+    left, whole, begun, longest, driven = 60.0 * minutes, list[Drive](), list[Drive](), 0.0, 0.0
+    order = design.rng(trial, "lessons").permutation(design.split(trial)[0]).tolist()
+    for ready in (design.prepared[i] for i in order):
+        drive, start = ready.drive, ready.initial.time
+        if (length := float(drive.imu.time[-1]) - start) < LEAST:
+            continue
+        sound = len(whole) >= FEWEST or longest >= ALONE
+        if left <= 0 or (left < LEAST and sound):
+            if sound:
+                break
+            left = 0.0  # one more, whole
+        took = min(length, left) if left >= LEAST else length
+        if took == length:
+            whole.append(drive)
+        else:
+            begun.append(clip(drive, end=start + took))
+        longest, driven, left = max(longest, took), driven + took, left - took
+    chosen = begun + whole  # held-back drives should be long
+    if len(chosen) < FEWEST and longest < ALONE:
+        raise InputError(
+            f"trial {trial} has too little to train networks on: they need {FEWEST} drives of {LEAST:g} s after the "
+            f"start of a filter, or one of {ALONE:g} s; add drives, or the maneuver urban"
+        )
+    shown = len(chosen) - len(chosen) // FEWEST
+    return Lessons(tuple(chosen[:shown]), tuple(chosen[shown:]), driven)
 
 
 def trainings(design: Design) -> list[Training]:
-    """All trainings of a study: of every trial, and of the learning curves.
+    """List all trainings of a study: of every trial, and of the learning curves of the first trial.
 
     Raises
     ------
     InputError
         If a trial has too little to train on.
     """
-    networks, trials = design.config.networks, range(design.config.trials if design.config.networks else 0)
-    for trial in trials:
-        lessons(design, trial, design.config.learn_minutes)
-    of_trials = [Training(network, trial) for trial in trials for network in networks]
-    minutes = curve_minutes(design) if networks else []
-    return of_trials + [Training(network, 0, each) for each in minutes for network in networks]
-
-
-def epochs_of(training: Training) -> int:
-    """At most."""
-    return LEARNERS[training.network].epochs
+    if not design.config.rivals:
+        return []
+    trials = range(design.config.trials)
+    driven = [lessons(design, trial, design.config.learn_minutes).driven for trial in trials]
+    of_trials = [Training(network, trial) for trial in trials for network in NETWORKS]
+    doubled = (FIRST_POINT * 2.0 ** np.arange(12)).tolist()
+    curve = [minutes for minutes in doubled if minutes < 0.9 * (driven[0] / 60.0)]
+    return of_trials + [Training(network, 0, minutes) for minutes in curve for network in NETWORKS]
 
 
 def train_all(
@@ -95,42 +149,81 @@ def train_all(
     parameters: Mapping[Task, FilterParameters],
     folder: Path,
     progress: Callable[[int, Task], None],
-) -> dict[Training, Taught]:
-    """All trainings, one after the other, after all tunings; ``progress`` is told how much is done of both together."""
+) -> dict[Training, Trained]:
+    """Run all trainings one after the other, or continue or read them.
+
+    ``progress`` takes how much is done of all tunings, which come before, and trainings.
+    """
     done = len(list(design.tasks)) * design.config.generations
-    taught: dict[Training, Taught] = {}
+    trained: dict[Training, Trained] = {}
     for training in each:
-
-        def told(epoch: int, before: int = done, task: Task = training.task) -> None:
-            progress(before + epoch, task)
-
-        taught[training] = train(design, training, parameters, folder, told)
-        done += epochs_of(training)
+        minutes = design.config.learn_minutes if training.minutes is None else training.minutes
+        drives, out = lessons(design, training.trial, minutes), folder / training.folder
+        helped = parameters[Task("honest", BESIDE, ALL, training.trial)]
+        finished = (out / "timings.json").exists()  # the last file that `learn` writes
+        learned = load_learned(out) if finished else None
+        learned = learned or learn(
+            training.network,
+            helped,
+            drives.shown,
+            out=out,
+            validation=drives.held_back,
+            seed=design.config.seed + training.trial,
+            resume=True,
+            progress=lambda now, before=done, task=training.task: progress(before + now.epoch, task),
+        )
+        trained[training] = Trained(helped, learned, drives.driven)
+        done += training.epochs
         progress(done, training.task)
-    return taught
+    return trained
 
 
-def train(
+def score_networks(
     design: Design,
-    training: Training,
-    parameters: Mapping[Task, FilterParameters],
-    folder: Path,
-    progress: Callable[[int], None],
-) -> Taught:
-    """Train a network, go on with it, or look it up where it is done."""
-    minutes = design.config.learn_minutes if training.minutes is None else training.minutes
-    of = lessons(design, training.trial, minutes)
-    beside = parameters[Task("honest", BESIDE, ALL, training.trial)]
-    out = folder / training.folder
-    done = load_learned(out) if (out / "timings.json").exists() else None  # the last file that `learn` writes
-    learned = done or learn(
-        training.network,
-        beside,
-        of.shown,
-        out=out,
-        validation=of.held_back,
-        seed=design.config.seed + training.trial,
-        resume=True,
-        progress=lambda told: progress(told.epoch),
+    networks: Sequence[Trained],
+    drives: Sequence[Sequence[int]],
+    executor: Executor | None = None,
+) -> dict[str, Array]:
+    """Score networks, each on some drives by index, as filters are scored.
+
+    Returns
+    -------
+    dict of measure to ndarray, shape (networks, all drives)
+        NaN on the other drives.
+    """
+    jobs = [(k, i) for k, chosen in enumerate(drives) for i in chosen]
+    one = partial(_score, long=design.config.long_outages, seed=design.config.seed)
+    results = (executor.map if executor else map)(
+        one, [networks[k] for k, _ in jobs], [design.prepared[i] for _, i in jobs]
     )
-    return Taught(beside, learned, of.driven)
+    found: dict[str, Array] = {}
+    for at, scores in zip(jobs, results, strict=True):
+        for measure, value in scores.items():
+            found.setdefault(measure, np.full((len(networks), len(design.drives)), np.nan))[at] = value
+    return found
+
+
+def _score(trained: Trained, ready: PreparedDrive, long: Mapping[str, float], seed: int) -> dict[str, float]:
+    """Score one drive, without resets."""
+    replay, truth = tracking_replay(ready), ready.drive.truth
+    assert truth is not None
+    run = trained.learned.run(replay, trained.parameters)
+    errors = PieceErrors(truth, ready.initial)
+    for piece in run:
+        errors.add(piece.time, piece.mean)
+    sums = scores_of({"tracking": [replay]}, {"tracking": run.sums})[0, 0]
+    found = {
+        "position_rmse_m": errors.score.position_rmse,
+        "gps_rmse_m": sums.fix_rmse,
+        "heading_rmse_deg": float(np.degrees(errors.score.heading_rmse)),
+        "nis": sums.mean_nis,
+    }
+    found = {measure: np.inf if run.failure else value for measure, value in found.items()}
+    for measure, length in {"outage_drift_m": OUTAGE_LENGTH, **long}.items():
+        ends = outage_windows(ready.drive, ready.initial, length=length, seed=seed)[:, 1]
+        found[measure] = np.nan
+        if len(ends):
+            run = trained.learned.run(outage_replay(ready, length=length, seed=seed), trained.parameters)
+            whole = run.whole()
+            found[measure] = np.inf if run.failure else rms_drift(ready, whole, ends)
+    return found

@@ -1,29 +1,35 @@
-"""The record of a study: results.json, with what it says in words, numbers and files.
+"""The files of a study: results.json, scores.csv, timings.json and tracks.npz.
 
-It holds (null where a figure can't be said):
+results.json holds (null where a figure is unknown):
 
     schema         1
-    config         what study.toml says
+    config         study.toml
     drives         count, strata (number of conditions), fingerprint
-    protocols      {name: {objective, scale}}; methods that nothing is tuned for have the protocol "untuned"
-    methods        {name: what people call it}
-    measures       {name: what it is, with its unit}
+    protocols      {name: {objective, scale}}; methods without tuning have the protocol "untuned"
+    methods        {name: label}
+    measures       {name: meaning and unit}
     summary        `VariantSummary` of every variant and measure, over all conditions and in each
     comparisons    `PairedComparison`: pso-ukf under each protocol against every other method
     tunings        `TrialTuning`, one a trial
     convergence    `Convergence` of every tuned variant and group
-    paper          the paper's figures, as `paper.py` has them
+    paper          the paper's figures
     rivals         `RivalResults`, of a study with rivals alone
 """
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+import polars as pl
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.study.config import ALL, UNTUNED, Protocol, StudyConfig
 from sigmaswarm.files import write_json
+from sigmaswarm.records import load_record
+from sigmaswarm.scoring.tracks import Tracks, load_tracks
 from sigmaswarm.tuning.box import TouchedBound
 
 Variant = tuple[str, str]
@@ -35,10 +41,10 @@ def _finite(value: Any) -> Any:
 
 
 Figure = Annotated[float | None, BeforeValidator(_finite)]
-"""A number; None where it can't be said, as JSON has neither NaN nor infinity."""
+"""A number; None in place of NaN and infinity, which JSON lacks."""
 Interval = tuple[Figure, Figure]
 Touched = Annotated[TouchedBound, BeforeValidator(TouchedBound.read), PlainSerializer(str)]
-"""A touched bound, which a file holds as a sentence."""
+"""A touched bound, a sentence in the file."""
 
 
 class _Part(BaseModel):
@@ -46,7 +52,7 @@ class _Part(BaseModel):
 
 
 class DriveCount(_Part):
-    """The drives: how many, of how many conditions, and a hash of all their numbers."""
+    """Number of drives and of conditions, and a hash of all numbers."""
 
     count: int
     strata: int
@@ -58,11 +64,11 @@ class ScoreStatistics(_Part):
 
     Attributes
     ----------
-    mean, sd : over trials, of the mean over each trial's held-out drives
-    trial_interval : mean +- 1.96 SD / sqrt(n): what optimizer and split leave open, not what a new drive would bring
-    corrected_t_interval : corrected resampled t: for drives that were never seen
-    bootstrap_interval : for drives that were never seen, too: drives, within conditions, and trials resampled
-    n_trials, n_drives : how many of each the figures rest on
+    mean, sd : over trials, of the mean over each trial's test drives
+    trial_interval : mean +- 1.96 SD / sqrt(n): the uncertainty by optimizer and split, not for new drives
+    corrected_t_interval : for new drives, corrected resampled t
+    bootstrap_interval : for new drives; drives, within conditions, and trials are resampled
+    n_trials, n_drives : number of each behind the figures
     """
 
     mean: Figure
@@ -87,14 +93,13 @@ class VariantSummary(ScoreStatistics, _Scored):
 
 
 class PairedStatistics(_Part):
-    """Two methods on the same drives, one value a drive: the mean over the trials that held it back.
+    """Two methods on the same drives, one value a drive: the mean over the trials that tested on it.
 
     Attributes
     ----------
-    mean_difference : of the method less the other, negative where the method is better
-    interval : of it, by bootstrap over drives
+    mean_difference, interval : method less other (negative: better), with its bootstrap interval over drives
     p : of Wilcoxon's signed-rank test, two-sided
-    rank_biserial : share of the rank sum that says better less that which says worse, -1 to 1: the effect's size
+    rank_biserial : effect size, -1 to 1: share of the rank sum in favor less the share against
     improvement, improvement_interval : percent, the paper's equation 5
     n_drives : int
     """
@@ -122,7 +127,7 @@ class PairedComparison(PairedStatistics, _Compared):
 
 
 class TrialTuning(_Part):
-    """One tuning of one trial; ``folder``, relative to the study's, has its result.json and history.npz."""
+    """A tuning in a trial; ``folder``, relative to the study's, holds result.json and history.npz."""
 
     protocol: str
     method: str
@@ -139,7 +144,7 @@ class TrialTuning(_Part):
 class Convergence(_Part):
     """Quantiles (10%, 50%, 90%) over trials of the best cost after each generation.
 
-    ``stable``: the generation from which on the median is within 1% of its last value.
+    ``stable``: the generation after which the median stays within 1% of its last value.
     """
 
     protocol: str
@@ -152,13 +157,13 @@ class Convergence(_Part):
 
 
 class Effort(_Part):
-    """What a tuned or trained method took; means over trials.
+    """The data and the free numbers of a tuned or trained method; means over trials.
 
     Attributes
     ----------
-    labelled_s : s of driving whose truth was looked at: all training drives, by the tuning of its filter
-    learned_s : s of driving that its network learned from, without truth; None where there is no network
-    numbers : how many were set by tuning and training
+    labelled_s : s of driving with truth: all training drives, which its filter was tuned on
+    learned_s : s of driving, without truth, that its network learned from
+    numbers : how many numbers tuning and training set
     """
 
     protocol: str
@@ -175,7 +180,7 @@ class ElsewhereSummary(VariantSummary):
 
 
 class CurvePoint(_Part):
-    """A network that learned from so many minutes, on the drives that the first trial held back; 0: the filter alone.
+    """A network trained on some minutes (0: the filter alone), scored on the first trial's test drives.
 
     ``interval`` of the mean is by bootstrap over drives.
     """
@@ -189,9 +194,9 @@ class CurvePoint(_Part):
 
 
 class RivalResults(_Part):
-    """What a study with rivals says beside.
+    """Additional results of a study with rivals.
 
-    ``gains``: each network against the filter that it stands beside; ``holm_p`` is of each alone.
+    ``gains``: each network against the filter that it helps; ``holm_p`` is of each test alone.
     """
 
     efforts: list[Effort]
@@ -217,25 +222,130 @@ class Results(_Part):
     rivals: RivalResults | None = None
 
     def label(self, method: str, protocol: str = UNTUNED) -> str:
-        """What people call a method, and under which protocol it was tuned."""
+        """Return the label of a method, with its protocol if it is tuned."""
         name = self.methods.get(method, method)
         return name if protocol == UNTUNED else f"{name} ({protocol})"
 
     def means(self, measure: str) -> list[VariantSummary]:
-        """The summaries of every variant over all conditions."""
+        """Return the summaries of every variant over all conditions."""
         wanted = (measure, ALL, ALL)
         return [row for row in self.summaries if (row.measure, row.maneuver, row.environment) == wanted]
 
     def summary(self, protocol: str, method: str, measure: str) -> VariantSummary | None:
-        """One of `means`; None where there is none."""
+        """Return one of `means`, if it exists."""
         found = (row for row in self.means(measure) if (row.protocol, row.method) == (protocol, method))
         return next(found, None)
 
     def content(self) -> dict[str, Any]:
-        """The content of results.json, in plain types."""
+        """Return the content of results.json in plain types."""
         left_out = {"rivals"} if self.rivals is None else None
         return self.model_dump(mode="json", by_alias=True, exclude=left_out)
 
     def write(self, folder: Path) -> None:
         """Write results.json."""
         write_json(folder / "results.json", self.content(), indent=1)
+
+
+QUANTILES = {"low": 0.05, "first": 0.25, "median": 0.5, "third": 0.75, "high": 0.95}
+
+
+class Spread(_Part):
+    """Quantiles over drives of one value a drive, the mean over its trials; failed drives are counted and left out."""
+
+    protocol: str
+    method: str
+    measure: str
+    low: float
+    first: float
+    median: float
+    third: float
+    high: float
+    failed: int
+
+
+def spreads_of(scores: pl.DataFrame | pl.LazyFrame) -> list[Spread]:
+    """Compute the spread of every variant's measures from the table of scores."""
+    keys = ["protocol", "method", "measure"]
+    value = pl.col("value").filter(pl.col("value").is_finite())
+    drives = scores.lazy().group_by([*keys, "drive"], maintain_order=True).agg(pl.col("value").mean())
+    found = drives.group_by(keys, maintain_order=True).agg(
+        *[value.quantile(q, "linear").alias(name) for name, q in QUANTILES.items()],
+        (~pl.col("value").is_finite()).sum().alias("failed"),
+    )
+    return [Spread(**row) for row in found.drop_nulls().collect().to_dicts()]
+
+
+def read_spreads(folder: Path) -> list[Spread]:
+    """Compute the spread from scores.csv.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read.
+    """
+    path = folder / "scores.csv"
+    try:
+        return spreads_of(pl.scan_csv(path, glob=False, schema_overrides={"value": pl.Float64()}))
+    except (pl.exceptions.PolarsError, OSError):
+        raise InputError(f"{path}: not readable; repeat `sigmaswarm study` with --resume") from None
+
+
+Times = Mapping[str, Mapping[str, float]]
+
+
+class _Timings(BaseModel):
+    live_filter: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
+    rivals: dict[str, dict[str, float]] = Field(default_factory=dict[str, dict[str, float]])
+
+
+class _TuningConfig(BaseModel):
+    versions: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class StudyRecord:
+    """Everything in the folder of a study.
+
+    Attributes
+    ----------
+    results : Results
+        results.json.
+    spreads : list of Spread
+        Of scores.csv.
+    live : mapping of filter to mapping
+        predict_ms and predict_and_update_ms of live filters, of timings.json.
+    rival_times : mapping of variant to mapping
+        Of timings.json: training_s (processor time of a trial) and sample_us (of an IMU sample).
+    tracks : list of Tracks
+        tracks.npz.
+    versions : mapping of str to str
+        Of the software, as its tunings state them.
+    """
+
+    results: Results
+    spreads: list[Spread]
+    live: Times = field(default_factory=dict[str, dict[str, float]])
+    rival_times: Times = field(default_factory=dict[str, dict[str, float]])
+    tracks: list[Tracks] = field(default_factory=list[Tracks])
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @classmethod
+    def read(cls, folder: Path) -> "StudyRecord":
+        """Read the folder of a study.
+
+        Raises
+        ------
+        InputError
+            If a file in it is missing or damaged.
+        """
+        timings, tracks = folder / "timings.json", folder / "tracks.npz"
+        times = load_record(_Timings, timings) if timings.exists() else _Timings()
+        configs = sorted(folder.glob("trials/*/config.json"))
+        return cls(
+            load_record(Results, folder / "results.json"),
+            read_spreads(folder),
+            times.live_filter,
+            times.rivals,
+            load_tracks(tracks) if tracks.exists() else [],
+            load_record(_TuningConfig, configs[0]).versions if configs else {},
+        )

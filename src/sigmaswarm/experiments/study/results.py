@@ -1,6 +1,6 @@
-"""The results of a study: statistics of its scores and tunings."""
+"""The results of a study: statistics of its scores, tunings and networks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -19,12 +19,23 @@ from sigmaswarm.experiments.statistics import (
     trial_interval,
     trial_means,
 )
-from sigmaswarm.experiments.study.config import ALL, MAIN, PROTOCOLS, UNTUNED, StudyConfig
+from sigmaswarm.experiments.study.config import (
+    ALL,
+    BESIDE,
+    MAIN,
+    PAPER_RESULTS,
+    PROTOCOLS,
+    UNTUNED,
+    StudyConfig,
+)
 from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.paper import PAPER_RESULTS
+from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.experiments.study.record import (
     Convergence,
+    CurvePoint,
     DriveCount,
+    Effort,
+    ElsewhereSummary,
     PairedComparison,
     PairedStatistics,
     Results,
@@ -34,13 +45,13 @@ from sigmaswarm.experiments.study.record import (
     Variant,
     VariantSummary,
 )
-from sigmaswarm.experiments.study.scores import ScoreTable, labels_of, measures_of
+from sigmaswarm.experiments.study.scores import ScoreTable
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
 
 STABLE = 0.01
-"""Share of its last value within which a convergence counts as stable."""
+"""Relative distance from the last cost within which a search has settled."""
 
 
 def results_of(
@@ -51,7 +62,7 @@ def results_of(
     scores: ScoreTable,
     rivals: RivalResults | None = None,
 ) -> Results:
-    """Everything that results.json says."""
+    """Return the content of results.json."""
     known: Known = {}
     return Results(
         config=design.config,
@@ -59,38 +70,47 @@ def results_of(
             count=len(design.drives), strata=len(set(design.strata)), fingerprint=design.fingerprint()
         ),
         protocols=PROTOCOLS,
-        methods=labels_of(design.config),
-        measures=measures_of(design.config),
+        methods={name: method.label for name, method in design.config.methods.items()},
+        measures=design.config.measures,
         summary=list(_summaries(scores, known)),
         comparisons=list(_comparisons(scores, known)),
-        tunings=[_tuning(task, trials[task], parameters[task], touched[task]) for task in trials],
+        tunings=[
+            TrialTuning(
+                protocol=task.protocol,
+                method=task.method,
+                group=task.group,
+                trial=task.trial,
+                cost=trial.cost,
+                parameters=parameters[task].to_dict(),
+                touched_bounds=touched[task],
+                evaluations=trial.evaluations,
+                failures=trial.failures,
+                folder=f"trials/{task.folder}/trial-{task.trial:03d}",
+            )
+            for task, trial in trials.items()
+        ],
         convergence=list(_convergences(trials)),
         paper=PAPER_RESULTS,
         rivals=rivals,
     )
 
 
-def _ratio(design: Design) -> float:
-    train, test = design.split(0)
-    return len(test) / len(train)
-
-
-def resampling(design: Design) -> np.random.Generator:
-    """The bootstrap's source of chance: the same for each figure, so that none depends on the others."""
+def _rng(design: Design) -> np.random.Generator:
+    """Return the bootstrap's generator, the same for each figure, so that none depends on the others."""
     return np.random.default_rng(design.config.seed)
 
 
 def _summaries(scores: ScoreTable, known: Known) -> Iterator[VariantSummary]:
-    """Of every variant and measure, over all conditions and in each."""
+    """Summarize every variant and measure, over all conditions and in each."""
     design = scores.design
-    ratio = _ratio(design)
+    train, test = design.split(0)
     each = dict.fromkeys(condition for condition in design.conditions if condition != (ALL, ALL))
     for (protocol, method), measures in scores.values.items():
         for measure, values in measures.items():
             for place in ((ALL, ALL), *each):
                 chosen = [i for i, c in enumerate(design.conditions) if place in ((ALL, ALL), c)]
                 strata = [design.strata[i] for i in chosen]
-                found = summarize(values[:, chosen], strata, ratio, resampling(design), known)
+                found = summarize(values[:, chosen], strata, len(test) / len(train), _rng(design), known)
                 if found.n_drives:
                     of = {"protocol": protocol, "method": method, "measure": measure}
                     yield VariantSummary(**of, maneuver=place[0], environment=place[1], **dict(found))
@@ -103,7 +123,7 @@ def summarize(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> ScoreStatistics:
-    """Mean, spread and intervals of scores (trials, drives); ``test_per_train`` is the ratio of the split's sizes."""
+    """Compute mean, spread and intervals of scores (trials, drives); ``test_per_train`` is a ratio of drives."""
     each, drives = trial_means(values), drive_means(values)
     each = each[~np.isnan(each)]
     return ScoreStatistics(
@@ -118,33 +138,33 @@ def summarize(
 
 
 def _comparisons(scores: ScoreTable, known: Known) -> Iterator[PairedComparison]:
-    """The PSO-UKF of each protocol against every other method that is untuned or tuned under the same one."""
+    """Compare the PSO-UKF of each protocol with every method without tuning or tuned under the same protocol."""
     for protocol in PROTOCOLS:
         others = [v for v in scores.values if v[0] in (UNTUNED, protocol) and v[1] != MAIN]
-        for measure in compared_measures(scores.design.config):
-            yield from against(scores, (protocol, MAIN), measure, others, known)
+        for measure in _compared(scores.design.config):
+            yield from _against(scores, (protocol, MAIN), measure, others, known)
 
 
-def compared_measures(config: StudyConfig) -> list[str]:
-    """All but NIS, of which neither low nor high is better."""
-    return [measure for measure in measures_of(config) if measure != "nis"]
+def _compared(config: StudyConfig) -> list[str]:
+    """All measures but NIS, where neither low nor high is better."""
+    return [measure for measure in config.measures if measure != "nis"]
 
 
-def against(
+def _against(
     scores: ScoreTable,
     variant: Variant,
     measure: str,
     others: Sequence[Variant],
     known: Known | None = None,
 ) -> Iterator[PairedComparison]:
-    """A variant against others; p is corrected over these."""
+    """Compare a variant with others; p is corrected over these."""
     design, (protocol, method) = scores.design, variant
     own = scores.values[variant][measure]
     found: dict[str, PairedStatistics] = {}
     for other in others:
         theirs = scores.values[other].get(measure)
         if theirs is not None and np.any(np.isfinite(theirs)):
-            found[other[1]] = compare_paired(own, theirs, design.strata, resampling(design), known)
+            found[other[1]] = compare_paired(own, theirs, design.strata, _rng(design), known)
     corrected = holm([row.p for row in found.values()])
     for (other, row), p in zip(found.items(), corrected, strict=True):
         yield PairedComparison(
@@ -159,7 +179,7 @@ def compare_paired(
     rng: np.random.Generator,
     known: Known | None = None,
 ) -> PairedStatistics:
-    """A method against another on the drives that both have a value for; each of shape (trials, drives)."""
+    """Compare two methods, scores (trials, drives), on the drives with a value of both."""
     a, b = drive_means(method), drive_means(other)
     both = np.isfinite(a) & np.isfinite(b)
     a, b, kept = a[both], b[both], [s for s, k in zip(strata, both, strict=True) if k]
@@ -175,25 +195,8 @@ def compare_paired(
     )
 
 
-def _tuning(
-    task: Task, trial: Trial, parameters: FilterParameters, touched: list[TouchedBound]
-) -> TrialTuning:
-    return TrialTuning(
-        protocol=task.protocol,
-        method=task.method,
-        group=task.group,
-        trial=task.trial,
-        cost=trial.cost,
-        parameters=parameters.to_dict(),
-        touched_bounds=touched,
-        evaluations=trial.evaluations,
-        failures=trial.failures,
-        folder=f"trials/{task.folder}/trial-{task.trial:03d}",
-    )
-
-
 def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
-    """Over the trials of every tuned variant and group."""
+    """Compute the convergence of every tuned variant and group."""
     best: dict[tuple[str, str, str], list[Array]] = {}
     for task, trial in trials.items():
         best.setdefault((task.protocol, task.method, task.group), []).append(trial.best)
@@ -206,11 +209,115 @@ def _convergences(trials: Mapping[Task, Trial]) -> Iterator[Convergence]:
             low=low.tolist(),
             median=median.tolist(),
             high=high.tolist(),
-            stable=stable_generation(median),
+            stable=_stable_generation(median),
         )
 
 
-def stable_generation(costs: Array) -> int:
-    """The first generation, from 1 on, from which on the cost stays within 1% of its last value."""
+def _stable_generation(costs: Array) -> int:
+    """Return the first generation, counted from 1, after which the cost stays within 1% of its last value."""
     away = np.abs(costs - costs[-1]) > STABLE * abs(float(costs[-1]))
     return int(np.flatnonzero(away)[-1]) + 2 if away.any() else 1
+
+
+def rival_results(
+    trials: Mapping[Task, Trial],
+    networks: Mapping[Training, Trained],
+    scores: ScoreTable,
+    elsewhere: Mapping[str, ScoreTable],
+    curve: Mapping[str, Array],
+) -> RivalResults:
+    """Return the results of a study with rivals.
+
+    ``curve``: scores of the networks of the learning curves, in their order, shape (networks, drives) each.
+    """
+    whole = {training.task: found for training, found in networks.items() if training.minutes is None}
+    less = [(training, found) for training, found in networks.items() if training.minutes is not None]
+    return RivalResults(
+        efforts=list(_efforts(scores.design, trials, whole)),
+        gains=list(_gains(scores, whole)),
+        elsewhere=[
+            row for place, table in elsewhere.items() for row in _elsewhere(place, table, scores.design)
+        ],
+        curve=list(_curve(scores, whole, less, curve)),
+    )
+
+
+def _efforts(
+    design: Design, trials: Mapping[Task, Trial], networks: Mapping[Task, Trained]
+) -> Iterator[Effort]:
+    """Sum up the data and numbers behind each variant; a network's include those of its filter."""
+
+    def labelled(trial: int) -> float:
+        times = [design.prepared[i].drive.imu.time for i in design.split(trial)[0]]
+        return sum(float(time[-1] - time[0]) for time in times)
+
+    truth = float(np.mean([labelled(trial) for trial in range(design.config.trials)]))
+    numbers: dict[Variant, float] = {task.variant: float(len(trial.point)) for task, trial in trials.items()}
+    learned: dict[Variant, float] = {}
+    for variant in dict.fromkeys(task.variant for task in networks):
+        own = [network for task, network in networks.items() if task.variant == variant]
+        learned[variant] = float(np.mean([network.driven for network in own]))
+        trained = float(np.mean([network.learned.record.network.numbers for network in own]))
+        numbers[variant] = numbers[variant[0], BESIDE] + trained
+    for (protocol, method), count in numbers.items():
+        yield Effort(
+            protocol=protocol,
+            method=method,
+            labelled_s=truth,
+            learned_s=learned.get((protocol, method)),
+            numbers=count,
+        )
+
+
+def _gains(scores: ScoreTable, networks: Iterable[Task]) -> Iterator[PairedComparison]:
+    """Compare each network with its filter, drive by drive, in the measures that it changes."""
+    for protocol, method in dict.fromkeys(task.variant for task in networks):
+        for measure in _compared(scores.design.config):
+            own, alone = (scores.values[protocol, m].get(measure) for m in (method, BESIDE))
+            if own is None or alone is None or np.allclose(own, alone, rtol=1e-9, atol=0.0, equal_nan=True):
+                continue
+            yield from _against(scores, (protocol, method), measure, [(protocol, BESIDE)])
+
+
+def _elsewhere(place: str, scores: ScoreTable, home: Design) -> Iterator[ElsewhereSummary]:
+    """Summarize every variant and measure over all drives of one place."""
+    design = scores.design
+    ratio = len(design.drives) / len(home.split(0)[0])
+    for (protocol, method), measures in scores.values.items():
+        for measure, values in measures.items():
+            found = summarize(values, design.strata, ratio, _rng(home))
+            if found.n_drives:
+                of = {"place": place, "protocol": protocol, "method": method, "measure": measure}
+                yield ElsewhereSummary(**of, maneuver=ALL, environment=ALL, **dict(found))
+
+
+def _curve(
+    scores: ScoreTable,
+    networks: Mapping[Task, Trained],
+    less: Sequence[tuple[Training, Trained]],
+    curve: Mapping[str, Array],
+) -> Iterator[CurvePoint]:
+    """Score each network of the first trial after no training, after parts of it, and after all of it."""
+    for task, whole in networks.items():
+        if task.trial:
+            continue
+        first = {
+            m: {k: values[0] for k, values in scores.values[task.protocol, m].items()}
+            for m in (BESIDE, task.method)
+        }
+        points = [(0.0, first[BESIDE])]
+        for k, (training, found) in enumerate(less):
+            if training.network == task.method:
+                points.append((found.driven, {measure: values[k] for measure, values in curve.items()}))
+        for driven, each in [*points, (whole.driven, first[task.method])]:
+            for measure, values in each.items():
+                known = np.flatnonzero(~np.isnan(values))
+                strata = [scores.design.strata[i] for i in known]
+                yield CurvePoint(
+                    method=task.method,
+                    minutes=round(driven / 60.0, 3),
+                    measure=measure,
+                    mean=float(np.mean(values[known])) if len(known) else None,
+                    interval=bootstrap(np.asarray, [values[known]], strata, _rng(scores.design)),
+                    n_drives=len(known),
+                )

@@ -1,4 +1,4 @@
-"""The time that a study took, and that one update of each filter costs: kept apart from what is the same each time."""
+"""The duration of a study and of an update of each filter: the only results that differ between two runs."""
 
 import json
 import os
@@ -10,28 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Drive
 from sigmaswarm.drives.prepared import PreparedDrive
 from sigmaswarm.experiments.study.design import Design, Task
-from sigmaswarm.experiments.study.networks import Taught, Training
+from sigmaswarm.experiments.study.networks import Trained, Training
 from sigmaswarm.files import write_json
 from sigmaswarm.filters.live import LiveFilter
-from sigmaswarm.filters.parameters import FilterKind, FilterParameters
+from sigmaswarm.filters.parameters import FilterKind, FilterParameters, ModelName
 from sigmaswarm.filters.presets import DEFAULTS
 from sigmaswarm.filters.recording import Recording
 from sigmaswarm.scoring.targets import tracking_replay
 
-LIVE: dict[str, tuple[FilterKind, int]] = {
-    "EKF": ("ekf", 5),
-    "adaptive UKF": ("adaptive-ukf", 5),
-    "UKF": ("ukf", 5),
-    "UKF, planar8": ("ukf", 8),
+LIVE: dict[str, tuple[FilterKind, ModelName]] = {
+    "EKF": ("ekf", "planar5"),
+    "adaptive UKF": ("adaptive-ukf", "planar5"),
+    "UKF": ("ukf", "planar5"),
+    "UKF, planar8": ("ukf", "planar8"),
 }
-"""The filters whose updates are timed: kind and number of states."""
+"""Filter type and model of the filters whose updates are timed."""
 
 
 class Stopwatch:
-    """Wall and processor time, lap by lap; that of forks, too, once they have ended."""
+    """Measure wall and processor time, lap by lap; that of child processes once they have ended."""
 
     def __init__(self) -> None:
         self.laps: dict[str, dict[str, float]] = {}
@@ -50,53 +49,56 @@ def _processor_time() -> float:
 
 @contextmanager
 def kept_time(file: Path) -> Generator[None]:
-    """Keep the processor seconds that this thread takes in a file of the form of a training's timings.json."""
+    """Write the processor time of this thread in the block, as a training does, to timings.json."""
     began = time.thread_time()
     yield
     write_json(file, {"processor_s": time.thread_time() - began})
 
 
 def rival_times(
-    out: Path, design: Design, parameters: Mapping[Task, FilterParameters], taught: Mapping[Task, Taught]
+    out: Path,
+    design: Design,
+    parameters: Mapping[Task, FilterParameters],
+    networks: Mapping[Training, Trained],
 ) -> dict[str, dict[str, float]]:
-    """Processor time of every tuned or trained variant, as ``honest-pso-ukf``.
+    """Return processor times of every tuned or trained variant, as ``honest-pso-ukf``.
 
-    ``training_s``: s of a trial, a network's without its filter's; ``sample_us``: us of an IMU sample, over a whole
-    drive. A training or tuning that was killed counts from where it was gone on with.
+    ``training_s``: s of a trial, a network's without its filter's; ``sample_us``: us of an IMU sample over a whole
+    drive. A training or tuning that was killed counts from where it was resumed.
     """
-    folders = {task: out / "trials" / task.folder / f"trial-{task.trial:03d}" for task in parameters}
-    folders |= {task: out / Training(task.method, task.trial).folder for task in taught}  # pyright: ignore
-    spent: dict[str, list[float]] = {}
-    for task, folder in folders.items():
-        spent.setdefault(task.folder, []).append(_spent(folder))
-    known = {name: [s for s in each if np.isfinite(s)] for name, each in spent.items()}
-    found = {name: {"training_s": float(np.mean(each))} if each else {} for name, each in known.items()}
+    runs: list[tuple[Task, Path, Trained | FilterParameters]] = [
+        (task, out / "trials" / task.folder / f"trial-{task.trial:03d}", own)
+        for task, own in parameters.items()
+    ]
+    runs += [(t.task, out / t.folder, own) for t, own in networks.items() if t.minutes is None]
+    found: dict[str, dict[str, float]] = {}
+    for name in dict.fromkeys(task.folder for task, _, _ in runs):
+        spent = [s for task, folder, _ in runs if task.folder == name for s in _spent(folder)]
+        found[name] = {"training_s": float(np.mean(spent))} if spent else {}
     ready = design.prepared[design.split(0)[1][0]]
-    for task in folders:
+    for task, _, own in runs:
         if task.trial == 0:
-            run = taught.get(task) or parameters[task]
-            found[task.folder]["sample_us"] = _sample_us(run, ready)
+            found[task.folder]["sample_us"] = _sample_us(own, ready)
     return found
 
 
-def _spent(folder: Path) -> float:
-    """Processor seconds; NaN where nobody kept them."""
+def _spent(folder: Path) -> list[float]:
+    """Read the processor time, if it was written."""
     try:
-        return float(json.loads((folder / "timings.json").read_text())["processor_s"])
+        spent = float(json.loads((folder / "timings.json").read_text())["processor_s"])
     except (OSError, ValueError, KeyError, TypeError):
-        return float("nan")
+        return []
+    return [spent] if np.isfinite(spent) else []
 
 
-def _sample_us(run: Taught | FilterParameters, ready: PreparedDrive) -> float:
-    """us of processor time an IMU sample, the second time."""
+def _sample_us(own: Trained | FilterParameters, ready: PreparedDrive) -> float:
+    """Measure the processor time of an IMU sample, us, in the second of two runs."""
     took = 0.0
     for _ in range(2):
         replay = tracking_replay(ready)
         began = time.process_time()
-        if isinstance(run, Taught):
-            run.learned.run(replay, run.parameters).finished()
-        else:
-            Recording(replay, run).finished()
+        run = own.learned.run(replay, own.parameters) if isinstance(own, Trained) else Recording(replay, own)
+        run.finished()
         took = 1e6 * (time.process_time() - began) / len(replay.timeline.imu_time)
     return took
 
@@ -104,9 +106,12 @@ def _sample_us(run: Taught | FilterParameters, ready: PreparedDrive) -> float:
 def write_timings(
     out: Path, design: Design, watch: Stopwatch, rivals: Mapping[str, Mapping[str, float]]
 ) -> dict[str, dict[str, float]]:
-    """Add this run's laps to timings.json: a study that was interrupted has several, and a killed run leaves none.
+    """Append this run's laps to timings.json, one entry for each run that was not killed.
 
-    Returns the times of the live filters, ms.
+    Returns
+    -------
+    dict
+        The times of the live filters, ms.
     """
     file = out / "timings.json"
     try:
@@ -120,45 +125,39 @@ def write_timings(
 
 
 def _all_live_times(ready: PreparedDrive) -> dict[str, dict[str, float]]:
-    return {name: _live_times(ready, kind, n) for name, (kind, n) in LIVE.items()}
+    return {name: _live_times(ready, kind, model) for name, (kind, model) in LIVE.items()}
 
 
-def _live_times(ready: PreparedDrive, kind: FilterKind, n_states: int) -> dict[str, float]:
-    """ms per IMU sample, and per sample that absorbs a fix: medians over a drive, one call at a time."""
-    parameters = _parameters(kind, n_states)
-    drive, initial = ready.drive, ready.initial
-    plain, absorbing = [], []
+def _live_times(ready: PreparedDrive, kind: FilterKind, model: ModelName) -> dict[str, float]:
+    """Measure ms per IMU sample, and per sample with a fix: medians over a drive, one call at a time."""
+    drive, start = ready.drive, ready.initial.time
+    biases = (1e-8,) * (3 if model == "planar8" else 0)
+    q, r = (*DEFAULTS.process_noise, *biases), DEFAULTS.measurement_noise
+    parameters = FilterParameters(0.1, 2.0, 0.0, q, r, model, kind=kind)
+    rows = np.column_stack([drive.imu.time, drive.imu.ax, drive.imu.ay, drive.imu.gz]).tolist()
+    plain, updating = list[float](), list[float]()
     for _ in range(2):  # the first round warms up
         live = LiveFilter(
-            parameters, initial, nominal_interval=drive.nominal_interval, as_recorded=ready.as_recorded
+            parameters,
+            ready.initial,
+            nominal_interval=drive.nominal_interval,
+            as_recorded=ready.as_recorded,
         )
-        plain, absorbing = _one_round(live, drive, initial.time)
-    return {"predict_ms": _median_ms(plain), "predict_and_update_ms": _median_ms(absorbing)}
-
-
-def _one_round(live: LiveFilter, drive: Drive, start: float) -> tuple[list[float], list[float]]:
-    fixes = list(zip(drive.gps.time.tolist(), drive.gps.x.tolist(), drive.gps.y.tolist(), strict=True))[::-1]
-    rows = np.column_stack([drive.imu.time, drive.imu.ax, drive.imu.ay, drive.imu.gz]).tolist()
-    plain: list[float] = []
-    absorbing: list[float] = []
-    for t, *imu in rows:
-        due = bool(fixes) and fixes[-1][0] <= t
-        began = time.perf_counter()
-        if due:
-            fix = fixes.pop()
-            live.update(fix[0], fix[1:])
-        live.predict(t, imu)
-        if t > start:
-            (absorbing if due else plain).append(time.perf_counter() - began)
-    return plain, absorbing
+        fixes = list(zip(*(a.tolist() for a in (drive.gps.time, drive.gps.x, drive.gps.y)), strict=True))[
+            ::-1
+        ]
+        plain, updating = [], []
+        for t, *imu in rows:
+            due = bool(fixes) and fixes[-1][0] <= t
+            began = time.perf_counter()
+            if due:
+                fix = fixes.pop()
+                live.update(fix[0], fix[1:])
+            live.predict(t, imu)
+            if t > start:
+                (updating if due else plain).append(time.perf_counter() - began)
+    return {"predict_ms": _median_ms(plain), "predict_and_update_ms": _median_ms(updating)}
 
 
 def _median_ms(seconds: list[float]) -> float:
     return float(1e3 * np.median(seconds)) if seconds else float("nan")
-
-
-def _parameters(kind: FilterKind, n_states: int) -> FilterParameters:
-    if n_states == 5:
-        return FilterParameters(0.1, 2.0, 0.0, DEFAULTS.process_noise, DEFAULTS.measurement_noise, kind=kind)
-    q = (*DEFAULTS.process_noise, 1e-8, 1e-8, 1e-8)
-    return FilterParameters(0.1, 2.0, 0.0, q, DEFAULTS.measurement_noise, "planar8", kind=kind)

@@ -1,4 +1,4 @@
-"""Tracks of a study: a few drives that its best trial held back, by the filters that this trial tuned."""
+"""Tracks of a study: a few test drives of its best trial, by the filters tuned in it."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -19,16 +19,16 @@ FOLLOWED: tuple[tuple[ProtocolName, str], ...] = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocol and method of the filters whose tracks are kept; a series is called by both, ``honest-pso-ukf``."""
+"""Protocol and method of the filters whose tracks are saved, as series ``honest-pso-ukf``."""
 MOST_DRIVES = 10
 MOST_POINTS = 700
-"""Of a series: with more, the tracks would be most of the page."""
+"""Of a series, to limit the size of the page."""
 
 
 def follow(
     design: Design, parameters: Mapping[Task, FilterParameters], trial: int
 ) -> tuple[list[Tracks], Picture]:
-    """Tracks of some of the drives that a trial held back, and of the first one what a printed picture shows."""
+    """Record tracks on some test drives of a trial, and the data of the figures on the first."""
     tracks: list[Tracks] = []
     pictures: list[Picture] = []
     for i in shown_drives(design, trial):
@@ -42,7 +42,7 @@ def follow(
 def _followed(
     ready: PreparedDrive, tuned: Mapping[str, FilterParameters], *, drawn: bool
 ) -> tuple[Tracks, Picture | None]:
-    """Tracks of one drive, and what a printed picture shows of it, if it is to be ``drawn``."""
+    """Record the tracks of one drive, and the data of the figures if it is ``drawn``."""
     name = ready.drive.name
     replay, tracker = tracking_replay(ready), Tracker(ready, MOST_POINTS, picture=drawn)
     by_hand = {method: manual(method, ready.drive) for method in MANUAL}
@@ -53,10 +53,10 @@ def _followed(
 
 
 def shown_drives(design: Design, trial: int) -> list[int]:
-    """Indices of drives that a trial held back: one of each condition, or of each maneuver where these are many.
+    """Choose test drives of a trial: one of each condition, or of each maneuver where conditions are many.
 
-    Each maneuver's comes from another part of its drives, so that environments differ, too; one that turns comes first.
-    Of drives that name no condition the first ones are taken.
+    Each maneuver's comes from another part of its drives, so that environments differ; one with turns comes first. The
+    first drives are taken where none states its condition.
     """
     _, test = design.split(trial)
     named = {i: design.conditions[i] for i in test}

@@ -1,4 +1,4 @@
-"""What is wrong with a model on a log, found before anything runs: one sentence each."""
+"""Checks of a model on a log before anything runs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ TRIAL_SCALING = {"alpha": 0.5, "beta": 2.0, "kappa": 1.0}
 
 
 def trial_parameters(model: Model) -> dict[str, float]:
-    """A filter from the middle of the box, to try the model's functions with."""
+    """Parameters from the middle of the bounds, to try the model's functions with."""
     middle = {
         t.name: float(np.sqrt(t.lowest * t.highest) if t.logarithmic else (t.lowest + t.highest) / 2)
         for t in model.parameters
@@ -27,7 +27,7 @@ def check(model: Model, log: Log) -> None:
     Raises
     ------
     InputError
-        Saying which function gives what, and what is needed.
+        With the function, its result, and what is needed.
     """
     n, m = len(model.states), log.measurements.shape[1]
     if len(log.mean) != n:

@@ -1,4 +1,4 @@
-"""A hash of functions: the same code with the same numbers gives the same hash, in every process."""
+"""Hash of functions: equal code with equal numbers gives an equal hash in every process."""
 
 import hashlib
 from functools import partial
@@ -9,9 +9,9 @@ import numpy as np
 
 
 def fingerprint(*things: Any) -> str:
-    """A hash of values and of functions: their bytecode, and the values that they take from outside.
+    """Hash values and functions: their bytecode, and the outside values that they use.
 
-    Bytecode, not source: it is there for a lambda and in a notebook too, and comments do not change it.
+    Bytecode, not source: lambdas and notebooks have it, too, and comments do not change it.
     """
     digest = hashlib.sha256()
     seen: set[int] = set()
@@ -55,6 +55,6 @@ def _add(digest: Any, thing: Any, seen: set[int]) -> None:
 
 
 def _names(code: CodeType) -> set[str]:
-    """Names that a function may look up outside of itself, those of functions within it included."""
+    """Outside names that a function may use, with those of its inner functions."""
     inner = (_names(c) for c in code.co_consts if isinstance(c, CodeType))
     return set(code.co_names).union(*inner)

@@ -1,11 +1,11 @@
-"""A log: what the sensors said, for a model of the user's own."""
+"""A log of sensors for a user's model, and its clocks merged into the steps of a filter."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -13,7 +13,7 @@ from sigmaswarm.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What the sensors said in one recording, where a filter starts, and what was true where that is known.
+    """One recording: inputs, measurements, the start of a filter, and the truth where it is known.
 
     The filter steps at ``time``; the inputs at t_k drive the step from t_(k-1) to t_k. A measurement in between splits
     that step, as in drives. Measurements outside of ``time`` are left out.
@@ -28,9 +28,9 @@ class Log:
     measurements : ndarray, shape (f, m)
         (f,) stands for (f, 1).
     mean, covariance : ndarray, shapes (n,), (n, n)
-        Of the state at ``time[0]``: where the filter starts. Not taken from truth, or the filter has seen it.
+        Of the state at ``time[0]``, where the filter starts. They must not be taken from truth.
     inputs : ndarray, shape (k, u), optional
-        What drives the process; (k,) stands for (k, 1). None: nothing does, and f gets an empty array.
+        Inputs of the process; (k,) stands for (k, 1). None: f gets an empty array.
     truth : mapping of str to ndarray, shape (j,)
         True values of some or all states, by name. Never shown to a filter.
     truth_time : ndarray, shape (j,), optional
@@ -78,7 +78,7 @@ class Log:
             )
 
     def wrong(self, what: str) -> InputError:
-        """The error that says what is wrong with this log."""
+        """Make the error for a fault of this log."""
         return InputError(f"log {self.name}: {what}")
 
     def _keep(self, name: str, column: Array) -> Array:
@@ -131,3 +131,56 @@ class Log:
             sound = False
         if not sound:
             raise self.wrong("covariance is not symmetric and positive definite; start from a diagonal one")
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of a filter over a log.
+
+    The first step has length zero, for a measurement at the very start.
+
+    Attributes
+    ----------
+    dt : (k,) s
+    source : (k,) int: the row of the inputs that drives each step
+    absorbs : (k,) int: the row of ``measurements`` for the update at the step's end, or -1
+    records : (k,) int: the row of the log's ``time`` at which the step ends, or -1
+    inputs : (i, u)
+    measurements : (f, m), those within the log's time
+    measurement_time : (f,) s
+    mean, covariance : (n,), (n, n), the start
+    """
+
+    dt: Array
+    source: NDArray[np.int64]
+    absorbs: NDArray[np.int64]
+    records: NDArray[np.int64]
+    inputs: Array
+    measurements: Array
+    measurement_time: Array
+    mean: Array
+    covariance: Array
+
+
+def build_steps(log: Log) -> Steps:
+    """Merge a log's ``time`` and its measurements into steps."""
+    usable = (log.measurement_time >= log.time[0]) & (log.measurement_time <= log.time[-1])
+    moments = log.measurement_time[usable]
+    ends = np.union1d(log.time, moments)
+    return Steps(
+        dt=np.diff(ends, prepend=ends[0]),
+        source=np.searchsorted(log.time, ends).astype(np.int64),  # the first input at or after the step's end
+        absorbs=_rows(moments, ends),
+        records=_rows(log.time, ends),
+        inputs=log.inputs if log.inputs is not None else np.empty((len(log.time), 0)),
+        measurements=log.measurements[usable],
+        measurement_time=moments,
+        mean=log.mean,
+        covariance=log.covariance,
+    )
+
+
+def _rows(times: Array, ends: Array) -> NDArray[np.int64]:
+    """The row of ``times`` that each of ``ends`` is, or -1."""
+    found = np.isin(ends, times)
+    return np.where(found, np.cumsum(found) - 1, -1).astype(np.int64)

@@ -1,4 +1,4 @@
-"""What a model of the user's own is: states, functions, and the parameters that are tuned."""
+"""Users' models: states, functions, and the parameters that are tuned."""
 
 import keyword
 import math
@@ -16,7 +16,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.custom.identity import fingerprint
 
 SCALING_NAMES = ("alpha", "beta", "kappa")
-"""Scaling of the sigma points: in the box of every unscented filter, beside the model's own parameters."""
+"""Scaling of the sigma points, which is searched with the model's parameters for every unscented filter."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Tunable:
     logarithmic : bool
         Search it in log10, as is right for what spans powers of ten: variances, time constants.
     unit : str
-        For whoever reads the result.
+        Shown in results.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Tunable:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A process and a measurement of the user's own, and what is to be tuned in them.
+    """A user's process and measurement, and the parameters that are tuned in them.
 
     ``p`` holds the values of ``parameters``, each under its name: ``p.length``. Plain functions of numbers and NumPy
     arrays are compiled with Numba; others run too, some hundred times slower.
@@ -169,11 +169,11 @@ class Model:
         return self.record(*(float(parameters[name]) for name in known))
 
     def places(self, names: Sequence[str]) -> list[int]:
-        """Where states stand in the state vector."""
+        """Indices of states in the state vector."""
         return [self.states.index(name) for name in names]
 
     def identity(self) -> dict[str, Any]:
-        """What tells this model from others, in plain types: names, bounds, and a hash of it all."""
+        """Identity of this model in plain types: names, bounds, and a hash of all of it."""
         plain: dict[str, Any] = {
             "name": self.name,
             "kind": self.kind,
@@ -188,7 +188,7 @@ class Model:
 
 
 def as_covariance(noise: Any) -> Array:
-    """Q or R, (n, n), of what a model's function gives: itself, or its diagonal."""
+    """Q or R, (n, n), from a matrix or its diagonal."""
     noise = np.asarray(noise, dtype=np.float64)
     return np.diag(noise) if noise.ndim == 1 else noise
 

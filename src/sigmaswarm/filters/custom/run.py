@@ -1,4 +1,4 @@
-"""Filters of the user's own over logs: compiled where that can be, in the textbook's form where not."""
+"""Filters of users' models over logs: compiled where possible, in textbook form otherwise; and their smoother."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -13,22 +13,21 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmWarning
 from sigmaswarm.filters.compiled.custom import build_kernel
 from sigmaswarm.filters.custom.checks import check, trial_parameters
-from sigmaswarm.filters.custom.log import Log
+from sigmaswarm.filters.custom.log import Log, Steps, build_steps
 from sigmaswarm.filters.custom.model import SCALING_NAMES, Model, as_covariance
-from sigmaswarm.filters.custom.steps import Steps, build_steps
 from sigmaswarm.filters.textbook.custom import TextbookModel
-from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps
+from sigmaswarm.filters.textbook.loop import FAILURES, Trajectory, run_steps, smooth_steps
 from sigmaswarm.geodesy import wrap_angle
 
 TRIED = 20
-"""Steps that both filters take before the compiled one is trusted with a user's functions."""
+"""Steps over which the compiled filter is compared with the textbook filter before it is used."""
 SAME = 1e-6
-"""How far apart, in standard deviations, they may end: rounding is far below, another meaning far above."""
+"""Largest difference, in standard deviations: rounding is far below, a wrong translation far above."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelEstimate:
-    """What a filter of the user's own believed at each of a log's times, after all measurements up to then.
+    """Estimates of a user's filter at each of a log's times, after all measurements up to then.
 
     Attributes
     ----------
@@ -39,7 +38,7 @@ class ModelEstimate:
     measurement_time : ndarray, shape (f,)
         s, of the measurements within ``time``.
     nis, nll : ndarray, shape (f,)
-        Of each measurement before it is absorbed: normalized innovation squared, whose mean is m for a consistent
+        Of each measurement before its update: normalized innovation squared, whose mean is m for a consistent
         filter, and negative log-likelihood.
     failure : str or None
         What went wrong and when; None where nothing did.
@@ -60,7 +59,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     Parameters
     ----------
     log : Log
-        Its truth, if any, is not looked at.
+        Its truth, if any, is not used.
     model : Model
     parameters : mapping of str to float
         By name, as `Tuning.parameters` has them: the model's, and alpha, beta, kappa for an unscented filter.
@@ -75,11 +74,50 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
     InputError
         If model, log and parameters do not fit together.
     """
-    model.values(parameters)  # a wrong name is told before anything is compiled
+    model.values(parameters)  # a wrong name is reported before anything is compiled
     runner = Runner(model, [log])
-    run = runner.run(0, parameters, covariances=True)
-    run.mean[:, model.places(model.angles)] = wrap_angle(run.mean[:, model.places(model.angles)])
-    steps = runner.steps[0]
+    return _estimate(log, model, runner.steps[0], runner.run(0, parameters, covariances=True))
+
+
+def smooth_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelEstimate:
+    """Run the filter of a model of your own over a log, and smooth: each estimate uses all measurements.
+
+    H. E. Rauch, F. Tung and C. T. Striebel, AIAA Journal 3(8), 1965; S. Sarkka, IEEE TAC 53(3), 2008. It is in NumPy,
+    some hundred times slower than `run_model`, since it needs every prediction.
+
+    Parameters
+    ----------
+    log, model, parameters
+        As in `run_model`.
+
+    Returns
+    -------
+    ModelEstimate
+        ``nis`` and ``nll`` are the filter's. With ``failure`` set where it failed; estimates before are smoothed.
+
+    Raises
+    ------
+    InputError
+        If model, log and parameters do not fit together.
+    """
+    model.values(parameters)
+    check(model, log)
+    steps = build_steps(log)
+    smoothed, failed = _nothing(steps, covariances=True), 0
+    stepper = _textbook(model, steps, parameters)
+    if stepper is not None:
+        found = smooth_steps(stepper, len(steps.dt))
+        failed, smoothed = found.failed, replace(smoothed, nis=stepper.nis, nll=stepper.nll)
+        records = steps.records[: len(found.mean) - 1]
+        at = np.flatnonzero(records >= 0)
+        smoothed.mean[records[at]] = found.mean[at + 1]
+        smoothed.covariance[records[at]] = found.covariance[at + 1]
+    return _estimate(log, model, steps, replace(smoothed, failed=failed))
+
+
+def _estimate(log: Log, model: Model, steps: Steps, run: "Filtered") -> ModelEstimate:
+    angles = model.places(model.angles)
+    run.mean[:, angles] = wrap_angle(run.mean[:, angles])
     failure = failure_in(log, steps, run.failed)
     return ModelEstimate(
         log.time, run.mean, run.covariance, steps.measurement_time, run.nis, run.nll, failure
@@ -87,7 +125,7 @@ def run_model(log: Log, model: Model, parameters: Mapping[str, float]) -> ModelE
 
 
 def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
-    """The sentence that says in which step a filter failed; None where it did in none (-1)."""
+    """Sentence on the step in which a filter failed; None for -1, no failure."""
     if failed < 0:
         return None
     moment = log.time[0] + steps.dt[: failed + 1].sum()
@@ -99,14 +137,14 @@ def failure_in(log: Log, steps: Steps, failed: int) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class Filtered(Trajectory):
-    """What a filter did with a log: the trajectory at its ``time``, and each measurement's NIS and NLL, (f,)."""
+    """Trajectory of a filter at a log's ``time``, and each measurement's NIS and NLL, (f,)."""
 
     nis: Array
     nll: Array
 
 
 class Runner:
-    """Logs made ready once, to be filtered with any number of parameter sets.
+    """Logs prepared once, to be filtered with any number of parameter sets.
 
     Parameters
     ----------
@@ -135,9 +173,9 @@ def _run(
     model: Model, kernel: Any, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
 ) -> Filtered:
     p = model.values(parameters)
-    scaling = np.array([parameters.get(name, np.nan) for name in SCALING_NAMES])
     if kernel is None:
-        return _run_textbook(model, steps, scaling, p, covariances=covariances)
+        return _run_textbook(model, steps, parameters, covariances=covariances)
+    scaling = _scaling(parameters)
     run = _nothing(steps, covariances=covariances)
     line = (steps.dt, steps.source, steps.absorbs, steps.records, steps.inputs, steps.measurements)
     angles = np.isin(range(len(model.states)), model.places(model.angles))
@@ -146,23 +184,36 @@ def _run(
     try:
         noise = as_covariance(model.measurement_noise(p))
         failed = kernel(*line, steps.mean, steps.covariance, angles, measured, scaling, noise, p, *written)
-    except FAILURES:  # raised by the user's functions; the first step is as good as any to name
+    except FAILURES:  # raised by the user's functions, in an unknown step
         return _nothing(steps, covariances=covariances, failed=0)
     return replace(run, failed=int(failed))
 
 
-def _run_textbook(model: Model, steps: Steps, scaling: Array, p: Any, *, covariances: bool) -> Filtered:
-    try:
-        with np.errstate(all="ignore"):  # what comes of it is looked at
-            stepper = TextbookModel(model, steps, scaling, p)
-    except FAILURES:  # R can't be had
+def _run_textbook(
+    model: Model, steps: Steps, parameters: Mapping[str, float], *, covariances: bool
+) -> Filtered:
+    stepper = _textbook(model, steps, parameters)
+    if stepper is None:
         return _nothing(steps, covariances=covariances, failed=0)
     trajectory = run_steps(stepper, steps.records.tolist(), n_rows=len(steps.inputs), covariances=covariances)
     return Filtered(**vars(trajectory), nis=stepper.nis, nll=stepper.nll)
 
 
+def _textbook(model: Model, steps: Steps, parameters: Mapping[str, float]) -> TextbookModel | None:
+    """The textbook filter at the start of a log; None where it has no R."""
+    try:
+        with np.errstate(all="ignore"):  # the result is checked
+            return TextbookModel(model, steps, _scaling(parameters), model.values(parameters))
+    except FAILURES:
+        return None
+
+
+def _scaling(parameters: Mapping[str, float]) -> Array:
+    return np.array([parameters.get(name, np.nan) for name in SCALING_NAMES])
+
+
 def _nothing(steps: Steps, *, covariances: bool, failed: int = -1) -> Filtered:
-    """NaN all over."""
+    """Make a result of NaN."""
     k, n, each = len(steps.inputs), len(steps.mean), np.full((2, len(steps.measurements)), np.nan)
     trajectory = Trajectory.empty(k, n, covariances=covariances, failed=failed)
     return Filtered(**vars(trajectory), nis=each[0], nll=each[1])
@@ -172,14 +223,14 @@ _KERNELS: "WeakKeyDictionary[Model, Any]" = WeakKeyDictionary()
 
 
 def kernel_of(model: Model, steps: Steps) -> Any:
-    """The model's compiled filter, made when first asked for; None where the textbook's has to do."""
+    """The model's compiled filter, compiled when first used; None where it can't be compiled."""
     if model not in _KERNELS:
         _KERNELS[model] = _compiled(model, steps) if model.kind == "ukf" else None
     return _KERNELS[model]
 
 
 def _compiled(model: Model, steps: Steps) -> Any:
-    """Compile, and compare with the textbook's filter over the first steps; None, with a warning, if it fails."""
+    """Compile, and compare with the textbook filter over the first steps; None, with a warning, if it fails."""
     few = replace(
         steps, **{name: getattr(steps, name)[:TRIED] for name in ("dt", "source", "absorbs", "records")}
     )
@@ -217,7 +268,7 @@ def _same(a: Filtered, b: Filtered) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """The line of Numba's message that says what it can't do."""
+    """The line of Numba's message that states the reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     telling = [line for line in lines if not line.startswith(("Failed in", "During", "File ", "^"))]
     return (telling or lines or [type(error).__name__])[0].rstrip(".:")

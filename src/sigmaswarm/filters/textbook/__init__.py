@@ -1,7 +1,7 @@
-"""The filters as textbooks have them, in NumPy: slow, general, and easy to check.
+"""The filters in textbook form, in NumPy: slow, general, and easy to check.
 
-`ukf`, `ekf` and `adaptive` know no model; `car` and `custom` put them together for cars and for a user's own model, and
-`loop` takes either over its steps. Nothing here knows of `compiled/`.
+`ukf`, `ekf` and `adaptive` depend on no model; `car` and `custom` apply them to cars and to a user's model, and `loop`
+runs either over its steps, and smooths. Nothing here imports `compiled/`.
 """
 
 from sigmaswarm.filters.textbook.ekf import ExtendedKalmanFilter

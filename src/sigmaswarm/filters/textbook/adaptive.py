@@ -1,4 +1,4 @@
-"""Filters that change themselves: adapted noise, fuzzy rules, strong tracking's fading factor, Student's t."""
+"""Adaptive filters: adapted noise, fuzzy rules, the fading factor of strong tracking, Student's t."""
 
 from dataclasses import dataclass, replace
 
@@ -33,7 +33,7 @@ class SageHusa:
     forgetting: float
 
     def adapt(self, innovation: Innovation, since: float) -> None:
-        """Learn from a fix; ``since`` is the number of nominal steps since the last one: 0 says nothing of Q."""
+        """Adapt to a fix; ``since``: nominal steps since the last one; 0 leaves Q as it is."""
         weight = 1 - self.forgetting
         inverse = np.linalg.inv(innovation.variance)
         r = self.measurement_noise
@@ -52,9 +52,9 @@ class FuzzyNoise:
     Attributes
     ----------
     tuned_process_noise, tuned_measurement_noise : ndarray, shapes (n,) and (2,)
-        The diagonals of Q, per nominal step, and R where all is as expected.
+        The diagonals of Q, per nominal step, and R at a ratio of 1.
     memory : float
-        How much of the averages is kept from fix to fix.
+        Share of the averages that is kept from fix to fix.
     widths : tuple of float, length 2
         Of the edges of ratio and trend.
     gains : tuple of float, length 2
@@ -86,7 +86,7 @@ class FuzzyNoise:
         return self.times_r * self.tuned_measurement_noise
 
     def weigh(self, innovation: Innovation) -> Innovation:
-        """Learn from a fix; gives its innovation with the R that the rules then find."""
+        """Adapt to a fix; gives its innovation with the new R."""
         ratio = min(innovation.nis / len(innovation.nu), LARGEST_RATIO)
         self.quick = self.memory * self.quick + (1 - self.memory) * ratio
         self.slow += (1 - self.memory) / SLOWER * (ratio - self.slow)
@@ -96,7 +96,7 @@ class FuzzyNoise:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def factors(self) -> tuple[float, float]:
-        """By how much R and Q are multiplied: the mean of the rules' consequents, weighed by their truths."""
+        """Factors of R and Q: the mean of the rules' consequents, weighted by their truths."""
         ratio = (self.quick - 1) / (self.quick + 1) / self.widths[0]
         trend = (self.quick - self.slow) / (self.quick + self.slow) / self.widths[1]
         small, large = np.clip(-ratio, 0, 1), np.clip(ratio, 0, 1)
@@ -114,12 +114,12 @@ class FuzzyNoise:
 
 @dataclass
 class StrongTracking:
-    """Stretch P before a fix so far that the recent size of the innovations is explained.
+    """Inflate P before a fix until it explains the recent size of the innovations.
 
     After D. H. Zhou and P. M. Frank, Strong tracking filtering of nonlinear time-varying stochastic systems with
-    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two things are not theirs.
+    coloured noise, Int. J. Control 65(2), 1996: the single fading factor, from the traces. Two changes:
     The innovations are averaged with weights rho and 1 - rho; theirs, rho and 1 over 1 + rho, hardly look back. And
-    only what the fix sees of P is stretched, P + (factor - 1) C (H P H^T)^-1 C^T: what it can't see would grow on.
+    only the part of P that the fix observes is inflated, P + (factor - 1) C (H P H^T)^-1 C^T: the rest would grow on.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class StrongTracking:
     recent: float | None = None
 
     def stretch(self, filter: GaussianFilter, innovation: Innovation) -> Innovation:
-        """The innovation as the filter sees it after its covariance is stretched."""
+        """Inflate the covariance; gives the innovation after that."""
         size = float(innovation.nu @ innovation.nu)
         rho = self.forgetting
         self.recent = size if self.recent is None else rho * self.recent + (1 - rho) * size
@@ -142,18 +142,18 @@ class StrongTracking:
 
 @dataclass
 class StudentT:
-    """Weigh fixes whose errors have Student's t: the R of each is divided by its weight.
+    """Weight fixes whose errors have Student's t distribution: the R of each is divided by its weight.
 
     R. Piche, S. Sarkka and J. Hartikainen, Recursive outlier-robust filtering and smoothing for nonlinear systems using
-    the multivariate Student-t distribution, MLSP 2012. What is not theirs: a filter that is wrong takes all fixes for
-    outliers; so the fix that ends a run of them, long enough, has weight 1, and P is stretched before it.
+    the multivariate Student-t distribution, MLSP 2012. One thing differs: a filter that is wrong takes all fixes for
+    outliers. So the fix that ends a long run of them has weight 1, and P is inflated before it.
 
     Attributes
     ----------
     dof : float
         Degrees of freedom.
     outliers : int
-        How many of the last fixes, in a row, have been outliers.
+        Number of the last fixes, in a row, that were outliers.
     since : float
         s, the time of the first of them.
     """
@@ -163,7 +163,7 @@ class StudentT:
     since: float = 0.0
 
     def weigh(self, filter: GaussianFilter, innovation: Innovation, time: float) -> Innovation:
-        """The innovation of a fix of ``time`` (s) as the filter takes it."""
+        """Weight the innovation of a fix of ``time`` (s)."""
         weight = self.weight(innovation)
         if not weight < OUTLYING:
             self.outliers = 0
@@ -177,7 +177,7 @@ class StudentT:
         return replace(innovation, variance=innovation.variance - innovation.noise + noise, noise=noise)
 
     def weight(self, innovation: Innovation) -> float:
-        """The mean of the fix's weight, given the fix: state and weight fitted to each other in turn."""
+        """Mean weight of a fix, given the fix: state and weight are fitted to each other in turn."""
         weight, r, nu = 1.0, innovation.noise, innovation.nu
         for _ in range(ITERATIONS):
             variance = innovation.variance - r + r / weight
@@ -189,7 +189,7 @@ class StudentT:
 
 
 def stretched(filter: GaussianFilter, innovation: Innovation, size: float) -> Innovation:
-    """The innovation after what the fix sees of P is stretched so far that ``size`` (m2), nu^T nu, is explained."""
+    """Inflate the part of P that a fix observes until it explains ``size`` (m2), nu^T nu; gives the innovation."""
     cross, covariance = innovation.cross, filter.covariance
     seen = cross.T @ np.linalg.solve(covariance, cross)  # H P H^T, with H = C^T P^-1
     factor = max(1.0, (size - np.trace(innovation.noise)) / np.trace(seen))

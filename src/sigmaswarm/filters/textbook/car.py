@@ -1,6 +1,6 @@
-"""The filters for cars, put together from the textbook's parts: one step of it reads like the equations.
+"""The filters for cars in textbook form: a step reads like the equations.
 
-`compiled/run.py` does the same; tests hold the two together, one step at a time.
+`compiled/run.py` does the same; tests compare the two, one step at a time.
 """
 
 import numpy as np
@@ -55,7 +55,7 @@ class TextbookCar:
     filter : GaussianFilter
         Its ``mean`` and ``covariance`` may be set before a step.
     noise : SageHusa or FuzzyNoise
-        The diagonals of Q and R that are in force.
+        The current diagonals of Q and R.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class TextbookCar:
         self._since = 0.0
 
     def step(self, i: int) -> None:
-        """Take the time line's step i: predict, then absorb what there is at its end."""
+        """Take step i of the time line: predict, then update with the measurements at its end."""
         line, p = self.timeline, self.parameters
         imu, model = self._imu[i], self.model
         unseen = gap_covariance(len(self.filter.mean), line.dt[i], line.gap[i])
@@ -111,7 +111,7 @@ class TextbookCar:
         self._since += line.q_scale[i]
         if self.flags[i] & FIX:
             fix = line.fixes[self._fix_of_step[i]]
-            self._absorb_fix(fix[:2], fix[4:], float(line.end[i]))
+            self._update_with_fix(fix[:2], fix[4:], float(line.end[i]))
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
                 self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
@@ -131,7 +131,7 @@ class TextbookCar:
                 noise = STANDSTILL_RATE_NOISE * np.eye(len(shown))
                 self.filter.update(shown, noise, model.rates_at_rest)
 
-    def _absorb_fix(self, fix: Array, stated: Array, time: float) -> None:
+    def _update_with_fix(self, fix: Array, stated: Array, time: float) -> None:
         times = self.fuzzy.times_r if self.fuzzy else 1.0
         noise = self.noise.measurement_noise + times * (self.parameters.accuracy_scale or 0.0) * stated
         innovation = self.filter.measure(fix, np.diag(noise))

@@ -1,12 +1,12 @@
-"""The textbook filters on a log, for a model of the user's own: slow, and any Python will do in f and h."""
+"""Textbook filters on a log for a user's model: slow, with any Python in f and h."""
 
 from typing import Any
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.custom.log import Steps
 from sigmaswarm.filters.custom.model import Model, as_covariance
-from sigmaswarm.filters.custom.steps import Steps
 from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
 from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Innovation
 
@@ -25,7 +25,7 @@ class TextbookModel:
     ----------
     filter : GaussianFilter
     nis, nll : ndarray, shape (f,)
-        Of each measurement before it is absorbed: normalized innovation squared, negative log-likelihood. NaN where
+        Of each measurement before its update: normalized innovation squared, negative log-likelihood. NaN where
         there was none yet.
     """
 
@@ -36,7 +36,7 @@ class TextbookModel:
         self.nis, self.nll = np.full((2, len(steps.measurements)), np.nan)
 
     def step(self, i: int) -> None:
-        """Take step i, and absorb what there is at its end."""
+        """Take step i, and update with the measurement at its end, if any."""
         steps, kalman = self.steps, self.filter
         dt, row = float(steps.dt[i]), steps.absorbs[i]
         if dt > 0:

@@ -1,4 +1,4 @@
-"""What all Kalman filters share: a Gaussian state, and how it absorbs an innovation."""
+"""The common part of all Kalman filters: a Gaussian state, and its update with an innovation."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Measurement = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
-    """What a measurement tells, before it is absorbed.
+    """Innovation of a measurement, before the update.
 
     Attributes
     ----------
@@ -45,12 +45,12 @@ class Innovation:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a filter expects before it absorbs anything, and how that hangs together with what was: see `smoothing`.
+    """Prediction of a filter before the update, and its covariance with the state before: see `loop.smooth_steps`.
 
     Attributes
     ----------
     mean, covariance : ndarray, shapes (n,), (n, n)
-        m- and P-; with what a measurement's filter adds to P- before it absorbs it (`adaptive.stretched`).
+        m- and P-, including what an adaptive filter adds to P- before the update (`adaptive.stretched`).
     cross : ndarray, shape (n, n)
         Covariance of the state before with the state after.
     """
@@ -68,12 +68,12 @@ def less_whole_turns(values: Array, columns: Sequence[int]) -> Array:
 
 
 class GaussianFilter:
-    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) that absorbs innovations."""
+    """A Gaussian state (``mean``, shape (n,); ``covariance``, shape (n, n)) with updates by innovations."""
 
     mean: Array
     covariance: Array
     prediction: Prediction
-    """The last one."""
+    """The last prediction."""
 
     def predict(self, dt: float, u: Array, process_noise: Array) -> None:
         """Push the state through the process over ``dt`` seconds; Q, shape (n, n), is added to the covariance."""
@@ -86,11 +86,11 @@ class GaussianFilter:
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """The innovation of a measurement, shape (m,), with noise covariance R, shape (m, m)."""
+        """Compute the innovation of a measurement, shape (m,), with noise covariance R, shape (m, m)."""
         raise NotImplementedError
 
     def absorb(self, innovation: Innovation) -> None:
-        """x + K nu, P - K S K^T."""
+        """Update the state: x + K nu, P - K S K^T."""
         gain = innovation.gain
         self.mean = self.mean + gain @ innovation.nu
         self.covariance = self.covariance - gain @ innovation.variance @ gain.T
@@ -98,7 +98,7 @@ class GaussianFilter:
     def update(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """Measure and absorb."""
+        """Measure, and update the state."""
         innovation = self.measure(measurement, measurement_noise, h)
         self.absorb(innovation)
         return innovation

@@ -1,17 +1,25 @@
-"""A textbook filter over the steps of a drive or a log, whatever its model is."""
+"""Loops over the steps of a drive or a log: run any textbook filter, and smooth it (Rauch-Tung-Striebel).
 
-from collections.abc import Sequence
+References
+----------
+H. E. Rauch, F. Tung and C. T. Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
+S. Sarkka, Unscented Rauch-Tung-Striebel smoother, IEEE Transactions on Automatic Control 53(3), 2008.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import add, sub
 from typing import Protocol
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import SigmaswarmError
-from sigmaswarm.filters.textbook.gaussian import GaussianFilter
+from sigmaswarm.filters.textbook.gaussian import GaussianFilter, Prediction
 
 FAILURES = (SigmaswarmError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""What ends a filter without ending the tuning: no square root, or a function outside of its domain."""
+"""Errors that end a filter but not the tuning: no square root, or a function outside of its domain."""
+Retraction = Callable[[Array, Array], Array]
 
 
 class Stepper(Protocol):
@@ -20,18 +28,18 @@ class Stepper(Protocol):
     filter: GaussianFilter
 
     def step(self, i: int) -> None:
-        """Take step i: predict, then absorb what there is at its end."""
+        """Take step i: predict, then update with the measurements at its end."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What a filter believed at some moments.
+    """State estimates of a filter at some moments.
 
     Attributes
     ----------
     mean, covariance : ndarray, shapes (k, n), (k, n, n)
-        NaN from a failure on. The covariance is empty where none was asked for.
+        NaN from a failure on. The covariance is empty where it is not recorded.
     failed : int
         The step in which the filter failed, or -1.
     """
@@ -42,19 +50,19 @@ class Trajectory:
 
     @classmethod
     def empty(cls, k: int, n: int, *, covariances: bool = True, failed: int = -1) -> "Trajectory":
-        """NaN at k moments, of n states."""
+        """Make a trajectory of NaN, of n states at k moments."""
         return cls(np.full((k, n), np.nan), np.full((k if covariances else 0, n, n), np.nan), failed)
 
 
 def run_steps(
     stepper: Stepper, records: Sequence[int], *, n_rows: int, covariances: bool = True
 ) -> Trajectory:
-    """Take all steps; ``records`` says for each which of ``n_rows`` rows of the trajectory it writes, or -1."""
+    """Take all steps; ``records`` gives for each the row of the trajectory, of ``n_rows``, that it writes, or -1."""
     n, failed = len(stepper.filter.mean), -1
     trajectory = Trajectory.empty(n_rows, n, covariances=covariances)
     for i, row in enumerate(records):
         try:
-            with np.errstate(all="ignore"):  # what comes of it is looked at
+            with np.errstate(all="ignore"):  # the result is checked
                 stepper.step(i)
         except FAILURES:
             failed = i
@@ -66,3 +74,60 @@ def run_steps(
             if covariances:
                 trajectory.covariance[row] = covariance
     return trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Smoothed states of a filter.
+
+    Attributes
+    ----------
+    mean, covariance : ndarray, shapes (k + 1, n), (k + 1, n, n)
+        At the start, and behind each of k steps.
+    failed : int
+        The step in which the filter failed, or -1; the steps are those before it.
+    """
+
+    mean: Array
+    covariance: Array
+    failed: int
+
+
+def smooth_steps(
+    stepper: Stepper, n_steps: int, *, plus: Retraction = add, minus: Retraction = sub
+) -> Smoothed:
+    """Take all steps, and smooth. ``plus`` adds an error to a state and ``minus`` finds it, as in `manifold`."""
+    filter, failed = stepper.filter, -1
+    filtered, predictions = [(filter.mean, filter.covariance)], list[Prediction]()
+    for i in range(n_steps):
+        mean, covariance = filtered[-1]
+        filter.prediction = Prediction(
+            mean, covariance, covariance
+        )  # a step of length zero has no prediction
+        try:
+            with np.errstate(all="ignore"):  # the result is checked
+                stepper.step(i)
+        except FAILURES:
+            failed = i
+        if failed >= 0 or not (np.isfinite(filter.mean).all() and np.isfinite(filter.covariance).all()):
+            failed = i
+            break
+        filtered.append((filter.mean, filter.covariance))
+        predictions.append(filter.prediction)
+    return Smoothed(*rauch_tung_striebel(filtered, predictions, plus, minus), failed)
+
+
+def rauch_tung_striebel(
+    filtered: Sequence[tuple[Array, Array]],
+    predictions: Sequence[Prediction],
+    plus: Retraction = add,
+    minus: Retraction = sub,
+) -> tuple[Array, Array]:
+    """Smooth a filter's states and the k predictions between them: means (k + 1, n), covariances (k + 1, n, n)."""
+    means, covariances = [filtered[-1][0]], [filtered[-1][1]]
+    for (mean, covariance), prior in zip(filtered[-2::-1], predictions[::-1], strict=True):
+        gain = np.linalg.solve(prior.covariance, prior.cross.T).T  # G = C (P-)^-1
+        change = covariances[-1] - prior.covariance
+        means.append(plus(mean, gain @ minus(means[-1], prior.mean)))  # m + G (m^s' - m-)
+        covariances.append(covariance + gain @ change @ gain.T)  # P + G (P^s' - P-) G^T
+    return np.array(means[::-1]), np.array(covariances[::-1])

@@ -20,7 +20,7 @@ Retraction = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Manifold:
-    """Where a mean lies.
+    """A manifold on which the mean of a filter lies.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class ErrorStateKalmanFilter(_OnManifold):
     f : callable
         ``f(state, dt, u) -> state``
     transition : callable
-        ``transition(state, dt, u) -> F``: what f makes of a small error, shape (n, n).
+        ``transition(state, dt, u) -> F``: Jacobian of f for a small error, shape (n, n).
     h : callable
-        ``h(state) -> measurement``, with ``h.jacobian(state)``: what a small error makes of it, shape (m, n).
+        ``h(state) -> measurement``, with ``h.jacobian(state)``: its Jacobian for a small error, shape (m, n).
     mean, covariance : ndarray, shapes (n,), (n, n)
         Where it starts.
     manifold : Manifold

@@ -1,7 +1,7 @@
-"""The unscented Kalman filter as the textbook has it, in NumPy: slow, general, and easy to check.
+"""The unscented Kalman filter in textbook form, in NumPy: slow, general, and easy to check.
 
 State order, semantics of predict and update, and weights are those of FilterPy 2.0.0. It runs any process
-``f(state, dt, u)`` and measurement ``h(state)``; `compiled/` holds those for cars.
+``f(state, dt, u)`` and measurement ``h(state)``; `compiled/` has those for cars.
 
 References
 ----------
@@ -26,7 +26,7 @@ from sigmaswarm.filters.textbook.gaussian import (
 
 
 class NotPositiveDefiniteError(SigmaswarmError):
-    """The covariance has no square root any more: the filter has failed."""
+    """The covariance has no square root: the filter has failed."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class SigmaPoints:
 
 
 def square_root(covariance: Array, first: Sequence[int] = ()) -> Array:
-    """A matrix L with L L^T = P: the Cholesky factor with the states ``first`` put first, shape (n, n)."""
+    """Compute L with L L^T = P: the Cholesky factor with the states ``first`` put first, shape (n, n)."""
     n = len(covariance)
     order = [*first, *(i for i in range(n) if i not in first)]
     try:
@@ -96,8 +96,8 @@ class UnscentedKalmanFilter(GaussianFilter):
         Draw new sigma points after Q is added (FilterPy 2.0.0). False: push the propagated ones through h
         (FilterPy 1.4.5, what the paper most likely ran).
     angles : sequence of int
-        States that are angles. What f changes of their differences from the centre point is wrapped:
-        a circular mean would not do, since the centre's weight is hugely negative for a small alpha.
+        States that are angles. The changes by f of their differences from the centre point are wrapped. A circular
+        mean would be wrong, since the centre's weight is hugely negative for a small alpha.
     measured_angles : sequence of int
         Elements of ``h`` that are angles: their differences from the centre point's, and their innovations, are
         wrapped.
@@ -132,7 +132,7 @@ class UnscentedKalmanFilter(GaussianFilter):
         drawn = self.points.draw(self.mean, self.covariance)
         sigmas = np.array([self.f(s, dt, u) for s in drawn])
         offsets = sigmas - sigmas[0]
-        # An offset may be more than half a turn; what f has made of it in one step may not.
+        # An offset may be more than half a turn; its change by f in one step may not.
         turned = (offsets - (drawn - drawn[0]))[:, self.angles]
         offsets[:, self.angles] -= 2 * np.pi * np.round(turned / (2 * np.pi))
         shift = wm @ offsets  # the weights add up to one, so this is the mean seen from the centre
@@ -146,7 +146,7 @@ class UnscentedKalmanFilter(GaussianFilter):
     def measure(
         self, measurement: Array, measurement_noise: Array, h: Measurement | None = None
     ) -> Innovation:
-        """nu, S and C from the sigma points; ``h`` takes the place of the filter's own."""
+        """Compute nu, S and C from the sigma points; ``h`` replaces the filter's own."""
         angles = self.measured_angles if h is None else []
         h = h or self.h
         wm, wc = self.points.weights(len(self.mean))
@@ -164,6 +164,6 @@ class UnscentedKalmanFilter(GaussianFilter):
         return Innovation(nu, s, (spread_x.T * wc) @ spread_z, measurement_noise)
 
     def absorb(self, innovation: Innovation) -> None:
-        """x + K nu, P - K S K^T."""
+        """Update the state: x + K nu, P - K S K^T."""
         super().absorb(innovation)
         self._propagated = None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from sigmaswarm.drives.sheet import BROKEN, one_file
+from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits

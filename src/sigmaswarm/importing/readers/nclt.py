@@ -11,7 +11,7 @@ from pathlib import Path
 
 import polars as pl
 
-from sigmaswarm.drives.sheet import one_file
+from sigmaswarm.drives.table_files import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.columns import ColumnFiles, collect, tables_of

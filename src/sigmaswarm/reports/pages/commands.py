@@ -8,15 +8,15 @@ from pydantic import ValidationError
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM
-from sigmaswarm.tuning.config import TuneConfig
-from sigmaswarm.tuning.options import DEFAULTS
-from sigmaswarm.tuning.tune import with_guards
+from sigmaswarm.tuning.config import RENAMED, TuneConfig
+from sigmaswarm.tuning.defaults import with_guards
 
 STATED = ("objective", "particles", "generations", "trials", "seed", "model", "use")
 """Options that the command names even at their defaults."""
+DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items()}
 OTHERS = tuple(name for name in DEFAULTS if name not in STATED)
 """Options that it names where they are not at their defaults."""
-GUARDS = ("prior", "margin")
+GUARDS = ("prior", "inflation")
 """Of those, the ones whose default `tune` settles by the objective."""
 
 
@@ -26,6 +26,7 @@ def tune_command(
     """The command of a tuning, and what it can't say; no command for a model of the user's own."""
     if isinstance(config.get("model"), dict):
         return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
+    config = {RENAMED.get(name, name): value for name, value in config.items()}
     options = {name: config[name] for name in STATED if name in config}
     told = dict.fromkeys(GUARDS, 0.0) | dict(config)  # versions that had no guards tuned without them
     usual = DEFAULTS | _settled(config) | _usual_kind(config)

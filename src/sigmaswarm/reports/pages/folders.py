@@ -1,21 +1,23 @@
-"""Which adapter a folder of results needs."""
+"""The page of a folder of results."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.experiments.study.folder import StudyRecord
+from sigmaswarm.experiments.study.record import StudyRecord
+from sigmaswarm.files import write_whole
+from sigmaswarm.reports.figures import check_file
+from sigmaswarm.reports.page import Report, page
 from sigmaswarm.reports.pages.evaluation import evaluation_report
 from sigmaswarm.reports.pages.study import study_report
 from sigmaswarm.reports.pages.tuning import tuning_report
-from sigmaswarm.reports.views.record import Report
 
 ADAPTERS: dict[str, Callable[[Path], Report]] = {
     "scores.json": evaluation_report,
     "results.json": lambda folder: study_report(StudyRecord.read(folder)),
     "tuning.toml": tuning_report,
 }
-"""The file that a kind of folder is known by; the first that is there counts."""
+"""The file that identifies a type of folder; the first one found decides."""
 
 
 def read_report(folder: Path) -> Report:
@@ -38,3 +40,14 @@ def read_report(folder: Path) -> Report:
         f"{folder}: holds no results (none of {', '.join(ADAPTERS)}); give a folder that "
         "tune, evaluate or study wrote"
     )
+
+
+def save_page(folder: Path, out: Path | None = None) -> Path:
+    """Write the page of a folder of results, by default into it; return its path."""
+    if out is not None:
+        check_file(out, ".html")
+    read = read_report(folder)
+    file = out or folder / "page.html"
+    check_file(file, ".html")
+    write_whole(file, page(read))
+    return file

@@ -1,20 +1,13 @@
-"""The page of a study: the paper's tables with ours beside, and every method under both protocols."""
+"""The page of a study: the paper's tables next to ours, and every method under both protocols."""
 
 from math import inf
 
 from sigmaswarm.experiments.study.config import MAIN
-from sigmaswarm.experiments.study.folder import StudyRecord
-from sigmaswarm.experiments.study.record import PairedComparison, Results, VariantSummary
+from sigmaswarm.experiments.study.record import PairedComparison, Results, StudyRecord
+from sigmaswarm.reports.page import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.style import STUDY_LOOKS
-from sigmaswarm.reports.views.record import Figure, Line, Report, Section, TrackView
 from sigmaswarm.reports.views.study_charts import convergence_chart, means_chart, spread_chart
-from sigmaswarm.reports.views.study_rivals import (
-    curve_charts,
-    curve_table,
-    elsewhere_table,
-    gains_table,
-    rivals_table,
-)
+from sigmaswarm.reports.views.study_rivals import curve_charts, rivals_tables
 from sigmaswarm.reports.views.study_tables import (
     DRIFT,
     ERRORS,
@@ -34,11 +27,11 @@ from sigmaswarm.reports.views.study_tables import (
 
 RIVALS = ("ukf-datasheet", "ukf-defaults", "raw-gps")
 CONSISTENT = 2.0
-"""Mean NIS of a position where a filter knows its own errors."""
+"""Mean NIS of a position with a consistent filter."""
 BEYOND_CHANCE = (1.0, 4.0)
-"""Mean NIS outside these says that a filter's covariances are off, whatever the number of fixes."""
+"""Mean NIS outside these bounds means wrong covariances, whatever the number of fixes."""
 UNLUCKY = 1.2
-"""Times the lowest cost: above it a trial's search was unlucky."""
+"""Ratio to the lowest cost above which a trial's search was unlucky."""
 IN_CONDITIONS = (
     ("untuned", "raw-gps"),
     ("untuned", "ukf-defaults"),
@@ -48,13 +41,13 @@ IN_CONDITIONS = (
     ("honest", "pso-ekf"),
     ("honest", "pso-planar8"),
 )
-"""Protocols and methods that have room in the table of conditions."""
+"""Protocols and methods in the table of conditions."""
 SHOWN = ("truth", "honest-pso-ukf", "paper-pso-ukf", "raw_gps")
-"""The series whose tracks are drawn from the start."""
+"""Series whose tracks are visible when the page opens."""
 
 
 def study_report(record: StudyRecord) -> Report:
-    """The whole page of a study."""
+    """Return the page of a study."""
     results = record.results
     return Report(
         title=f"Study: {results.config.trials} trials on {results.drives.count} drives",
@@ -84,46 +77,42 @@ def study_report(record: StudyRecord) -> Report:
 
 
 def _result(results: Results, protocol: str) -> str:
-    """What tuning is worth under a protocol, in a sentence."""
-    asked = results.protocols[protocol]
-    found = results.summary(protocol, MAIN, POSITION)
-    name = results.label(MAIN)
-    start = f"Tuned for {asked.objective} (the {protocol} protocol), {name}"
+    """Summarize the result under a protocol in a sentence."""
+    found, objective = results.summary(protocol, MAIN, POSITION), results.protocols[protocol].objective
+    start = f"Tuned for {objective} (the {protocol} protocol), {results.label(MAIN)}"
     if found is None or found.mean is None:
-        return f"{start} failed on drives that it did not see."
-    where = f"is {found.mean:.3g} m{_said(found)} from the truth on drives that it did not see"
+        return f"{start} failed on held-out drives."
+    low, high = found.bootstrap_interval
+    interval = (
+        "" if low is None or high is None else f" (95% interval for new drives {low:.3g} to {high:.3g})"
+    )
+    where = f"has a position RMSE of {found.mean:.3g} m{interval} on held-out drives"
     against = [_against(results, c) for rival in RIVALS if (c := _comparison(results, protocol, rival))]
     return f"{start} {where}{': ' if against else ''}{'; '.join(against)}."
 
 
 def _comparison(results: Results, protocol: str, rival: str) -> PairedComparison | None:
-    """Of the positions."""
     wanted = (protocol, POSITION, rival)
     return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def _against(results: Results, c: PairedComparison) -> str:
     if c.improvement is None:
-        return f"not to be compared with {results.label(c.against)}"
+        return f"no comparison with {results.label(c.against)}"
     return f"{abs(c.improvement):.0f}% {'less' if c.improvement >= 0 else 'MORE'} than {results.label(c.against)}"
 
 
-def _said(found: VariantSummary) -> str:
-    low, high = found.bootstrap_interval
-    return "" if low is None or high is None else f" (95% interval for new drives {low:.3g} to {high:.3g})"
-
-
 def _figures(results: Results) -> tuple[Figure, ...]:
-    """What the paper says stands in the notes."""
+    """Return the main figures, with the paper's in their notes."""
     paper = {
         POSITION: ("table_2", "rmse_m"),
         HEADING: ("table_3", "heading_deg"),
         DRIFT: ("table_3", "outage_drift_m"),
     }
-    asked = [(p, POSITION, "position RMSE", "m") for p in reversed(results.protocols)]
-    asked += [("honest", HEADING, "heading error", "deg"), ("honest", DRIFT, "drift over 5 s", "m")]
+    shown = [(p, POSITION, "position RMSE", "m") for p in reversed(results.protocols)]
+    shown += [("honest", HEADING, "heading error", "deg"), ("honest", DRIFT, "drift over 5 s", "m")]
     figures: list[Figure] = []
-    for protocol, measure, what, unit in asked:
+    for protocol, measure, what, unit in shown:
         found = results.summary(protocol, MAIN, measure)
         if found is not None and found.mean is not None:
             table, key = paper[measure]
@@ -134,27 +123,27 @@ def _figures(results: Results) -> tuple[Figure, ...]:
 
 
 def _remarks(results: Results) -> tuple[str, ...]:
-    said: list[str] = []
+    remarks: list[str] = []
     for protocol in results.protocols:
         mine = [t for t in results.tunings if (t.protocol, t.method) == (protocol, MAIN)]
         touching = sum(bool(t.touched_bounds) for t in mine)
         if touching:
-            said.append(
-                f"{protocol}: {touching} of {len(mine)} tunings of {results.label(MAIN)} ended on a bound: "
-                "their optimum may lie outside the box"
+            remarks.append(
+                f"{protocol}: {touching} of {len(mine)} tunings of {results.label(MAIN)} ended at a bound: "
+                "their optimum may lie outside the search space"
             )
         costs = [t.cost for t in mine]
         if costs and max(costs) > UNLUCKY * min(costs):
-            said.append(
-                f"{protocol}: luck matters: on their training drives the tunings of {results.label(MAIN)} cost from "
+            remarks.append(
+                f"{protocol}: the tunings of {results.label(MAIN)} differ: their training costs are "
                 f"{min(costs):.3g} to {max(costs):.3g} m; tune several times and take the best"
             )
         nis = results.summary(protocol, MAIN, "nis")
         if nis is not None and nis.mean is not None and not BEYOND_CHANCE[0] < nis.mean < BEYOND_CHANCE[1]:
-            wrong = "too sure of itself" if nis.mean > BEYOND_CHANCE[1] else "too careful"
-            said.append(
-                f"{protocol}: {results.label(MAIN)} is {wrong}: its mean NIS is {nis.mean:.3g}, and 2 would be right; "
-                "do not rely on its covariances"
+            wrong = "overconfident" if nis.mean > BEYOND_CHANCE[1] else "underconfident"
+            remarks.append(
+                f"{protocol}: {results.label(MAIN)} is {wrong}: its mean NIS is {nis.mean:.3g}, "
+                "that of a consistent filter 2; do not rely on its covariances"
             )
         unsure = [
             results.label(c.against)
@@ -162,10 +151,10 @@ def _remarks(results: Results) -> tuple[str, ...]:
             if (c.protocol, c.measure) == (protocol, POSITION) and c.holm_p > 0.05
         ]
         if unsure:
-            said.append(
+            remarks.append(
                 f"{protocol}: the difference in position from {'; '.join(unsure)} may be chance (p over 0.05)"
             )
-    return tuple(said)
+    return tuple(remarks)
 
 
 # ---- the evidence ----
@@ -173,24 +162,23 @@ def _remarks(results: Results) -> tuple[str, ...]:
 
 def _tables(results: Results) -> Section:
     text = (
-        "The paper's figures, and ours beside: means over trials, each on the drives that it held back. The paper's "
-        "RMSE is against the GPS fixes that the filter has just absorbed; a filter that copies them has 0.",
+        "The paper's figures next to ours: means over trials, each on its held-out drives. The paper's RMSE is against "
+        "the GPS fixes after the update; a filter that copies them has 0.",
         f"Improvement over the UKF by hand (equation 5): {_improvements(results)}.",
     )
     return Section("The paper's tables", text, (table_1(results), table_2(results), table_3(results)))
 
 
 def _intervals(results: Results) -> Section:
-    """Of the means."""
     charts = [means_chart(results, measure) for measure in (POSITION, HEADING, DRIFT)]
     charts.append(means_chart(results, "nis", inf, mark=CONSISTENT))
     text = (
-        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) says what swarm and split leave open; "
+        "The interval over trials (mean +- 1.96 SD / sqrt(n), as in the paper) is the uncertainty by swarm and split; "
         "it covers the mean of new drives only about half of the time. The bootstrap over drives and trials covers it "
         "95% of the time in a study of full size, 85 to 95% in small ones.",
         "An arrow: the mean lies beyond the scale.",
     )
-    return Section("How sure the means are", text, charts=tuple(c for c in charts if c))
+    return Section("Intervals of the means", text, charts=tuple(c for c in charts if c))
 
 
 def _run_times(record: StudyRecord) -> tuple[Section, ...]:
@@ -201,14 +189,14 @@ def _run_times(record: StudyRecord) -> tuple[Section, ...]:
 
 
 def _improvements(results: Results) -> str:
-    said = [
+    ours = [
         f"{c.improvement:.0f}% over {results.label(rival)} ({protocol})"
         for protocol in reversed(results.protocols)
         for rival in ("ukf-defaults", "ukf-datasheet")
         if (c := _comparison(results, protocol, rival)) and c.improvement is not None
     ]
     theirs = results.paper.get("table_1", {}).get(MAIN, {}).get("improvement_percent")
-    return "; ".join([*([f"the paper {theirs:.0f}%"] if theirs else []), *said])
+    return "; ".join([*([f"the paper {theirs:.0f}%"] if theirs else []), *ours])
 
 
 def _spread(record: StudyRecord) -> Section:
@@ -216,9 +204,9 @@ def _spread(record: StudyRecord) -> Section:
     charts = [spread_chart(results, spreads, measure) for measure in (POSITION, HEADING, DRIFT)]
     charts.append(spread_chart(results, spreads, "nis", mark=CONSISTENT))
     text = (
-        "One value a drive, the mean over the trials that held it back. Box: quartiles; whiskers: 5 to 95% of drives.",
-        "NIS: does a filter know its own errors? Its mean is 2 where it does; above 2 it is too sure of itself, below "
-        "too careful. Position alone leaves the covariances' scale open.",
+        "One value a drive, the mean over its trials. Box: quartiles; whiskers: 5 to 95% of drives.",
+        "The mean NIS of a consistent filter is 2; above 2 it is overconfident, below underconfident. Position errors "
+        "alone do not determine the scale of the covariances.",
     )
     title = "Spread over drives, and consistency"
     return Section(title, text, (consistency_table(results),), tuple(c for c in charts if c))
@@ -229,9 +217,7 @@ def _tracks(record: StudyRecord) -> tuple[Section, ...]:
         return ()
     results = record.results
     lines = tuple(Line(s, _series_label(results, s), look, s in SHOWN) for s, look in STUDY_LOOKS.items())
-    text = (
-        "Drives that the trial with the lowest training cost held back, and the filters that it tuned on the others.",
-    )
+    text = ("Held-out drives of the trial with the lowest training cost, and the filters tuned in it.",)
     view = TrackView(tuple(record.tracks), lines, f"honest-{MAIN}")
     return (Section("Tracks and errors over time", text, tracks=view),)
 
@@ -249,8 +235,8 @@ def _comparisons(results: Results) -> Section:
     text = (
         f"{results.label(MAIN)} against every other method, drive by drive. Improvement (equation 5): how much less "
         "its mean error is; its interval is by bootstrap over drives.",
-        "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Rank-biserial correlation, the size "
-        "of the effect: 1 is better on every drive, -1 worse on every drive.",
+        "p: Wilcoxon's signed-rank test, with Holm's correction over the methods. Rank-biserial correlation is the "
+        "effect size: 1 is better on every drive, -1 worse on every drive.",
     )
     tables = [
         comparison_table(results, p, measure) for p in reversed(results.protocols) for measure in ERRORS
@@ -259,35 +245,27 @@ def _comparisons(results: Results) -> Section:
 
 
 def _rivals(record: StudyRecord) -> tuple[Section, ...]:
-    """What rivals take and drift, on drives elsewhere, and after less to learn from."""
+    """Show data, times and drift of rivals, their scores elsewhere, and learning curves."""
     results = record.results
     if results.rivals is None:
         return ()
-    places = dict.fromkeys(row.place for row in results.rivals.elsewhere)
-    tables = (
-        rivals_table(results, record.rival_times),
-        gains_table(results),
-        *(elsewhere_table(results, place) for place in places),
-        curve_table(results),
-    )
-    text = (
-        "Networks are trained in each trial, beside the filter that was tuned in it, on its training drives.",
-    )
+    tables = tuple(rivals_tables(results, record.rival_times).values())
+    text = ("Networks are trained in each trial, for the filter tuned in it, on its training drives.",)
     notes = dict.fromkeys(table.note for table in tables)
     return (Section("Rivals", (*text, *notes), tables, curve_charts(results)),)
 
 
 def _conditions(results: Results) -> tuple[Section, ...]:
     table = conditions_table(results, POSITION, IN_CONDITIONS)
-    text = ("The other measures and methods stand in tables/ of this page's folder.",)
+    text = ("Other measures and methods are in tables/ of this page's folder.",)
     return (Section("Conditions", text, (table,)),) if len(table.rows) > 2 else ()
 
 
 def _convergence(results: Results) -> Section:
     theirs = results.paper["figure_2"]["stable_generation"]
     text = (
-        "The median over trials, and where 80% of them lie. The diamond: from this generation on the median stays "
-        f"within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}.",
+        "The median over trials, and where 80% of them lie. The diamond marks the generation after which the median "
+        f"stays within 1% of its last value. In the paper's figure 2 the cost settles at generation {theirs}.",
     )
     charts = [convergence_chart(results, protocol) for protocol in results.protocols]
     return Section("Convergence", text, (convergence_table(results),), tuple(c for c in charts if c))

@@ -1,4 +1,4 @@
-"""The page of a tuning: what was tuned, on what, what came out, and how well it is known."""
+"""The page of a tuning: its cost, its parameters with their ranges, its convergence and its drives."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -9,9 +9,10 @@ from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.records import load_record
+from sigmaswarm.reports.page import Figure, Report, Section
 from sigmaswarm.reports.pages.commands import tune_command
-from sigmaswarm.reports.views.record import Cell, Column, Figure, Report, Section, Table
-from sigmaswarm.reports.views.tuning import convergence_chart
+from sigmaswarm.reports.tuning import convergence_chart
+from sigmaswarm.tables import Cell, Column, Table
 from sigmaswarm.tuning.config import SWARM
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE, End, History, TuningRecord
 from sigmaswarm.tuning.sensitivity import NOISE_SCALE
@@ -19,12 +20,12 @@ from sigmaswarm.wording import counted
 
 MEANINGS = {
     "latency": (
-        "how old the fixes' positions are where this filter forecasts best; the doctor's clock offset is another "
+        "age of the fixes' positions with the best predictions of this filter; the doctor's clock offset is another "
         "estimate of it, from turns and accelerations alone"
     ),
-    "rear_axle": "how far the IMU is ahead of the rear axle; negative: behind it",
+    "rear_axle": "distance from the rear axle forward to the IMU; negative: the IMU is behind it",
 }
-"""Of parameters whose name and unit leave open what they measure, or from where."""
+"""Explanations of parameters whose name and unit do not suffice."""
 
 
 def tuning_report(folder: Path) -> Report:
@@ -78,12 +79,10 @@ def what_was_tuned(file: TuningRecord) -> str:
 def _held_out(file: TuningRecord) -> str:
     result = file.result
     if result is None or result.validation_cost is None or result.validation_gap is None:
-        return (
-            "Of other drives nothing is known yet; sigmaswarm evaluate tells what the filter is worth there."
-        )
+        return "Its scores on other drives are not known yet: run sigmaswarm evaluate."
     n = len(result.validation_drives)
     return (
-        f"On {counted(n, 'drive')} held back from the search its cost is {result.validation_cost:.4g}, "
+        f"On {counted(n, 'drive')} that the search did not use its cost is {result.validation_cost:.4g}, "
         f"{_gap(result.validation_gap)}; on the training drives it is {result.cost:.4g}."
     )
 
@@ -93,7 +92,7 @@ def _gap(gap: float) -> str:
 
 
 def remarks(file: TuningRecord) -> tuple[str, ...]:
-    """What a reader should know before trusting the tuning."""
+    """Return the warnings of the tuning."""
     r = file.result
     return () if r is None else tuple(r.remarks)
 
@@ -103,7 +102,7 @@ SIGMA_POINTS = {"alpha", "beta", "kappa"}
 
 
 def parameters_section(file: TuningRecord) -> Section:
-    """Every parameter with its unit, how far it can move, and what is to be said of it."""
+    """Every parameter with its unit, its range, and a remark."""
     ranges = file.within_1_percent_of_the_cost
     touched = {bound.parameter: bound.place for bound in (file.result.touched_bounds if file.result else ())}
     rows: list[tuple[Cell, ...]] = []
@@ -113,9 +112,7 @@ def parameters_section(file: TuningRecord) -> Section:
         searched = _searched_as(name, ranges, file)
         low, high = ranges.get(searched, (None, None))
         free = (low, high) == ("-", "-")
-        found = (
-            "any value in the box is as good" if free else touched.get(_searched_as(name, touched, file), "")
-        )
+        found = "no effect within the bounds" if free else touched.get(_searched_as(name, touched, file), "")
         remark = "; ".join(said for said in (MEANINGS.get(name, ""), found) if said)
         rows.append((name, value, unit, _end(low), _end(high), density, remark))
     if NOISE_SCALE in ranges:
@@ -124,8 +121,8 @@ def parameters_section(file: TuningRecord) -> Section:
     titles = ("parameter", "value", "unit", "from", "to", "density", "remark")
     text = (
         (
-            "From and to: where the cost has risen by 1%, all other parameters left alone; the box's end, where it has "
-            "not risen so far at the end of what was searched.",
+            "From and to: the values at which the cost is 1% higher, all other parameters unchanged; at the bound: "
+            "it is less than 1% higher at the bound of the search.",
         )
         if ranges
         else ()
@@ -134,18 +131,18 @@ def parameters_section(file: TuningRecord) -> Section:
 
 
 def _end(end: End | None) -> Cell:
-    return "the box's end" if end == "-" else end
+    return "at the bound" if end == "-" else end
 
 
 _SCALARS_OF: dict[str, tuple[str, ...]] = {
     "measurement_noise": ("r_x", "r_y"),
     "bias_std": ("accel_bias_std", "gyro_bias_std"),
 }
-"""What the search calls the entries of a list; those of process_noise are q and the state."""
+"""Names in the search of the entries of a list; those of process_noise are q and the state."""
 
 
 def _searched_as(name: str, known: Collection[str], file: TuningRecord) -> str:
-    """What a number is called in the search, where some are searched as one: q_x and q_y as q_xy, q_roll as q_tilt."""
+    """Return the name in the search, where some share one: q_x and q_y are q_xy, q_roll is q_tilt."""
     model = MODELS.get(str(file.filter.get("model")))
     shared = {f"q_{state.name}": f"q_{state.shared}" for state in (model.states if model else ())}
     return name if name in known else (shared | {"r_x": "r_xy", "r_y": "r_xy"}).get(name, name)
@@ -178,7 +175,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
         return ()
     chart = convergence_chart(History.load(path), file.result.best_trial, file.result.objective)
     costs = file.result.trial_costs
-    text = (f"The best of {len(costs)} trials is drawn strong.",) if len(costs) > 1 else ()
+    text = (f"The best of {len(costs)} trials is drawn bold.",) if len(costs) > 1 else ()
     rows = tuple((float(i), cost) for i, cost in enumerate(costs))
     table = Table(
         "Cost of each trial", (Column("trial"), Column("cost")), rows, frozenset({file.result.best_trial})
@@ -194,7 +191,7 @@ def convergence_section(file: TuningRecord, folder: Path) -> tuple[Section, ...]
 
 
 def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
-    """The drives; of evaluated ones whether they were held out, where that is known."""
+    """The drives; for evaluated ones whether they were held out, where that is known."""
     known = any(d.seen_s is not None for d in data)
     columns = [
         Column("drive"),
@@ -218,9 +215,9 @@ def data_section(title: str, data: Sequence[DriveRecord]) -> Section:
 
 
 def shown_config(config: dict[str, Any]) -> dict[str, Any]:
-    """The configuration that the search used: no swarm's coefficients of another optimizer.
+    """Return the configuration that the search used, without the coefficients of other optimizers.
 
-    Of a model of the user's own its name and fingerprint.
+    A model of the user's own is shown by its name and fingerprint.
     """
     if config.get("optimizer", "pso") != "pso":  # tunings from before there was a choice are of pso
         config = {key: value for key, value in config.items() if key not in SWARM}

@@ -1,13 +1,16 @@
-"""The vocabulary of charts: marks, which are numbers and looks, on two axes. `reports/draw/` draws them.
+"""Charts: marks, which are numbers and looks, on two axes. `reports/figures.py` makes PNG and SVG of them.
 
-Along an axis with categories the numbers count these: 0 is the first one, which stands on top of a vertical axis.
+Along an axis with categories the numbers are their indices: 0 is the first one, at the top of a vertical axis.
 """
 
+from base64 import urlsafe_b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import Formatter
 from numpy.typing import NDArray
 
 Values = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
@@ -16,9 +19,22 @@ Direction = Literal["x", "y"]
 Dash = Literal["solid", "dash", "dashdot", "dot", "none"]
 Symbol = Literal["", "dot", "circle", "ring", "diamond", "triangle-up", "triangle-right", "tick"]
 
+DASHES = {"solid": "-", "dash": "--", "dashdot": "-.", "dot": ":", "none": "none"}
+SYMBOLS: dict[Symbol, str] = {
+    "": "none",
+    "dot": ".",
+    "circle": "o",
+    "ring": "o",
+    "diamond": "D",
+    "triangle-up": "^",
+    "triangle-right": ">",
+    "tick": "|",
+}
+SMALL: dict[str, Any] = {"fontsize": 8}
+
 
 def short_number(value: float) -> str:
-    """A number beside its bar: three digits, and no powers of ten."""
+    """Format the number at a bar: three digits, and no powers of ten."""
     return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
 
 
@@ -30,13 +46,13 @@ class Look:
     ----------
     color : str, #rrggbb
     width : float
-        Of the line, in points.
+        Line width in points.
     dash : str
         ``none`` draws no line.
     symbol : str
-        On each point; a ring is hollow, a tick a short line across the axis of categories.
+        Marker of each point; a ring is hollow, a tick a short line across the axis of categories.
     size : float
-        Of the symbol, in points.
+        Marker size in points.
     opacity : float
     """
 
@@ -47,30 +63,55 @@ class Look:
     size: float = 4.0
     opacity: float = 1.0
 
+    @property
+    def line(self) -> dict[str, Any]:
+        """Keywords of `Axes.plot`."""
+        hollow = {"mfc": "none", "mec": self.color} if self.symbol == "ring" else {}
+        symbol = {"marker": SYMBOLS[self.symbol], "ms": self.size, **hollow} if self.symbol else {}
+        return {
+            "color": self.color,
+            "lw": self.width,
+            "ls": DASHES[self.dash],
+            "alpha": self.opacity,
+            **symbol,
+        }
+
+
+class Mark(Protocol):
+    """An element of a chart."""
+
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line from point to point, with symbols where its look has one; without a name it is not in the legend."""
+    """A line through points, with markers where its look has a symbol; ``name`` is its text in the legend."""
 
     x: Values
     y: Values
     look: Look
     name: str = ""
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        y = np.asarray(self.y, np.float64)
+        ax.plot(self.x, np.where(np.isinf(y), np.nan, y), **self.look.line, **_named(self.name))
+
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Symbols, each with a color, symbol, text and explanation of its own where these are given.
+    """Markers.
 
     Attributes
     ----------
     x, y : sequence of float, length n
     look : Look
-        Of those that have none of their own.
     name : str
-        In the legend.
+        Text in the legend.
     colors, symbols, texts, hovers : tuple of str, length n or 0
-        A text stands left of its point; a hover is what a page tells of it under the pointer.
+        Own color and symbol of each point, text left of it, and text under the pointer on a page.
     """
 
     x: Values
@@ -81,6 +122,26 @@ class Points:
     symbols: tuple[Symbol, ...] = ()
     texts: tuple[str, ...] = ()
     hovers: tuple[str, ...] = ()
+
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark, point by point where they differ."""
+        plain = self.look.line | {"ls": "none"}
+        if not (self.colors or self.symbols or self.hovers):
+            ax.plot(self.x, self.y, **plain, **_named(self.name))
+            return
+        for i, (x, y) in enumerate(zip(self.x, self.y, strict=True)):
+            own = {"color": self.colors[i]} if self.colors else {}
+            own |= {"marker": SYMBOLS[self.symbols[i]]} if self.symbols else {}
+            own |= {"gid": hover_id(self.hovers[i])} if self.hovers else {}
+            ax.plot(x, y, **plain | own, **_named(self.name if i == 0 else ""))
+        for text, x, y in zip(self.texts, self.x, self.y, strict=bool(self.texts)):
+            place: dict[str, Any] = {"xytext": (-6, 0), "textcoords": "offset points", "ha": "right"}
+            ax.annotate(text, (float(x), float(y)), va="center", **place, **SMALL)
+
+
+def hover_id(text: str) -> str:
+    """Return the identifier that carries a hover text into an SVG, see `figures`."""
+    return f"hover-{urlsafe_b64encode(text.encode()).decode()}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,21 +154,15 @@ class Band:
     look: Look
     name: str = ""
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        shade: dict[str, Any] = {"color": self.look.color, "alpha": self.look.opacity, "lw": 0}
+        ax.fill_between(self.x, self.low, self.high, **shade, **_named(self.name))
+
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """Bars from zero along ``along``, at places on the other axis.
-
-    Attributes
-    ----------
-    along : {"x", "y"}
-    at, values : sequence of float, length n
-    look : Look
-    colors, texts : tuple of str, length n or 0
-        Of each bar, the text at its end.
-    width : float
-        Of a bar, on the other axis.
-    """
+    """Bars from zero along ``along``, at positions ``at`` on the other axis; each may have a color and a text."""
 
     along: Direction
     at: Values
@@ -117,10 +172,20 @@ class Bars:
     texts: tuple[str, ...] = ()
     width: float = 0.8
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        look = self.look
+        shade: dict[str, Any] = {"color": list(self.colors) or look.color, "alpha": look.opacity}
+        shade |= {"lw": look.width, "edgecolor": look.color if look.width else "none"}
+        (ax.barh if self.along == "x" else ax.bar)(self.at, self.values, self.width, **shade)
+        for text, at, value in zip(self.texts, self.at, self.values, strict=bool(self.texts)):
+            end, align = ((value, at), "center") if self.along == "x" else ((at, value), "bottom")
+            ax.annotate(f" {text}", end, va=align, **SMALL)
+
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """Lines along ``along`` from low to high, at places on the other axis; what is NaN is left out."""
+    """Lines along ``along`` from low to high, at positions ``at`` on the other axis; NaN is left out."""
 
     along: Direction
     at: Values
@@ -128,6 +193,16 @@ class Intervals:
     high: Values
     look: Look
     name: str = ""
+
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        shade: dict[str, Any] = {
+            "color": self.look.color,
+            "lw": self.look.width,
+            "alpha": self.look.opacity,
+        }
+        lines = ax.hlines if self.along == "x" else ax.vlines
+        lines(self.at, self.low, self.high, **shade, **_named(self.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,21 +219,28 @@ class Boxes:
     look: Look
     name: str = ""
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        parts = ("whislo", "q1", "med", "q3", "whishi")
+        numbers = zip(self.low, self.first, self.median, self.third, self.high, strict=True)
+        drawn = ax.bxp(
+            [dict(zip(parts, box, strict=True)) for box in numbers],
+            positions=list(self.at),
+            orientation="horizontal" if self.along == "x" else "vertical",
+            widths=0.5,
+            showfliers=False,
+            patch_artist=True,
+            medianprops={"color": "k"},
+            boxprops={"facecolor": self.look.color, "alpha": self.look.opacity},
+            manage_ticks=False,
+        )
+        if self.name:
+            drawn["boxes"][0].set_label(self.name)
+
 
 @dataclass(frozen=True)
 class Rule:
-    """A line across the whole chart where an axis has the value ``at``.
-
-    Attributes
-    ----------
-    axis : {"x", "y"}
-    at : float
-    look : Look
-    name : str
-        In the legend.
-    label : str
-        At the line.
-    """
+    """A line across the chart where ``axis`` has the value ``at``, with a name in the legend or a label at the line."""
 
     axis: Direction
     at: float
@@ -166,18 +248,35 @@ class Rule:
     name: str = ""
     label: str = ""
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        vertical = self.axis == "x"
+        (ax.axvline if vertical else ax.axhline)(self.at, **self.look.line, **_named(self.name))
+        if self.label:
+            place = (self.at, 0.98) if vertical else (0.01, self.at)
+            across = ax.get_xaxis_transform() if vertical else ax.get_yaxis_transform()
+            behind = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1}
+            align = "top" if vertical else "bottom"
+            ax.annotate(self.label, place, xycoords=across, va=align, bbox=behind, **SMALL)
+
 
 @dataclass(frozen=True)
 class Span:
-    """A stripe across the whole chart, where an axis has values from low to high; below all other marks."""
+    """A stripe across the chart where ``axis`` has values from low to high."""
 
     axis: Direction
     low: float
     high: float
     look: Look
 
+    def draw(self, ax: Axes) -> None:
+        """Draw the mark."""
+        stripe = ax.axvspan if self.axis == "x" else ax.axhspan
+        stripe(self.low, self.high, color=self.look.color, alpha=self.look.opacity, lw=0)
 
-Mark = Curve | Points | Band | Bars | Intervals | Boxes | Rule | Span
+
+def _named(name: str) -> dict[str, Any]:
+    return {"label": name} if name else {}
 
 
 @dataclass(frozen=True)
@@ -190,11 +289,11 @@ class Axis:
         With its unit: ``time, s``.
     scale : {"linear", "log"}
     range : (float or None, float or None)
-        What it shows; None: as far as the marks go.
+        Limits; None: as far as the marks reach.
     categories : tuple of str
-        Names of the places 0, 1, ...
+        Names of the positions 0, 1, ...
     ticks : tuple of float
-        Where it has numbers; empty: chosen when it is drawn.
+        Positions of its numbers; empty: automatic.
     plain : bool
         Write numbers in full rather than as powers of ten.
     """
@@ -206,20 +305,51 @@ class Axis:
     ticks: tuple[float, ...] = ()
     plain: bool = False
 
+    def draw(self, ax: Axes, direction: Direction, *, widen: bool) -> None:
+        """Set up the axis; ``widen``: equal axes may extend a range to fill the frame."""
+        low, high = self.range
+        ax.set(**{f"{direction}label": self.title, f"{direction}scale": self.scale})
+        numbers = ax.xaxis if direction == "x" else ax.yaxis
+        if self.categories:
+            n = len(self.categories)
+            numbers.set_ticks(range(n), self.categories, **SMALL)
+            low, high = (n - 0.4, -0.6) if direction == "y" else (-0.6, n - 0.4)
+        elif self.plain:
+            numbers.set_major_formatter("{x:g}")
+            numbers.set_minor_formatter("{x:g}")
+        elif self.ticks:
+            numbers.set_ticks(self.ticks, [f"{tick:g}" for tick in self.ticks])
+        elif self.scale == "log":  # powers of ten would overlap where the marks span less than one
+            numbers.set_major_formatter("{x:g}")
+            numbers.set_minor_formatter(_Between())
+        if low is not None or high is not None:
+            limits = ax.set_xlim if direction == "x" else ax.set_ylim
+            limits(low, high, **({"auto": True} if widen else {}))
+
+
+class _Between(Formatter):
+    """Format 2 and 5 times a power of ten, where an axis spans little more than one power."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        low, high = sorted(self.axis.get_view_interval())  # pyright: ignore
+        digit = f"{x:e}"[0] if 0 < high < 15 * low else ""
+        return f"{x:g}" if digit in ("2", "5") else ""
+
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A plot: marks on two axes, the later ones above the earlier.
+    """A plot.
 
     Attributes
     ----------
     title : str
     marks : tuple of Mark
+        Drawn in this order.
     x, y : Axis
     equal : bool
-        A metre is as long on either axis.
+        Both axes have the same scale.
     broad : bool
-        On a page, at most two of these stand in a row.
+        A page shows at most two of these in a row.
     """
 
     title: str
@@ -228,3 +358,21 @@ class Chart:
     y: Axis = field(default_factory=Axis)
     equal: bool = False
     broad: bool = False
+
+    @property
+    def names(self) -> list[str]:
+        """Entries of the legend."""
+        return [name for mark in self.marks if (name := getattr(mark, "name", ""))]
+
+    def draw(self, ax: Axes) -> None:
+        """Draw the marks, the title and the axes."""
+        for mark in self.marks:
+            mark.draw(ax)
+        ax.set_title(self.title, loc="left")
+        if self.equal:
+            ax.set(aspect="equal", adjustable="datalim")
+        self.x.draw(ax, "x", widen=self.equal)
+        self.y.draw(ax, "y", widen=self.equal)
+        for mark in self.marks:
+            if isinstance(mark, Bars) and mark.texts:  # room for the texts at the ends of the bars
+                (ax.set_xmargin if mark.along == "x" else ax.set_ymargin)(0.25)

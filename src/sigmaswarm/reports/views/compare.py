@@ -4,14 +4,14 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.experiments.compare.record import COMPARED, FEWEST_SEEDS, Comparison
+from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.reports.style import DASHES, MANY
 from sigmaswarm.reports.views.charts import Axis, Band, Chart, Curve, Look, Mark, Points
-from sigmaswarm.reports.views.record import Cell, Column, Table
+from sigmaswarm.tables import Cell, Column, Table
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Medians with intervals and the worst run, beside what the tests say; one row for each contender."""
+    """Tabulate medians with intervals, the worst run and tests; one row for each contender."""
     shown = _shown(comparison)
     digits = "{:.4g}".format
     columns = [Column("optimizer"), Column("scale")]
@@ -24,7 +24,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def _shown(comparison: Comparison) -> list[str]:
-    """The measures for people, who need not read the same twice where the objective is the RMSE."""
+    """Return the measures of the table: not the held-out cost where it is the RMSE."""
     same = all(c.config.objective == "truth-rmse" for c in comparison.contenders)
     return [m for m in comparison.measures if not (same and m == "held_out_cost")]
 
@@ -45,12 +45,12 @@ def _probability(p: float) -> str:
 
 
 def _note(comparison: Comparison) -> str:
-    """What the table's figures are."""
+    """Explain the figures of the table."""
     return (
         f"{comparison.seeds} seeds, {comparison.budget} evaluations each. Median [95% interval of the median], worst "
         f"run, and p: paired Wilcoxon test against {comparison.contenders[0].label}, corrected after Holm over the "
         "rows. Steps: filter steps spent, of what the budget takes on all drives. Touched bounds: in how many runs a "
-        f"parameter ended on a bound. Trained on {', '.join(comparison.drives)}; "
+        f"parameter ended at a bound. Trained on {', '.join(comparison.drives)}; "
         f"held out: {', '.join(comparison.test) or 'none'}."
         + (
             ""
@@ -61,7 +61,7 @@ def _note(comparison: Comparison) -> str:
 
 
 def comparison_charts(comparison: Comparison) -> tuple[Chart, Chart]:
-    """Cost against evaluations, with quartiles, and every run's last cost beside its held-out one."""
+    """Draw cost against evaluations, with quartiles, and the last cost of every run."""
     last = "held_out_cost" if "held_out_cost" in comparison.measures else "cost"
     looks = [
         Look(MANY[i % len(MANY)], 1.6, DASHES[i // len(MANY) % len(DASHES)])
@@ -95,7 +95,7 @@ def comparison_charts(comparison: Comparison) -> tuple[Chart, Chart]:
 
 
 def _course(comparison: Comparison, i: int) -> list[Array]:
-    """Evaluations spent, median and quartiles of a contender; NaN beyond what it spent, raced or stalled."""
+    """Return evaluations, median and quartiles of a contender; NaN beyond its last evaluation."""
     contender, share = comparison.contenders[i], comparison.frame["steps_share"][i]
     rows = comparison.curves.filter(
         (pl.col("optimizer") == contender.name) & (pl.col("scale") == contender.scale)
@@ -107,7 +107,7 @@ def _course(comparison: Comparison, i: int) -> list[Array]:
 
 
 def _frame(comparison: Comparison) -> tuple[float | None, float | None]:
-    """From the lowest cost to what half of the contenders reach at a tenth of the budget."""
+    """Return a range from the lowest cost to the median of the contenders at a tenth of the budget."""
     medians = comparison.curves["median"].to_numpy().reshape(len(comparison.contenders), -1)
     finite = medians[np.isfinite(medians)]
     if not len(finite):

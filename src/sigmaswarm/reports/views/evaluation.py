@@ -1,4 +1,4 @@
-"""The charts of an evaluation: bars of the methods, what a filter's innovations say, tracks and errors over time."""
+"""The charts of an evaluation: bars of the methods, consistency, tracks and errors over time."""
 
 from collections.abc import Mapping
 
@@ -45,7 +45,7 @@ DRAWN = ("raw_gps", UNTUNED, OWN, "tuned", *LEARNED, "swarm", "smoothed", "truth
 
 
 HEADING_SHOWN = (1.0, 30.0)
-"""deg: least and greatest half of the axis of heading errors; more is a filter that is lost."""
+"""deg: limits of half of the axis of heading errors; larger errors are those of a diverged filter."""
 
 
 def method_bars(
@@ -159,7 +159,7 @@ def _paths(series: Mapping[str, Columns], labels: Mapping[str, str]) -> tuple[Ma
 
 
 def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ...]:
-    """Position and heading error over time, with the tuned filter's own 3-sigma bounds, and in hindsight."""
+    """Position and heading error over time with the 3-sigma bounds of the tuned and the smoothed filter."""
     series = picture.whole.series
     tuned = series["tuned"]
     if "position_error" not in tuned:
@@ -194,7 +194,7 @@ def error_charts(picture: Picture, labels: Mapping[str, str]) -> tuple[Chart, ..
 
 
 def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
-    """What the lanes of a swarm counted over time, one upon the other, and how far they were from the tuning."""
+    """Weights of the filters of a swarm over time, stacked, and their distance from the tuning."""
     shares, moved = (tracks.series.get("swarm" + ending) for ending in (SHARES, MOVED))
     if shares is None or moved is None:
         return ()
@@ -209,11 +209,11 @@ def swarm_charts(tracks: Tracks) -> tuple[Chart, ...]:
         Look(MANY[i % len(MANY)], 1.2, DASHES[i // len(MANY) % len(DASHES)]) for i in range(len(offsets))
     ]
     curves = [Curve(moved["time"], by, look, name) for (name, by), look in zip(offsets, looks, strict=True)]
-    title = f"{tracks.name}: what the lanes of the swarm count"
+    title = f"{tracks.name}: weights of the filters of the swarm"
     return (
         Chart(title, tuple(river), Axis("time, s"), Axis("share", range=(0.0, 1.0))),
         Chart(
-            f"{tracks.name}: how far the swarm is from its tuning",
+            f"{tracks.name}: distance of the swarm from its tuning",
             (Rule("y", 0.0, Look(GREY, 0.8)), *curves),
             Axis("time, s"),
             Axis("decades of variance"),

@@ -5,8 +5,7 @@ from math import inf, nan
 from typing import Literal
 
 from sigmaswarm.experiments.study.config import ALL, UNTUNED
-from sigmaswarm.experiments.study.record import Convergence, Interval, Results
-from sigmaswarm.experiments.study.spread import Spread
+from sigmaswarm.experiments.study.record import Convergence, Interval, Results, Spread
 from sigmaswarm.reports.style import GREEN, SLATE, STUDY_LOOKS
 from sigmaswarm.reports.views.charts import (
     Axis,
@@ -27,15 +26,15 @@ COLORS = {
     "paper": STUDY_LOOKS["paper-pso-ukf"].color,
     "honest": STUDY_LOOKS["honest-pso-ukf"].color,
 }
-"""Of the protocols."""
+"""Colors of the protocols."""
 REACH = 12
-"""Means more than so many times the lowest one lie beyond the scale: else nobody could tell the good ones apart."""
+"""The scale ends at this multiple of the lowest mean, so that the good ones can be told apart."""
 
 
 def means_chart(
     results: Results, measure: str, reach: float = REACH, mark: float | None = None
 ) -> Chart | None:
-    """Means of every method with two intervals; the scale is logarithmic, and reaches from the lowest mean."""
+    """Draw the means of every method with two intervals, on a logarithmic scale."""
     rows = [(row, row.mean) for row in results.means(measure) if row.mean]
     if not rows:
         return None
@@ -52,8 +51,8 @@ def means_chart(
         symbols=tuple("triangle-right" if mean > high else "circle" for mean in means),
         texts=tuple(short_number(mean) if mean > high else "" for mean in means),
         hovers=tuple(
-            f"{results.label(row.method, row.protocol)}: {mean:.3g}<br>95% for new drives: {_said(far)}"
-            f"<br>95% over trials: {_said(near)}"
+            f"{results.label(row.method, row.protocol)}: {mean:.3g}\n95% for new drives: {_text(far)}"
+            f"\n95% over trials: {_text(near)}"
             for (row, mean), far, near in zip(rows, wide, narrow, strict=True)
         ),
     )
@@ -74,7 +73,7 @@ def means_chart(
     )
 
 
-def _said(interval: Interval) -> str:
+def _text(interval: Interval) -> str:
     low, high = interval
     return "–" if low is None or high is None else f"{low:.3g} to {high:.3g}"
 
@@ -82,7 +81,7 @@ def _said(interval: Interval) -> str:
 def _intervals(
     each: Sequence[Interval], known: Sequence[bool], reach: tuple[float, float], look: Look, name: str
 ) -> Intervals:
-    """Of the means that are on the scale, as far as it reaches."""
+    """Draw the intervals of the means on the scale, cut at its ends."""
     shown = [
         (max(low, reach[0]), min(high, reach[1]))
         if near and low is not None and high is not None
@@ -105,9 +104,9 @@ def spread_chart(
     *,
     all_rows: bool = False,
 ) -> Chart | None:
-    """Boxes over the drives: quartiles, whiskers from 5 to 95%; the scale is logarithmic.
+    """Draw boxes over the drives (quartiles, whiskers from 5 to 95%) on a logarithmic scale.
 
-    ``all_rows``: also those of methods that the measure can't be taken of.
+    ``all_rows``: include methods without this measure.
     """
     rows = [s for s in spreads if s.measure == measure and s.high > 0]
     if not rows:
@@ -121,9 +120,9 @@ def spread_chart(
         places = [names.index(results.label(s.method, protocol)) for s in own]
         boxes.append(Boxes("x", places, *quantiles, look=Look(COLORS[protocol], opacity=0.6)))
     failed = sum(s.failed for s in rows)
-    said = f" ({failed} drives on which a filter failed left out)" if failed else ""
+    note = f" ({failed} drives on which a filter failed left out)" if failed else ""
     return Chart(
-        f"{results.measures[measure]}{said}",
+        f"{results.measures[measure]}{note}",
         (*_rule(mark), *boxes),
         x=Axis(scale="log"),
         y=Axis(categories=tuple(names)),
@@ -137,7 +136,7 @@ def convergence_chart(
     methods: Sequence[str] = (),
     scale: Literal["linear", "log"] = "log",
 ) -> Chart | None:
-    """Best cost after each generation, of all methods or of some: the paper's Fig. 2."""
+    """Draw the best cost after each generation, of all methods or of some: the paper's Fig. 2."""
     mine = [c for c in results.convergence if c.protocol == protocol and c.method in (methods or [c.method])]
     if any(c.group != ALL for c in mine):  # a line a condition: only one method finds room
         mine = [c for c in mine if c.method == mine[0].method]
@@ -153,7 +152,7 @@ def convergence_chart(
 
 
 def _course(results: Results, course: Convergence, *, alone: bool) -> list[Mark]:
-    """The middle 80% of the trials, their median, and where that settles."""
+    """Draw the middle 80% of the trials, their median, and where it settles."""
     key = f"{course.protocol}-{course.method}"
     color = STUDY_LOOKS[key].color if key in STUDY_LOOKS else GREEN
     whole = course.group == ALL

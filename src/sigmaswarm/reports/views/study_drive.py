@@ -1,4 +1,4 @@
-"""The charts of one drive of a study: where it turns most, errors over time, and NIS."""
+"""The charts of one drive of a study: its sharpest turn, errors over time, and NIS."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ DRAWN: dict[str, tuple[str, Look]] = {
     f"paper-{MAIN}": ("PSO-UKF (paper: against the GPS)", STUDY_LOOKS[f"paper-{MAIN}"]),
     f"honest-{MAIN}": ("PSO-UKF (honest: against truth)", STUDY_LOOKS[f"honest-{MAIN}"]),
 }
-"""Names and looks of the filters that are drawn, by series."""
+"""Labels and looks of the drawn filters, by series."""
 
 
 def trajectory_chart(picture: Picture) -> Chart:
-    """Truth, GPS, manual and tuned filters where the car turns most (the paper's Fig. 3)."""
+    """Draw truth, GPS, manual and tuned filters at the sharpest turn (the paper's Fig. 3)."""
     named = {"raw_gps": ("GPS", LOOKS["raw_gps"]), **DRAWN, "truth": ("truth", LOOKS["truth"])}
     (x, y), half = picture.turn, CLOSE_UP / 2
     return Chart(
@@ -33,7 +33,7 @@ def trajectory_chart(picture: Picture) -> Chart:
 
 
 def error_charts(picture: Picture) -> tuple[Chart, ...]:
-    """Position and heading error over time, each with the filter's own 3 sigma: two charts a filter."""
+    """Draw position and heading error over time with the filter's 3 sigma: two charts a filter."""
     charts: list[Chart] = []
     for series, (name, look) in DRAWN.items():
         columns = picture.whole.series[series]
@@ -53,14 +53,14 @@ def error_charts(picture: Picture) -> tuple[Chart, ...]:
 
 
 def _reach(error: Values) -> float:
-    """The error sets the scale: a band that is far wider would hide it, one far narrower is seen."""
+    """Return the end of a scale that the error sets, not the band."""
     known = np.abs(np.asarray(error))
     known = known[np.isfinite(known)]
     return 1.5 * float(known.max(initial=0.0)) + 1e-3 if len(known) else 1.5
 
 
 def nis_charts(picture: Picture) -> tuple[Chart, ...]:
-    """NIS of each filter over time: 95% of a consistent filter's lie below the gate."""
+    """Draw the NIS of each filter over time; 95% of a consistent filter's lie below the gate."""
     charts: list[Chart] = []
     for series, (name, look) in DRAWN.items():
         columns = picture.whole.series.get(series + NIS)

@@ -1,12 +1,12 @@
-"""The tables of a study: the paper's with ours beside, comparisons, conditions, and what the search found."""
+"""The tables of a study: the paper's next to ours, comparisons, conditions, and what the search found."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from statistics import median
 from typing import Any
 
-from sigmaswarm.experiments.study.config import ALL, MAIN, NETWORKS, SEARCHED_RIVALS, TUNED_METHODS, UNTUNED
+from sigmaswarm.experiments.study.config import ALL, MAIN, METHODS, UNTUNED
 from sigmaswarm.experiments.study.record import (
     PairedComparison,
     Results,
@@ -14,69 +14,67 @@ from sigmaswarm.experiments.study.record import (
     Variant,
     VariantSummary,
 )
-from sigmaswarm.reports.views.record import Cell, Column, Table
+from sigmaswarm.tables import Cell, Column, Table
 
 POSITION, HEADING, DRIFT = "position_rmse_m", "heading_rmse_deg", "outage_drift_m"
 ERRORS = {POSITION: "position RMSE against truth", HEADING: "heading error", DRIFT: "outage drift"}
-ROWS: tuple[tuple[str, str, str | None], ...] = (
-    (UNTUNED, "imu-only", "imu-only"),
-    (UNTUNED, "raw-gps", None),
-    (UNTUNED, "ekf-defaults", "ekf"),
-    (UNTUNED, "ekf-datasheet", "ekf"),
-    (UNTUNED, "adaptive-ukf-defaults", "adaptive-ukf"),
-    (UNTUNED, "adaptive-ukf-datasheet", "adaptive-ukf"),
-    (UNTUNED, "ukf-defaults", "ukf"),
-    (UNTUNED, "ukf-datasheet", "ukf"),
-    (UNTUNED, "ukf-paper", None),
-    ("paper", MAIN, MAIN),
-    ("honest", MAIN, MAIN),
-    *(("honest", method, None) for method in (*TUNED_METHODS, *SEARCHED_RIVALS, *NETWORKS) if method != MAIN),
-)
-"""Protocol and method of each row that a study may have, and which of the paper's rows it stands beside."""
+ROWS = [
+    (protocol, method, row.paper)
+    for method, row in METHODS.items()
+    for protocol in row.protocols or (UNTUNED,)
+]
+"""Protocol and method of each row of a study, and the paper's row next to it."""
 LIVE_NAMES = {"EKF": "ekf", "adaptive UKF": "adaptive-ukf", "UKF": "ukf"}
-"""Names of the paper's rows in the timings of the live filters."""
+"""The paper's rows of the timed filters."""
 NEW_DRIVES = "95% for new drives"
 PAIRED = (
-    "One value a drive, the mean over the trials that held it back, of drives on which neither ever failed; 95% "
+    "One value a drive, the mean over its trials, of drives on which neither failed; 95% "
     "intervals by bootstrap over drives; negative differences and positive improvements are in favor of the {}."
 )
 INTERVALS = (
-    "The interval over trials (as in the paper) says what optimizer and split leave open; it covers the mean of "
-    "new drives only about half of the time. The other two are made for those: in a study of full size the "
-    "bootstrap covers it 95% of the time (in small ones 85 to 95%), the corrected t as often or more, as it is too "
-    "wide where the optimizer's luck varies much."
+    "The interval over trials (as in the paper) is the uncertainty by optimizer and split; it covers the mean of new "
+    "drives only about half of the time. The other two are intervals for new drives: in a study of full size the "
+    "bootstrap covers the mean 95% of the time (in small ones 85 to 95%), the corrected t as often or more; it is too "
+    "wide where the optimizer varies much."
 )
+Row = tuple[Cell, ...]
 
 
-def decimals(digits: int, value: float) -> str:
-    """So many of them below 100, none above: as the paper prints its figures."""
+def _decimals(digits: int, value: float) -> str:
+    """Print a figure as the paper does: with decimals below 100 only."""
     return f"{value:.{digits}f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
 def figures(title: str, digits: int = 2, **more: Any) -> Column:
-    """A column of figures, printed as the paper prints its own."""
-    return Column(title, printed=partial(decimals, digits), **more)
+    """Make a column of figures, printed as in the paper."""
+    return Column(title, printed=partial(_decimals, digits), **more)
 
 
 def _digits(title: str, digits: int) -> Column:
     return Column(title, printed=lambda value: f"{value:.{digits}g}")
 
 
+def with_intervals(titles: Iterable[str]) -> list[Column]:
+    """Return a column of figures and one of their intervals for each title."""
+    return [column for title in titles for column in (figures(title), figures("95%", joined=True))]
+
+
+def mean_cells(found: VariantSummary | None) -> Row:
+    """Return the cells of a mean and its interval for new drives."""
+    return (found.mean, found.bootstrap_interval) if found else (None, None)
+
+
 def study_table(
-    caption: str,
-    columns: Sequence[Column],
-    rows: Sequence[tuple[Cell, ...]],
-    results: Results,
-    note: str = "",
+    caption: str, columns: Sequence[Column], rows: Sequence[Row], results: Results, note: str = ""
 ) -> Table:
-    """The main method's rows are those that matter most."""
+    """Make a table whose rows of the main method are emphasized."""
     main = {results.label(MAIN, protocol) for protocol in results.protocols}
     strong = frozenset(i for i, row in enumerate(rows) if row[0] in main)
     return Table(caption, tuple(columns), tuple(rows), strong, note)
 
 
 def study_tables(results: Results) -> dict[str, Table]:
-    """All tables that are kept in files, but that of the run time, which no two runs share; by the files' names."""
+    """Return all tables but those of run times, which differ between runs, by the names of their files."""
     return {
         "table-1": table_1(results),
         "table-2": table_2(results),
@@ -90,24 +88,24 @@ def study_tables(results: Results) -> dict[str, Table]:
 
 
 def table_1(results: Results) -> Table:
-    """The paper's Table I: RMSE of IMU only, UKF and PSO-UKF, against the GPS and against truth."""
+    """Tabulate the paper's Table I: RMSE of IMU only, UKF and PSO-UKF, against the GPS and against truth."""
     paper = results.paper["table_1"]
     rows = [
         (
             results.label(method, protocol),
             paper.get(beside, {}).get("rmse_m"),
-            *(_mean(results.summary(protocol, method, m)) for m in ("gps_rmse_m", POSITION)),
+            *(mean_cells(results.summary(protocol, method, m))[0] for m in ("gps_rmse_m", POSITION)),
         )
         for protocol, method, beside in _rows(results)
         if beside in paper or method == "raw-gps"
     ]
     titles = ("paper", "ours, against the GPS (eq. 4)", "ours, against truth")
-    note = "Mean over trials on held-out drives. The paper's RMSE is against the GPS that the filter has absorbed."
+    note = "Mean over trials on held-out drives. The paper's RMSE is against the GPS after the update."
     return study_table("Table I. RMSE, m", [Column("method"), *map(figures, titles)], rows, results, note)
 
 
 def table_2(results: Results) -> Table:
-    """The paper's Table II: RMSE with its spread over trials and three intervals."""
+    """Tabulate the paper's Table II: RMSE with its spread over trials and three intervals."""
     titles = (
         "mean",
         "SD",
@@ -115,13 +113,8 @@ def table_2(results: Results) -> Table:
         "for new drives: corrected t",
         "for new drives: bootstrap",
     )
-    columns = [
-        Column("method"),
-        figures("paper"),
-        figures("95%", joined=True),
-        *map(figures, titles),
-    ]
-    rows: list[tuple[Cell, ...]] = []
+    columns = [Column("method"), *with_intervals(["paper"]), *map(figures, titles)]
+    rows: list[Row] = []
     for protocol, method, beside in _rows(results):
         found, theirs = results.summary(protocol, method, POSITION), results.paper["table_2"].get(beside, {})
         if found is not None:
@@ -134,7 +127,7 @@ def table_2(results: Results) -> Table:
 
 
 def table_3(results: Results) -> Table:
-    """The paper's Table III without the run time."""
+    """Tabulate the paper's Table III without the run time."""
     columns = [Column("method")]
     for what in ("heading", "drift"):
         columns += [
@@ -142,13 +135,13 @@ def table_3(results: Results) -> Table:
             figures(f"{what}: ours"),
             figures(NEW_DRIVES, joined=True),
         ]
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for protocol, method, beside in _rows(results):
         row: list[Cell] = [results.label(method, protocol)]
         for measure, key in ((HEADING, "heading_deg"), (DRIFT, "outage_drift_m")):
             found = results.summary(protocol, method, measure)
             theirs = results.paper["table_3"].get(beside, {}).get(key)
-            row += [theirs, _mean(found), found and found.bootstrap_interval]
+            row += [theirs, *mean_cells(found)]
         rows.append(tuple(row))
     caption = "Table III. Heading error, deg, and drift over a 5 s outage, m"
     note = (
@@ -159,7 +152,7 @@ def table_3(results: Results) -> Table:
 
 
 def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> Table:
-    """The last column of the paper's Table III: an update through the live filter."""
+    """Tabulate the last column of the paper's Table III: an update of the live filter."""
     rows = [
         (
             name,
@@ -169,27 +162,23 @@ def runtime_table(results: Results, live: Mapping[str, Mapping[str, float]]) -> 
         )
         for name, times in live.items()
     ]
-    ours = ("ours, an IMU sample", "ours, an IMU sample that absorbs a fix")
+    ours = ("ours, an IMU sample", "ours, an IMU sample with a fix")
     columns = (Column("filter"), figures("paper"), *(figures(title, 4) for title in ours))
     note = (
-        "Medians over one drive through the live filter, called from Python, on the machine that ran the study. A "
-        "tuned filter costs what a manual one costs. The paper's limit for real time is "
+        "Medians over one drive of the live filter, called from Python, on the machine that ran the study. Tuning does "
+        "not change them. The paper's limit for real time is "
         f"{results.paper['real_time_limit_ms']:g} ms."
     )
     return Table("Table III, run time: ms per update", columns, tuple(rows), note=note)
 
 
 def _rows(results: Results) -> list[tuple[str, str, str | None]]:
-    """The rows of a study's methods."""
+    """Return the rows of a study's methods."""
     return [row for row in ROWS if row[1] in results.methods]
 
 
-def _mean(found: VariantSummary | None) -> float | None:
-    return found.mean if found else None
-
-
 def consistency_table(results: Results) -> Table:
-    """Mean NIS of every filter."""
+    """Tabulate the mean NIS of every filter."""
     titles = ("method", "mean NIS", "SD over trials", NEW_DRIVES)
     rows = [
         (results.label(r.method, r.protocol), r.mean, r.sd, r.bootstrap_interval)
@@ -199,12 +188,9 @@ def consistency_table(results: Results) -> Table:
 
 
 def comparison_table(results: Results, protocol: str, measure: str) -> Table:
-    """The PSO-UKF of a protocol against every other method, drive by drive."""
-    columns = (
-        Column("against"),
-        figures(f"difference, {'deg' if measure == HEADING else 'm'}"),
-        *paired_columns("Wilcoxon p (Holm)"),
-    )
+    """Compare the PSO-UKF of a protocol with every other method, drive by drive."""
+    unit = "deg" if measure == HEADING else "m"
+    columns = (Column("against"), *paired_columns(f"difference, {unit}", "Wilcoxon p (Holm)"))
     rows = tuple(
         (results.label(c.against), *paired_cells(c))
         for c in results.comparisons
@@ -216,33 +202,20 @@ def comparison_table(results: Results, protocol: str, measure: str) -> Table:
     return Table(caption, columns, rows, note=PAIRED.format("PSO-UKF"))
 
 
-def paired_columns(p: str) -> list[Column]:
-    """What `paired_cells` fills, behind the column of the difference."""
-    return [
-        figures("95%", joined=True),
-        figures("improvement (eq. 5), %"),
-        figures("95%", joined=True),
-        _digits(p, 2),
-        figures("rank-biserial"),
-        figures("drives", 0),
-    ]
+def paired_columns(difference: str, p: str) -> list[Column]:
+    """Make the columns of `paired_cells`."""
+    intervals = with_intervals([difference, "improvement (eq. 5), %"])
+    return [*intervals, _digits(p, 2), figures("rank-biserial"), figures("drives", 0)]
 
 
-def paired_cells(c: PairedComparison) -> tuple[Cell, ...]:
-    """The difference, and what `paired_columns` names."""
-    return (
-        c.mean_difference,
-        c.interval,
-        c.improvement,
-        c.improvement_interval,
-        c.holm_p,
-        c.rank_biserial,
-        c.n_drives,
-    )
+def paired_cells(c: PairedComparison) -> Row:
+    """Return the cells of a paired comparison."""
+    improvement = (c.improvement, c.improvement_interval)
+    return (c.mean_difference, c.interval, *improvement, c.holm_p, c.rank_biserial, c.n_drives)
 
 
 def conditions_table(results: Results, measure: str, variants: Sequence[Variant] = ()) -> Table:
-    """A measure in each condition, of all variants or of some."""
+    """Tabulate a measure in each condition, of all variants or of some."""
     found = {
         (r.maneuver, r.environment, r.protocol, r.method): r.mean
         for r in results.summaries
@@ -261,7 +234,7 @@ def conditions_table(results: Results, measure: str, variants: Sequence[Variant]
 
 
 def _kinds(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
-    """All trials of each tuning: by protocol, method and group."""
+    """Group the trials by protocol, method and group."""
     kinds: dict[tuple[str, str, str], list[TrialTuning]] = {}
     for tuned in results.tunings:
         kinds.setdefault((tuned.protocol, tuned.method, tuned.group), []).append(tuned)
@@ -271,14 +244,14 @@ def _kinds(results: Results) -> dict[tuple[str, str, str], list[TrialTuning]]:
 def _by_group(
     caption: str, columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]], results: Results
 ) -> Table:
-    """Leaves out the second column, the group of drives, where all drives are one group."""
+    """Omit the second column, the group of drives, where there is only one group."""
     if all(row[1] in (ALL, "") for row in rows):
         columns, rows = [columns[0], *columns[2:]], [(row[0], *row[2:]) for row in rows]
     return study_table(caption, columns, rows, results)
 
 
 def convergence_table(results: Results) -> Table:
-    """The generation where the median over trials settles."""
+    """Tabulate the generation at which the median over trials settles."""
     columns = [
         *map(Column, ("method", "drives", "settles at generation")),
         Column("median cost at the end", "m"),
@@ -290,11 +263,11 @@ def convergence_table(results: Results) -> Table:
 
 
 def trials_table(results: Results) -> Table:
-    """Costs of the trials, how they differ, and the bounds that they touch."""
+    """Tabulate the costs of the trials and the bounds that they touch."""
     costs = ("lowest cost", "median cost", "highest cost")
     columns = [*map(Column, ("method", "drives", "trials")), *(Column(title, "m") for title in costs)]
     columns += map(Column, ("evaluations", "failures", "bounds touched, in how many trials"))
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[Row] = []
     for (protocol, method, group), own in _kinds(results).items():
         each = [t.cost for t in own]
         touched = Counter(bound.parameter for t in own for bound in t.touched_bounds)
@@ -306,10 +279,10 @@ def trials_table(results: Results) -> Table:
 
 
 def optimum_table(results: Results, methods: Sequence[str] = ()) -> Table:
-    """The parameters of the best trial of each tuning, or of those of some methods, beside the paper's."""
+    """Tabulate the parameters of the best trial of each tuning, or of some methods, and the paper's."""
     o: dict[str, Any] = results.paper["table_1"]["optimum"]
     figures = (o["alpha"], o["beta"], o["kappa"])
-    rows: list[tuple[Cell, ...]] = [("paper", "", *figures, f"{o['q']:g}", f"{o['r']:g}", None)]
+    rows: list[Row] = [("paper", "", *figures, f"{o['q']:g}", f"{o['r']:g}", None)]
     for (protocol, method, group), own in _kinds(results).items():
         if methods and method not in methods:
             continue

@@ -1,11 +1,30 @@
-"""The optimizers: one algorithm a file, all asked and told in the same way.
+"""The optimizers, one algorithm per file.
 
-One loop serves them all::
+All follow the protocol `Optimizer`, and one loop serves them::
 
     optimizer = create_optimizer("cma-es", low, high, population=30, budget=1500, rng=rng)
     while len(points := optimizer.ask()):
         optimizer.tell(costs_of(points))
     print(optimizer.global_best, optimizer.global_cost)
+
+A class of your own needs four methods, and goes to ``tune(drives, optimizer=Halton)``::
+
+    class Halton:
+        def __init__(self, low, high, population, rng):
+            self.low, self.high, self.population = low, high, population
+            self.sequence = scipy.stats.qmc.Halton(len(low), seed=rng)
+
+        def ask(self):
+            return self.low + self.sequence.random(self.population) * (self.high - self.low)
+
+        def tell(self, costs):
+            pass
+
+        def state(self):
+            return {"drawn": self.sequence.num_generated}
+
+        def restore(self, state):
+            self.sequence.reset().fast_forward(int(state["drawn"]))
 """
 
 import inspect
@@ -39,11 +58,11 @@ OPTIMIZERS: dict[str, Callable[..., AskTell]] = {
     "random": RandomSearch,
     "sobol": SobolSearch,
 }
-"""Each is made from low, high, population and rng, and from options of its own."""
+"""Each is called with low, high, population and rng, and with options of its own."""
 
 
 def create_optimizer(
-    name: str,
+    name: str | Callable[..., Optimizer],
     low: Array,
     high: Array,
     *,
@@ -54,37 +73,38 @@ def create_optimizer(
     polish_size: float = POLISH_SIZE,
     **options: Any,
 ) -> Budgeted:
-    """An optimizer that asks for no more points than its budget allows.
+    """Create an optimizer with a budget of evaluations.
 
     Parameters
     ----------
-    name : str
-        One of `OPTIMIZERS`.
+    name : str or class
+        One of `OPTIMIZERS`, or a class of your own that follows `Optimizer`.
     low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
+        Bounds, in search coordinates.
     population : int
-        Points a batch, at least 2.
+        Points per batch, at least 2.
     budget : int
         Evaluations, at least 1. The last batch is cut to what is left.
     rng : numpy.random.Generator
-        The only source of chance.
+        The only source of random numbers.
     polish : int
-        How many of the evaluations are kept for a Nelder-Mead search from the best point.
+        Evaluations of the budget reserved for a Nelder-Mead search from the best point.
     polish_size : float
-        Edge of its first simplex, in widths of the box.
+        Edge of its first simplex, in widths of the bounds.
     **options
         Of the optimizer itself.
 
     Raises
     ------
     InputError
-        If the name or an option is not known, or a number can't be used.
+        If the name or an option is not known, a method is missing, or a number can't be used.
     """
-    if name not in OPTIMIZERS:
+    if isinstance(name, str) and name not in OPTIMIZERS:
         raise InputError(f"optimizer = {name!r}: not known; choose one of {', '.join(OPTIMIZERS)}")
+    kind = OPTIMIZERS[name] if isinstance(name, str) else name
     known = [
         key
-        for key, parameter in inspect.signature(OPTIMIZERS[name]).parameters.items()
+        for key, parameter in inspect.signature(kind).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     ]
     for option in options:
@@ -97,5 +117,8 @@ def create_optimizer(
             f"population = {population}, budget = {budget}, polish = {polish}: "
             "population must be at least 2, budget at least 1, and polish from 0 to less than budget"
         )
-    first = OPTIMIZERS[name](low, high, population, rng, **options)
+    first = kind(low, high, population, rng, **options)
+    missing = [m for m in ("ask", "tell", "state", "restore") if not callable(getattr(first, m, None))]
+    if missing:
+        raise InputError(f"optimizer = {name}: has no method {missing[0]}; see sigmaswarm.tuning.optimizers")
     return Budgeted(first, low, high, rng, budget=budget, polish=polish, polish_size=polish_size)

@@ -1,4 +1,4 @@
-"""What all optimizers share: they are asked for points, told their costs, and can be saved in between."""
+"""The protocol of an optimizer, and what the built-in ones share."""
 
 from typing import Any, ClassVar, Protocol
 
@@ -9,61 +9,56 @@ Array = NDArray[np.float64]
 
 
 class Optimizer(Protocol):
-    """An algorithm that is asked for points and told their costs; lower wins."""
+    """A search algorithm: asked for points, told their costs; lower wins.
 
-    @property
-    def global_best(self) -> Array:
-        """The best point so far, shape (d,)."""
-        ...
-
-    @property
-    def global_cost(self) -> float:
-        """Its cost; ``inf`` until a point had a finite one."""
-        ...
+    The class is called as ``Own(low, high, population, rng)``: the bounds in search coordinates, shape (d,); the points
+    per batch; and a `numpy.random.Generator`, the only source of random numbers. Points outside the bounds are clipped.
+    """
 
     def ask(self) -> Array:
-        """The points whose costs are wanted next, shape (n, d); n = 0 if there is nothing left to try.
-
-        Asked again before it is told, it gives the same points.
-        """
+        """Return the points to try next, shape (n, d); n = 0 if there is nothing left to try."""
         ...
 
     def tell(self, costs: Array) -> None:
-        """Take the costs of the last points, shape (n,); one that is not finite counts as ``inf``."""
+        """Take the costs of the last points, shape (n,); a failed filter costs ``inf``."""
         ...
 
     def state(self) -> dict[str, Any]:
-        """All that `restore` needs to go on bit for bit: arrays and numbers, and the generator's state as ``rng``."""
+        """Return all that `restore` needs to continue bit for bit: arrays, numbers and strings by name.
+
+        The state of ``rng`` is saved with it and need not be in it.
+        """
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a saved `state`, in an optimizer made with the same arguments."""
+        """Continue from a saved `state`, in an optimizer made with the same arguments."""
         ...
 
 
 class AskTell:
-    """The frame of an optimizer; a child says how the next points come about and what costs teach it.
+    """Base of the built-in optimizers; a child implements `_next` and `_learn`.
 
     Parameters
     ----------
     low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
+        Bounds, in search coordinates.
     positions : ndarray, shape (n, d)
         The first points.
     rng : numpy.random.Generator
-        The only source of chance.
+        The only source of random numbers.
 
     Attributes
     ----------
     positions : ndarray, shape (n, d)
-        The points last asked for.
+        The last points.
     global_best : ndarray, shape (d,)
+        The best point so far.
     global_cost : float
-        ``inf`` until a point had a finite cost.
+        Its cost; ``inf`` until a point had a finite one.
     """
 
     saved: ClassVar[tuple[str, ...]] = ()
-    """The attributes, beside those of the frame, that make up the state: arrays, numbers or words."""
+    """Attributes of the child that are part of the state: arrays, numbers or strings."""
 
     def __init__(self, low: Array, high: Array, positions: Array, rng: np.random.Generator) -> None:
         self.low, self.high, self.rng = low, high, rng
@@ -73,7 +68,7 @@ class AskTell:
         self.told = False
 
     def ask(self) -> Array:
-        """The points whose costs are wanted next, shape (n, d)."""
+        """Return the points to try next, shape (n, d); the same ones until `tell` is called."""
         if self.told:
             self.positions = np.clip(self._next(), self.low, self.high)
             self.told = False
@@ -93,27 +88,24 @@ class AskTell:
         self.told = True
 
     def _next(self) -> Array:
-        """The next points; the frame projects them on the box."""
+        """Return the next points; `ask` clips them to the bounds."""
         raise NotImplementedError
 
     def _learn(self, costs: Array) -> None:
-        """Take the cleaned costs of `positions`."""
+        """Update the state from the costs of `positions`."""
 
     def _names(self) -> tuple[str, ...]:
         return ("positions", "global_best", "global_cost", "told", *self.saved)
 
     def state(self) -> dict[str, Any]:
-        """All that `restore` needs to go on bit for bit."""
+        """Return all that `restore` needs to continue bit for bit."""
         state = {name: getattr(self, name) for name in self._names()}
         return state | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a saved `state`, in an optimizer made with the same arguments."""
+        """Continue from a saved `state`, in an optimizer made with the same arguments."""
         for name in self._names():
             now, value = getattr(self, name), state[name]
-            setattr(
-                self,
-                name,
-                np.array(value, dtype=now.dtype) if isinstance(now, np.ndarray) else type(now)(value),
-            )
+            array = isinstance(now, np.ndarray)
+            setattr(self, name, np.array(value, dtype=now.dtype) if array else type(now)(value))
         self.rng.bit_generator.state = state["rng"]

@@ -47,12 +47,8 @@ class BayesianOptimization(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-        Sobol' points to begin with.
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`; the search begins with ``population`` Sobol' points.
     batch : int
         Points between two fits: fewer learn more from each evaluation, more take less time.
     candidates, searches : int

@@ -1,33 +1,43 @@
-"""An optimizer that stops when its evaluations are spent, and may keep the last of them for a local search."""
+"""A limit on evaluations, and a local search at the end of it."""
 
 from typing import Any
 
 import numpy as np
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.optimizers.asktell import Array, Optimizer
 from sigmaswarm.tuning.optimizers.nelder_mead import NelderMead
 
 POLISH_SIZE = 0.05
-"""Edge of the first simplex of a polish, in widths of the box."""
+"""Edge of the first simplex of a polish, in widths of the bounds."""
 
 
 class Budgeted:
-    """An optimizer with a budget of evaluations.
+    """An optimizer with a budget of evaluations; it may end with a Nelder-Mead search (polish).
 
     Parameters
     ----------
     first : Optimizer
-        Searches the whole box.
+        Searches the whole space.
     low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
+        Bounds, in search coordinates.
     rng : numpy.random.Generator
-        The same that ``first`` uses.
+        The generator of ``first``; its state is saved and restored here.
     budget : int
-        Points that will be asked for, at most.
+        Largest number of points.
     polish : int
-        How many of them a Nelder-Mead search from the best point may have in the end.
+        Evaluations of the budget reserved for a Nelder-Mead search from the best point.
     polish_size : float
-        Edge of its first simplex, in widths of the box.
+        Edge of its first simplex, in widths of the bounds.
+
+    Attributes
+    ----------
+    global_best : ndarray, shape (d,)
+        The best point so far.
+    global_cost : float
+        Its cost; ``inf`` until a point had a finite one.
+    spent : int
+        Evaluations so far.
     """
 
     def __init__(
@@ -44,44 +54,42 @@ class Budgeted:
         self.low, self.high, self.rng = low, high, rng
         self.first, self.budget, self.polish, self.polish_size = first, budget, polish, polish_size
         self.local: NelderMead | None = None
-        self.spent = 0
-
-    @property
-    def _now(self) -> Optimizer:
-        return self.local or self.first
-
-    @property
-    def global_best(self) -> Array:
-        """The best point so far, shape (d,)."""
-        return self._now.global_best
-
-    @property
-    def global_cost(self) -> float:
-        """Its cost; ``inf`` until a point had a finite one."""
-        return self._now.global_cost
+        self.spent, self._size, self._points = 0, 0, np.empty((0, len(low)))
+        self.global_best, self.global_cost = low.copy(), np.inf
 
     def ask(self) -> Array:
-        """The points whose costs are wanted next, shape (n, d); n = 0 if there is nothing left to try."""
+        """Return the points to try next, shape (n, d); n = 0 if there is nothing left to try."""
         left = self.budget - self.spent
-        batch = self._now.ask()
-        if (
-            self.local is None
-            and self.polish
-            and len(batch) > left - self.polish
-            and np.isfinite(self.global_cost)
-        ):
+        batch = self._batch(self.local or self.first)
+        polishes = self.local is None and self.polish and np.isfinite(self.global_cost)
+        if polishes and len(batch) > left - self.polish:
             self.local = self._local_search()
-            batch = self.local.ask()
-        return batch[: max(left, 0)]
+            batch = self._batch(self.local)
+        self._size, self._points = len(batch), batch[: max(left, 0)]
+        return self._points.copy()
+
+    def _batch(self, optimizer: Optimizer) -> Array:
+        batch = np.asarray(optimizer.ask(), dtype=np.float64)
+        if batch.ndim != 2 or batch.shape[1] != len(self.low) or not np.isfinite(batch).all():
+            name = type(optimizer).__name__
+            raise InputError(
+                f"{name}.ask returned an array of shape {batch.shape}; it must have shape (n, {len(self.low)}) and "
+                "finite numbers"
+            )
+        return np.clip(batch, self.low, self.high)
 
     def tell(self, costs: Array) -> None:
         """Take the costs of the last points, shape (n,); one that is not finite counts as ``inf``."""
-        unpaid = len(self._now.ask()) - len(costs)  # of a last batch that was cut
-        self._now.tell(np.concatenate([costs, np.full(unpaid, np.inf)]))
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        if len(costs) and costs.min() < self.global_cost:
+            best = int(np.argmin(costs))
+            self.global_best, self.global_cost = self._points[best].copy(), float(costs[best])
+        cut = np.full(self._size - len(costs), np.inf)  # points of a last batch beyond the budget
+        (self.local or self.first).tell(np.concatenate([costs, cut]))
         self.spent += len(costs)
 
     def settle(self) -> bool:
-        """Spend no more on the search of the whole box; whether a polish is left to do, or under way."""
+        """End the search of the whole space; return True if a polish follows or has begun."""
         if self.local is None:
             if not self.polish or not np.isfinite(self.global_cost):
                 return False
@@ -89,18 +97,12 @@ class Budgeted:
         return self.spent < self.budget
 
     def _local_search(self) -> NelderMead:
-        return NelderMead(
-            self.low,
-            self.high,
-            1,
-            self.rng,
-            start=self.first.global_best,
-            start_cost=self.first.global_cost,
-            size=self.polish_size,
-        )
+        start, cost = self.global_best, self.global_cost
+        size = self.polish_size
+        return NelderMead(self.low, self.high, 1, self.rng, start=start, start_cost=cost, size=size)
 
     def state(self) -> dict[str, Any]:
-        """All that `restore` needs to go on bit for bit."""
+        """Return all that `restore` needs to continue bit for bit."""
         parts = {"first": self.first, "local": self.local}
         states = {
             f"{part}.{name}": value
@@ -109,18 +111,24 @@ class Budgeted:
             for name, value in optimizer.state().items()
             if name != "rng"
         }
-        return states | {"spent": self.spent, "budget": self.budget, "rng": self.rng.bit_generator.state}
+        own = {name: getattr(self, name) for name in ("spent", "budget", "global_best", "global_cost")}
+        return states | own | {"rng": self.rng.bit_generator.state}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a saved `state`, in an optimizer made with the same arguments."""
+        """Continue from a saved `state`, in an optimizer made with the same arguments."""
 
         def part(name: str) -> dict[str, Any]:
             own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
             return own and own | {"rng": state["rng"]}
 
         self.spent, self.budget = int(state["spent"]), int(state["budget"])
+        # checkpoints of 0.3.0 have them in the parts alone
+        where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
+        self.global_best = np.array(state[f"{where}global_best"], dtype=np.float64)
+        self.global_cost = float(state[f"{where}global_cost"])
         self.first.restore(part("first"))
         self.local = None
         if local := part("local"):
             self.local = self._local_search()
             self.local.restore(local)
+        self.rng.bit_generator.state = state["rng"]

@@ -26,12 +26,8 @@ class CmaEs(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates. Samples are projected on it.
-    population : int
-        lambda, samples a generation.
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     step : float
         Standard deviation at first, in widths of the box.
     """

@@ -20,11 +20,8 @@ class DifferentialEvolution(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     base : {"best", "rand"}
         What the difference is added to: the best member, or a random one.
     scale : (float, float)

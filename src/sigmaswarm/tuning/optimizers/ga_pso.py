@@ -19,11 +19,8 @@ class GeneticSwarm(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     inertia, cognitive, social : float
         w, c1, c2 of the half that flies.
     """

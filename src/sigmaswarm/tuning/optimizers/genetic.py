@@ -24,11 +24,8 @@ class GeneticAlgorithm(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     crossover : float
         Chance that two parents are crossed; else their children are copies, before mutation.
     crossover_index, mutation_index : float

@@ -21,12 +21,8 @@ class NelderMead(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates. Vertices outside are projected on it.
-    population : int
-        Not used: a batch has as many points as the step needs, d at most (d + 1 at first).
-    rng : numpy.random.Generator
-        Draws the start, if none is given; the algorithm itself knows no chance.
+    low, high, population, rng
+        As for every `Optimizer`; a batch has the points that the step needs, at most d + 1, whatever the population.
     start : ndarray, shape (d,), optional
         Where to begin.
     start_cost : float, optional

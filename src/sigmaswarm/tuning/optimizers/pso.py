@@ -17,11 +17,8 @@ class ParticleSwarm(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    n_particles : int
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     inertia, cognitive, social : float
         w, c1, c2.
     zero_velocity_at_bounds : bool

@@ -17,12 +17,8 @@ class RandomSearch(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-        Points a batch.
-    rng : numpy.random.Generator
-        The only source of chance.
+    low, high, population, rng
+        As for every `Optimizer`.
     """
 
     def __init__(self, low: Array, high: Array, population: int, rng: np.random.Generator) -> None:
@@ -37,12 +33,8 @@ class SobolSearch(AskTell):
 
     Parameters
     ----------
-    low, high : ndarray, shape (d,)
-        Bounds of the box, in search coordinates.
-    population : int
-        Points a batch.
-    rng : numpy.random.Generator
-        Draws the seed of the scrambling.
+    low, high, population, rng
+        As for every `Optimizer`.
     """
 
     saved: ClassVar = ("seed", "drawn")

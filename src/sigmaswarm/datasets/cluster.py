@@ -1,0 +1,205 @@
+"""A Dask cluster: its address, its workers and their versions, and its errors, each in one line."""
+
+import asyncio
+import json
+import logging
+import re
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from sigmaswarm.errors import InputError, SigmaswarmError
+from sigmaswarm.versions import versions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+ANSWER_TIMEOUT = 30.0
+"""s that a scheduler may take to answer."""
+CONNECT_TIMEOUT = 10.0
+"""s that it may take to be reached."""
+
+
+class ClusterError(SigmaswarmError):
+    """A cluster can't be reached, or can't do the work."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """A Dask client, and the requests of this library to its cluster.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    client: "Client"
+
+    def __post_init__(self) -> None:
+        if self.client.asynchronous:
+            raise InputError("cluster: is an asynchronous client; make one with asynchronous=False")
+
+    @property
+    def address(self) -> str:
+        """The address of the scheduler."""
+        scheduler: Any = self.client.scheduler
+        return str(scheduler.address if scheduler is not None else "?")
+
+    def workers(self) -> dict[str, int]:
+        """Return the present workers: the number of threads of each, by address.
+
+        Raises
+        ------
+        ClusterError
+            If the scheduler does not answer.
+        """
+        if self.client.status != "running":
+            raise self.lost_scheduler()
+
+        async def identity() -> dict[str, Any]:
+            scheduler: Any = self.client.scheduler
+            return await asyncio.wait_for(scheduler.identity(n_workers=-1), ANSWER_TIMEOUT)
+
+        try:
+            found = cast("dict[str, Any]", self.client.sync(identity))["workers"]
+        except Exception:  # communication errors, timeouts, a client that was closed meanwhile
+            raise self.lost_scheduler() from None
+        return {address: int(worker["nthreads"]) for address, worker in found.items()}
+
+    def version_errors(self, addresses: list[str]) -> dict[str, ClusterError]:
+        """Return an error for each worker whose versions may give other bits."""
+        try:
+            answers = cast(
+                "dict[str, Any]",
+                self.client.run(versions, workers=addresses, on_error="return") if addresses else {},
+            )
+        except OSError:
+            raise self.lost_scheduler() from None
+        own, found = versions(), dict[str, ClusterError]()
+        for address, theirs in sorted(answers.items()):
+            if not isinstance(theirs, Mapping):
+                found[address] = ClusterError(
+                    f"worker {address}: sigmaswarm can't be used there ({type(theirs).__name__}: {theirs}); install it"
+                )
+                continue
+            for name in ("sigmaswarm", "numpy", "numba", "scipy"):
+                if theirs.get(name) != own[name]:
+                    found[address] = ClusterError(
+                        f"worker {address}: has {name} {theirs.get(name)}, this machine {own[name]}; results would "
+                        "differ, so install the same on both"
+                    )
+                    break
+        return found
+
+    def require_same_versions(self) -> None:
+        """Raise the first of `version_errors`, if any."""
+        for error in self.version_errors(list(self.workers())).values():
+            raise error
+
+    def lost_scheduler(self) -> ClusterError:
+        """Return the error for a scheduler that does not answer."""
+        return ClusterError(
+            f"the scheduler at {self.address} is gone; results so far are saved if there is an --out: go on with "
+            "--resume and another cluster"
+        )
+
+
+@contextmanager
+def connected(address: str) -> Generator["Client"]:
+    """Connect to the cluster at an address until the block ends.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://host:8786`` (or ws ...), the path of a scheduler file, or ``local:4`` for 4 processes of one thread on
+        this machine.
+
+    Raises
+    ------
+    InputError
+        If dask is not installed, or the address is invalid.
+    ClusterError
+        If no scheduler answers there.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(f"--cluster {address} needs Dask; run: pip install 'sigmaswarm[cluster]'") from None
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are reported here, in one line
+    kind, _, count = address.partition(":")
+    if kind == "local":
+        if not count.isdecimal() or int(count) < 1:
+            raise InputError(f"--cluster {address}: say how many processes, for example local:4")
+        with _local(int(count)) as client:
+            yield client
+        return
+    where: dict[str, Any] = {"address": address}
+    if "://" not in address:
+        if not Path(address).is_file():
+            raise InputError(
+                f"--cluster {address}: is no address like tcp://host:8786, no scheduler file that is there, and not "
+                "local:N"
+            )
+        where = {"address": _address_in(Path(address))}
+    elif not re.fullmatch(r"(?!tls)\w+://.+:\d+", address):
+        raise InputError(
+            f"--cluster {address}: write it as tcp://host:8786; for a cluster with certificates make a Client in "
+            "Python, and give it as cluster="
+        )
+    try:
+        client = distributed.Client(**where, timeout=CONNECT_TIMEOUT, set_as_default=False, name="sigmaswarm")
+    except Exception as error:  # of sockets, addresses, protocols
+        said = " ".join(str(error).split())[:150]
+        raise ClusterError(
+            f"--cluster {address}: no scheduler answers there ({type(error).__name__}: {said}); "
+            "start one with `dask scheduler`"
+        ) from None
+    try:
+        yield client
+    finally:
+        _closed(client)
+
+
+def _address_in(file: Path) -> str:
+    """Read the address from a scheduler file."""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"--cluster {file}: is no scheduler file; `dask scheduler --scheduler-file` writes one"
+        ) from None
+
+
+@contextmanager
+def _local(count: int) -> Generator["Client"]:
+    """Start processes on this machine."""
+    from tempfile import TemporaryDirectory
+
+    import distributed
+
+    with TemporaryDirectory(prefix="sigmaswarm-", ignore_cleanup_errors=True) as scratch:
+        local: Any = distributed.LocalCluster  # its type stubs lack dashboard_address=None
+        cluster = local(
+            n_workers=count,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            local_directory=scratch,
+        )
+        client = distributed.Client(cluster, set_as_default=False)
+        try:
+            yield client
+        finally:
+            _closed(client)
+            cluster.close(timeout=10)
+
+
+def _closed(client: "Client") -> None:
+    try:
+        client.close(timeout=5)
+    except Exception:  # the cluster is gone, which was reported
+        logging.getLogger(__name__).debug("the client did not close", exc_info=True)

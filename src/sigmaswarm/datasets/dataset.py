@@ -1,0 +1,110 @@
+"""A dataset: drives in this process, or on a cluster's workers, to which functions are applied where the drives are."""
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from sigmaswarm.drives.drive import Drive, listed
+from sigmaswarm.errors import InputError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+T = TypeVar("T")
+
+
+class Dataset(Protocol):
+    """Drives in order. A function that is applied to them must be importable by name, as `pickle` requires."""
+
+    def __len__(self) -> int: ...
+
+    def subset(self, indices: Sequence[int]) -> "Dataset":
+        """Return some of the drives, by index."""
+        ...
+
+    def map(self, function: Callable[[Drive], T]) -> list[T]:
+        """Apply a function to each drive; results in the order of the drives."""
+        ...
+
+    def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """Apply a function to one drive after another, for large or slow results."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LocalDataset:
+    """Drives in this process."""
+
+    drives: Sequence[Drive]
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    def subset(self, indices: Sequence[int]) -> "LocalDataset":
+        """Return some of the drives, by index."""
+        return LocalDataset([self.drives[i] for i in indices])
+
+    def map(self, function: Callable[[Drive], T]) -> list[T]:
+        """Apply a function to each drive."""
+        return [function(drive) for drive in self.drives]
+
+    def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """Apply a function to one drive after another."""
+        return map(function, self.drives)
+
+
+def datasets_of(
+    *groups: Any,
+    cluster: "Client | None" = None,
+    executor: Executor | None = None,
+    takes: str = "Drives are needed",
+) -> list[Dataset]:
+    """Make a dataset of each group of drives; on a cluster its workers read them all at once.
+
+    Parameters
+    ----------
+    *groups
+        Each a Drive, a sequence of them, or a dataset; with a cluster also paths and URLs.
+    takes : str
+        Names what the calling function accepts, for messages.
+
+    Raises
+    ------
+    InputError
+        If an item is no drive, or both an executor and a cluster are given.
+    """
+    if cluster is not None and executor is not None:
+        raise InputError(
+            "both an executor and a cluster were given; a cluster's workers share the work already"
+        )
+    each = [_listed(group, cluster, takes) for group in groups]
+    lists = [group for group in each if isinstance(group, list)]
+    if cluster is None:
+        made: Iterator[Dataset] = map(LocalDataset, lists)
+    else:
+        from sigmaswarm.datasets.cluster import Cluster
+        from sigmaswarm.datasets.remote import remote_datasets
+
+        remote, warned = remote_datasets(Cluster(cluster), lists)
+        for warning in warned:
+            warnings.warn(warning, stacklevel=3)
+        made = iter(remote)
+    return [next(made) if isinstance(group, list) else group for group in each]
+
+
+def _listed(given: Any, cluster: "Client | None", takes: str) -> "list[Any] | Dataset":
+    """Return a list of drives (with a cluster also paths and URLs), or the given dataset."""
+    if hasattr(given, "imap"):
+        return given
+    drives: list[Any] = [given] if isinstance(given, str | Path) else listed(given)
+    allowed = Drive if cluster is None else Drive | str | Path
+    stray = [thing for thing in drives if not isinstance(thing, allowed)]
+    if stray:
+        hint = "" if cluster is None else ", and with a cluster their paths and URLs"
+        if any(isinstance(thing, str | Path) for thing in stray):
+            hint = "; sigmaswarm.read_drive(path) reads one"
+        raise InputError(f"got a {type(stray[0]).__name__}; {takes}{hint}")
+    return drives

@@ -1,0 +1,313 @@
+"""A dataset on the workers of a Dask cluster: each worker reads its drives once and caches them.
+
+A call is one task per worker with the function, its arguments and the keys of the drives. Each result depends on one
+drive alone, so the distribution of the drives does not change it. Tasks are bound to their workers: if one is lost, its
+drives are assigned to others, which read them, and only its tasks run again. New workers get their share.
+"""
+
+import threading
+import time
+import uuid
+import warnings
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sigmaswarm.datasets.cluster import Cluster, ClusterError
+from sigmaswarm.datasets.worker import CachedDrive, Failure, Source, apply_to_each, in_gb, run_task
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.reader import Location, read_with_warnings
+from sigmaswarm.drives.urls import is_url
+from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
+
+T = TypeVar("T")
+
+POLL_INTERVAL = 2.0
+"""s between two requests to the scheduler for its workers."""
+MOST_RETRIES = 3
+"""Rounds without any answer, each ended by the loss of workers: then the drives are taken for the cause."""
+DRIVES_SHOWN = 10
+"""Drives in one message."""
+
+
+class Assignment:
+    """Which worker of a cluster has which drive; shared by all subsets of a dataset."""
+
+    def __init__(self, cluster: Cluster, sources: Sequence[Source]) -> None:
+        self.cluster, self.sources = cluster, sources
+        self.sizes = [1.0] * len(sources)
+        self.workers: dict[str, int] = {}
+        self.owners = [""] * len(sources)
+        self._keys = [f"{uuid.uuid4().hex}-{i}" for i in range(len(sources))]
+        self._refused: set[str] = set()
+        self._polled = -float("inf")
+        self._lock = threading.RLock()
+
+    def shares(self, drives: Iterable[int]) -> dict[str, list[int]]:
+        """Group drives by their workers."""
+        with self._lock:
+            if time.monotonic() - self._polled > POLL_INTERVAL:
+                self.poll()
+            found: dict[str, list[int]] = {}
+            for i in drives:
+                found.setdefault(self.owners[i], []).append(i)
+            return found
+
+    def poll(self) -> None:
+        """Wait for a worker if there is none, and assign the drives again if the workers have changed."""
+        with self._lock:
+            waited = False
+            while not (present := self._usable_workers()):
+                if not waited:
+                    what = "no worker is left" if self.workers else "there is no worker yet"
+                    message = f"{what} at {self.cluster.address}: waiting for one to come"
+                    warnings.warn(message, SigmaswarmWarning, stacklevel=2)
+                waited = True
+                time.sleep(POLL_INTERVAL / 4)
+            self._polled = time.monotonic()
+            if present != self.workers:
+                self.workers = present
+                self.assign()
+
+    def assign(self) -> None:
+        """Assign the drives by their sizes."""
+        with self._lock:
+            self.owners = assigned(self.sizes, self.workers, self.owners)
+
+    def _usable_workers(self) -> dict[str, int]:
+        """Return the present workers that have the same versions; at the start, raise if one has others."""
+        present = self.cluster.workers()
+        new = [address for address in present if address not in self.workers and address not in self._refused]
+        for address, error in self.cluster.version_errors(new).items():
+            if not self.workers:
+                raise error
+            self._refused.add(address)
+            warnings.warn(f"{error}; it gets no tasks", SigmaswarmWarning, stacklevel=2)
+        return {address: threads for address, threads in present.items() if address not in self._refused}
+
+    def submit(self, worker: str, call: bytes, drives: Sequence[int], *, with_sources: bool = False) -> Any:
+        """Submit a task to a worker; sources travel only if the worker has asked for them."""
+        from dask import config
+        from distributed.protocol.pickle import dumps
+
+        sources = dumps({self._keys[i]: self.sources[i] if with_sources else None for i in drives})
+        where: dict[str, Any] = {"workers": [worker], "allow_other_workers": False, "pure": False}
+        with config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):  # drives of the client
+            return self.cluster.client.submit(run_task, call, sources, worker, **where)
+
+    def result(self, worker: str, call: bytes, drives: Sequence[int], task: Any) -> Any:
+        """Wait for the answer of a task; None if its worker is lost."""
+        while True:
+            try:
+                answer = task.result(timeout=POLL_INTERVAL)
+            except (OSError, CancelledError):  # among them a timeout, and broken connections
+                self.poll()
+                if worker not in self.workers or task.cancelled():
+                    task.cancel()
+                    return None
+                continue
+            except Exception as error:
+                what = f"worker {worker}: the task failed ({type(error).__name__}: {error})"
+                raise ClusterError(what) from None
+            if isinstance(answer, Failure):
+                raise answer.error
+            if answer is not None:
+                return answer
+            task = self.submit(worker, call, drives, with_sources=True)
+
+
+def assigned(sizes: Sequence[float], threads: Mapping[str, int], before: Sequence[str]) -> list[str]:
+    """Assign drives to workers in proportion to their threads, to within 5%; few drives move.
+
+    Parameters
+    ----------
+    sizes : sequence of float, shape (n,)
+    threads : mapping of worker to int
+    before : sequence of str, shape (n,)
+        The workers of the drives so far.
+    """
+    share = sum(sizes) / sum(threads.values())
+    load, found = dict.fromkeys(threads, 0.0), [""] * len(sizes)
+    largest_first = sorted(range(len(sizes)), key=lambda i: (-sizes[i], i))
+    for i in largest_first:
+        owner = before[i]
+        if owner in threads and load[owner] + sizes[i] <= 1.05 * share * threads[owner]:
+            found[i] = owner
+            load[owner] += sizes[i]
+    for i in (i for i in largest_first if not found[i]):
+        found[i] = min(threads, key=lambda w: ((load[w] + sizes[i]) / threads[w], w != before[i]))
+        load[found[i]] += sizes[i]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class RemoteDataset:
+    """Drives on the workers of a cluster; `remote_dataset` makes it."""
+
+    assignment: Assignment
+    indices: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def subset(self, indices: Sequence[int]) -> "RemoteDataset":
+        """Return some of the drives, by index; they stay on their workers."""
+        return RemoteDataset(self.assignment, tuple(self.indices[i] for i in indices))
+
+    def call(self, function: Callable[..., T], *arguments: Any) -> list[tuple[list[int], T]]:
+        """Call a function once on each worker; return the indices of the drives of each call, and its result.
+
+        Parameters
+        ----------
+        function : callable
+            Takes a list of `CachedDrive`, an Executor or None, and the arguments; returns anything but None.
+        """
+        from distributed.protocol.pickle import dumps
+
+        call, assignment = dumps((function, arguments)), self.assignment
+        answers: list[tuple[list[int], T]] = []
+        missing, lost = {drive: place for place, drive in enumerate(self.indices)}, 0
+        while missing:
+            shares = assignment.shares(missing)
+            tasks = [(worker, own, assignment.submit(worker, call, own)) for worker, own in shares.items()]
+            results = [(own, assignment.result(worker, call, own, task)) for worker, own, task in tasks]
+            found = [([missing.pop(i) for i in own], result) for own, result in results if result is not None]
+            answers += found
+            lost = 0 if found else lost + 1
+            if lost > MOST_RETRIES:
+                need = in_gb(sum(assignment.sizes[i] for i in self.indices))
+                raise ClusterError(
+                    f"{lost} times all workers with these drives died, which need about {need} of memory; give the "
+                    "workers more memory, or start more of them"
+                )
+        return answers
+
+    def map(self, function: Callable[[Drive], T]) -> list[T]:
+        """Apply a function to each drive.
+
+        Raises
+        ------
+        InputError
+            The error of the function; if there are several, a `DriveError` that names the drives.
+        """
+        return in_order(self.call(apply_to_each, partial(_with_drive, function)))
+
+    def imap(self, function: Callable[[Drive], T]) -> Iterator[T]:
+        """Apply a function to one drive after another, in tasks of one drive each."""
+
+        def one(place: int) -> T:
+            return self.subset([place]).map(function)[0]
+
+        ahead = 2 * sum(self.assignment.workers.values())  # finished results that may wait
+        with ThreadPoolExecutor(ahead) as pool:
+            waiting: deque[Future[T]] = deque()
+            for place in range(len(self)):
+                waiting.append(pool.submit(one, place))
+                if len(waiting) >= ahead:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+
+
+def _with_drive(function: Callable[[Drive], T], cached: CachedDrive) -> T:
+    return function(cached.drive)
+
+
+def remote_dataset(
+    cluster: Cluster, sources: Iterable[Source], *, progress: Callable[[int, int], None] | None = None
+) -> tuple[RemoteDataset, list[SigmaswarmWarning]]:
+    """Have the workers of a cluster read drives, and return the warnings of reading.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the number of drives that are read, and of all.
+
+    Raises
+    ------
+    DriveError
+        Naming all drives that can't be read.
+    ClusterError
+        If a worker has other versions, or its drives don't fit into its memory.
+    """
+    wanted = list(sources)
+    assignment = Assignment(cluster, wanted)
+    assignment.poll()
+
+    def read(i: int) -> tuple[float, list[SigmaswarmWarning]] | InputError:
+        try:
+            return RemoteDataset(assignment, (i,)).call(_size_and_warnings)[0][1]
+        except InputError as error:
+            return error
+
+    failed, warned = list[InputError](), list[SigmaswarmWarning]()
+    with ThreadPoolExecutor(2 * sum(assignment.workers.values())) as pool:
+        for i, found in enumerate(pool.map(read, range(len(wanted)))):
+            if isinstance(found, InputError):
+                failed.append(found)
+            else:
+                assignment.sizes[i] = found[0]
+                warned += found[1]
+            if progress:
+                progress(i + 1, len(wanted))
+    if failed:
+        raise _joined_error(failed)
+    assignment.assign()
+    return RemoteDataset(assignment, tuple(range(len(wanted)))), warned
+
+
+def _size_and_warnings(
+    drives: Sequence[CachedDrive], _: Executor | None
+) -> tuple[float, list[SigmaswarmWarning]]:
+    return drives[0].size, drives[0].warned
+
+
+def remote_datasets(
+    cluster: Cluster, groups: Sequence[Sequence[Any]], *, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[RemoteDataset], list[SigmaswarmWarning]]:
+    """Have the workers read groups of drives, paths or URLs, all at once.
+
+    Returns
+    -------
+    datasets : list of RemoteDataset
+        One for each group.
+    warned : list of SigmaswarmWarning
+        The warnings of reading.
+    """
+    sources = [source_of(drive) for group in groups for drive in group]
+    dataset, warned = remote_dataset(cluster, sources, progress=progress)
+    ends = [sum(map(len, groups[: k + 1])) for k in range(len(groups))]
+    subsets = [dataset.subset(range(end - len(group), end)) for group, end in zip(groups, ends, strict=True)]
+    return subsets, warned
+
+
+def source_of(drive: Drive | Location) -> Source:
+    """Make the source of a drive, path or URL. Paths become absolute: workers may run in other folders."""
+    if isinstance(drive, Drive):
+        return partial(_with_no_warnings, drive)
+    return partial(read_with_warnings, drive if is_url(drive) else Path(drive).absolute())
+
+
+def _with_no_warnings(drive: Drive) -> tuple[Drive, list[SigmaswarmWarning]]:
+    return drive, []
+
+
+def in_order(answers: Iterable[tuple[list[int], Sequence[Any]]]) -> list[Any]:
+    """Return the results of `apply_to_each` in the order of the drives, or raise their errors as one."""
+    pairs = [pair for places, results in answers for pair in zip(places, results, strict=True)]
+    results = [result for _, result in sorted(pairs, key=lambda pair: pair[0])]
+    if failed := [result.error for result in results if isinstance(result, Failure)]:
+        raise _joined_error(failed)
+    return results
+
+
+def _joined_error(errors: Sequence[Exception]) -> Exception:
+    if len(errors) == 1:
+        return errors[0]
+    shown = "; ".join(f"({k}) {error}" for k, error in enumerate(errors[:DRIVES_SHOWN], 1))
+    more = f"; and {len(errors) - DRIVES_SHOWN} more" if len(errors) > DRIVES_SHOWN else ""
+    return DriveError(f"{len(errors)} drives can't be used: {shown}{more}")

@@ -1,0 +1,159 @@
+"""What runs on a worker of a cluster: one task function, and a cache of drives for each worker process."""
+
+import pickle
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, TypeVar
+
+from sigmaswarm.datasets.cluster import ClusterError
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+
+T = TypeVar("T")
+Source = Callable[[], tuple[Drive, list[SigmaswarmWarning]]]
+"""A picklable function that returns a drive and its warnings."""
+
+USABLE_MEMORY = 0.8
+"""Share of a worker's memory: Dask pauses a worker above it."""
+BASE_MEMORY = 350e6
+"""Bytes of a worker without drives: the interpreter, Numba, polars."""
+BYTES_PER_COLUMN_BYTE = 3.3
+"""Memory of a prepared drive per byte of its columns; with truth and two passes, `benchmarks/fleet.py`."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An exception as an answer; Dask would log it as a failed task."""
+
+    error: Exception
+
+
+@dataclass(frozen=True, eq=False)
+class CachedDrive:
+    """A drive on a worker, and results that functions have stored for it."""
+
+    drive: Drive
+    warned: list[SigmaswarmWarning]
+    results: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
+
+    @property
+    def size(self) -> float:
+        """Estimated bytes of the drive with all that is prepared from it."""
+        drive = self.drive
+        tables = (drive.imu, drive.gps, drive.truth, drive.odometer)
+        columns = [c for table in tables if table is not None for c in vars(table).values() if c is not None]
+        return BYTES_PER_COLUMN_BYTE * sum(column.nbytes for column in columns)
+
+    def once(self, key: Hashable, make: Callable[[Drive], T]) -> T:
+        """Return the stored result of this key, computed at the first call."""
+        if key not in self.results:
+            self.results[key] = make(self.drive)
+        return self.results[key]
+
+
+class DriveCache:
+    """The drives of a worker; the least recently used are dropped if memory is short.
+
+    Parameters
+    ----------
+    worker : str
+        Its address, for messages.
+    threads : int
+    memory : float
+        Bytes for drives.
+    """
+
+    def __init__(self, worker: str, threads: int, memory: float) -> None:
+        self.pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._worker, self._memory = worker, memory
+        self._drives: OrderedDict[str, CachedDrive] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, sources: Mapping[str, Source | None]) -> list[CachedDrive] | None:
+        """Return drives by key and read those that are missing; None if a source is needed for that.
+
+        Raises
+        ------
+        InputError
+            If a drive can't be read.
+        ClusterError
+            If these drives together don't fit into the memory.
+        """
+        known = {key: drive for key in sources if (drive := self._drives.get(key))}
+        missing = {key: source for key, source in sources.items() if key not in known and source}
+        if len(known) + len(missing) < len(sources):
+            return None
+        known |= zip(missing, (self.pool.map if self.pool else map)(_read, missing.values()), strict=True)
+        needed = sum(drive.size for drive in known.values())
+        with self._lock:
+            for key, drive in known.items():
+                self._drives[key] = drive
+                self._drives.move_to_end(key)
+            total = sum(drive.size for drive in self._drives.values())
+            while total > max(self._memory, needed):
+                total -= self._drives.popitem(last=False)[1].size
+        if needed > self._memory:
+            raise ClusterError(
+                f"worker {self._worker}: its {len(sources)} drives need about {in_gb(needed)} of memory, and it has "
+                f"{in_gb(max(self._memory, 0.0))} for drives; start more workers, or give them more memory"
+            )
+        return [known[key] for key in sources]
+
+
+def _read(source: Source) -> CachedDrive:
+    try:
+        return CachedDrive(*source())
+    except OSError as error:
+        raise InputError(f"{error.filename or source}: {error.strerror or error}") from None
+
+
+def in_gb(size: float) -> str:
+    """Format a size in bytes."""
+    return f"{size / 1e9:.2g} GB"
+
+
+_caches: dict[str, DriveCache] = {}
+"""By address of the worker; a process has several workers only in a cluster of threads."""
+_caches_lock = threading.Lock()
+
+
+def run_task(call: bytes, sources: bytes, address: str) -> Any:
+    """Call a function with drives of this worker; None if it needs the sources of some."""
+    from distributed import get_worker
+    from distributed.system import MEMORY_LIMIT
+
+    with _caches_lock:
+        if address not in _caches:
+            worker: Any = get_worker()
+            memory = USABLE_MEMORY * (worker.memory_manager.memory_limit or MEMORY_LIMIT) - BASE_MEMORY
+            _caches[address] = DriveCache(address, worker.state.nthreads, memory)
+    cache = _caches[address]
+    try:
+        (function, arguments), wanted = pickle.loads(call), pickle.loads(sources)
+    except Exception as error:  # a module that is missing here
+        return Failure(
+            ClusterError(f"worker {address}: can't run the task ({type(error).__name__}: {error})")
+        )
+    try:
+        drives = cache.get(wanted)
+        return None if drives is None else function(drives, cache.pool, *arguments)
+    except Exception as error:
+        return Failure(error)
+
+
+def apply_to_each(
+    drives: Sequence[CachedDrive], pool: Executor | None, function: Callable[[CachedDrive], Any]
+) -> list[Any]:
+    """Apply a function to each drive; an `InputError` becomes a `Failure`."""
+    return list((pool.map if pool else map)(partial(_attempt, function), drives))
+
+
+def _attempt(function: Callable[[CachedDrive], Any], drive: CachedDrive) -> Any:
+    try:
+        return function(drive)
+    except InputError as error:
+        return Failure(error)

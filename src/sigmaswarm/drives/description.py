@@ -1,0 +1,120 @@
+"""Reading drive.toml: the name of a drive, its frame and origin, and what else filters use."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from sigmaswarm.drives.table_files import CSV, LARGEST
+from sigmaswarm.errors import DriveError
+from sigmaswarm.limits import read_toml_text
+from sigmaswarm.wording import names_shown, quoted, shown
+
+Frame = Literal["enu", "wgs84"]
+Origin = tuple[float, float, float]
+"""Latitude, deg, longitude, deg, and altitude, m."""
+
+POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "lon")}
+_NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
+    "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
+    "gps_std_m": ((0,), "1.5"),
+    "accel_noise_density": ((0,), "0.004"),
+    "gyro_noise_density": ((0,), "0.0001"),
+}
+"""Keys of drive.toml that filters use: the allowed numbers of elements (0: a plain number), and an example."""
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """Read the keys of drive.toml and check all but ``frame``, which depends on gps.csv."""
+    if not path.is_file():
+        raise DriveError(
+            f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
+        )
+    text = _toml_text(path)
+    try:
+        about = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
+        raise DriveError(
+            f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
+        ) from None
+    name = about.get("name", "unnamed")
+    require_name(name, path)
+    if "origin" in about:
+        about["origin"] = _origin(about["origin"], path)
+    for key, (lengths, example) in _NUMBERS.items():
+        if key in about:
+            _require_numbers(about[key], key, lengths, example, path)
+    return about
+
+
+def _toml_text(path: Path) -> str:
+    try:
+        return read_toml_text(path)
+    except UnicodeDecodeError as error:
+        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+    except OSError as error:
+        raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
+
+
+def require_name(name: object, where: object) -> None:
+    """Raise `DriveError` if a value, given in ``where``, can't name a drive and its folder."""
+    if not isinstance(name, str) or not name.strip():
+        raise DriveError(
+            f'{where}: name = {value_shown(name)} is not text; write for example name = "monday"'
+        )
+    surrogates = any("\ud800" <= c <= "\udfff" for c in name)  # bytes of a file's name that are no UTF-8
+    if name in (".", "..") or set(name) & {"/", "\\", "\n", "\0"} or surrogates:
+        raise DriveError(f"{where}: name = {quoted(name)} can't name a folder; leave slashes out")
+
+
+def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
+    """Raise `DriveError` if a key of drive.toml that filters use has an unusable value."""
+    numbers = cast("list[Any]", value if isinstance(value, list) else [value])
+    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
+    length = len(numbers) if isinstance(value, list) else 0
+    said = f"{path}: {key} = {value_shown(value)}"
+    if not plain or length not in lengths or not numbers:
+        raise DriveError(f"{said} can't be used; write for example {key} = {example}")
+    if lengths == (0,) and not numbers[0] > 0:
+        raise DriveError(f"{said} must be positive; leave it out where it is not known")
+
+
+def value_shown(value: object) -> str:
+    """Format a key's value for a message; an integer of 5000 digits has no text form."""
+    try:
+        return shown(repr(value))
+    except (ValueError, RecursionError):
+        return "what stands there"
+
+
+def _origin(value: Any, path: Path) -> Origin:
+    """Check a stated origin."""
+    if isinstance(value, list) and [type(v) in (int, float) for v in cast("list[Any]", value)] == [True] * 3:
+        latitude, longitude, altitude = cast("list[float]", value)
+        if abs(latitude) <= 90 and abs(longitude) <= 180 and abs(altitude) <= 1e7:
+            return float(latitude), float(longitude), float(altitude)
+    raise DriveError(
+        f"{path}: origin = {value_shown(value)} is not a place; "
+        "write origin = [latitude deg, longitude deg, altitude m]"
+    )
+
+
+def frame_of(stated: Any, gps: Path, columns: Sequence[str]) -> Frame:
+    """Return the frame of the fixes: the stated one, which must match the columns, or else that of the columns."""
+    description = gps.parent / "drive.toml"
+    if stated not in (None, *POSITIONS):
+        raise DriveError(f'{description}: frame = {value_shown(stated)} is unknown; write "enu" or "wgs84"')
+    present = [frame for frame, pair in POSITIONS.items() if set(pair) <= set(columns)]
+    if not present:
+        raise DriveError(
+            f"{gps}{', row 1' if gps.suffix == CSV else ''}: has neither columns x, y nor lat, lon, only "
+            f"{names_shown(columns)}; name the positions x, y (m east, north) or lat, lon (deg)"
+        )
+    frame = cast("Frame", stated or present[0])
+    if frame not in present:
+        x, y = POSITIONS[frame]
+        raise DriveError(
+            f'{description}: frame = "{frame}", but {gps.name} lacks columns {x}, {y}; '
+            f'write frame = "{present[0]}", as its columns say'
+        )
+    return frame

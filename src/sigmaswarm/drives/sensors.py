@@ -1,0 +1,203 @@
+"""The sensors of a log, and the filter that suits them: the rule behind the default of `tune`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.checks import GRAVITY
+from sigmaswarm.drives.drive import Drive, Gps
+
+VARIES = 1.5
+"""Least ratio of the 95% to the 5% quantile of the stated deviations, for these to be informative."""
+STARTED = 20.0
+"""m from the first fix, from which on the car counts as moving."""
+NEAR_GRAVITY = 0.3
+"""Largest deviation of the median of az from gravity, as a share of it."""
+
+WHITE = 0.4
+"""Least share of white noise in the error of fixes, for `has_white_errors`: 1 for KITTI and colorado, 0.25 for a u-blox
+M8, 0.02 or less for receivers in cars that smooth (kingston-1, comma2k19, dresden)."""
+UNSTATED_GPS_STD = 2.1
+"""m per axis, for receivers that state none: u-blox M8, 2.5 m CEP."""
+
+
+@dataclass(frozen=True)
+class SuggestedFilter:
+    """A filter for some logs.
+
+    Attributes
+    ----------
+    model : str
+        A name of `filters.names.ModelName`.
+    use : tuple of str
+        The measurements it uses apart from positions: values of ``--use``.
+    because : str
+        The sensors that suggest it.
+    """
+
+    model: str
+    use: tuple[str, ...]
+    because: str
+
+    @property
+    def options(self) -> str:
+        """The options of the command line."""
+        return f"--model {self.model} --use {' '.join(self.use)}"
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The sensors of a log, and all else on which the choice of a filter and an objective depends.
+
+    Attributes
+    ----------
+    name : str
+    truth : bool
+        True if there is at least one row.
+    interval : float
+        Median time between two IMU samples, s.
+    axes : tuple of str
+        The axes of the IMU.
+    attitude : bool
+        See `has_attitude`.
+    odometer, accuracy, velocity : bool
+        Whether the log has wheel speed, the receiver's deviations, and its speed and course.
+    spread : (float, float) or None
+        See `stated_spread`.
+    white : bool
+        See `has_white_errors`.
+    driven : float
+        Time from 20 m of distance to the end of the log, s.
+    """
+
+    name: str
+    truth: bool
+    interval: float
+    axes: tuple[str, ...]
+    attitude: bool
+    odometer: bool
+    accuracy: bool
+    velocity: bool
+    spread: tuple[float, float] | None
+    white: bool
+    driven: float
+
+
+def sensors_of(drive: Drive | Sensors) -> Sensors:
+    """Describe the sensors of a drive; a description is returned as it is."""
+    if isinstance(drive, Sensors):
+        return drive
+    gps, imu = drive.gps, drive.imu
+    return Sensors(
+        name=drive.name,
+        truth=bool(drive.truth),
+        interval=drive.nominal_interval,
+        axes=tuple(axis for axis in ("ax", "ay", "az", "gx", "gy", "gz") if getattr(imu, axis) is not None),
+        attitude=has_attitude(drive),
+        odometer=drive.odometer is not None,
+        accuracy=gps.std_x is not None and gps.std_y is not None,
+        velocity=gps.speed is not None and gps.course is not None,
+        spread=stated_spread(drive),
+        white=has_white_errors(drive),
+        driven=_driven(drive.gps),
+    )
+
+
+def _driven(gps: Gps) -> float:
+    away = gps.time[np.hypot(gps.x - gps.x[:1], gps.y - gps.y[:1]) > STARTED]
+    return float(gps.time[-1] - away[0]) if len(away) else 0.0
+
+
+def suggest_filter(drives: Sequence[Drive | Sensors]) -> SuggestedFilter:
+    """Choose the filter for cars by the sensors that all logs have; no filter runs.
+
+    - **tilted12** if every IMU has six axes, with gravity on az: it estimates roll and pitch, so that hills and braking
+      are not taken for motion. Otherwise **planar8**.
+    - **lateral** and **standstill** always: they hold the heading, which position fixes leave free.
+    - **odometer** if every log has one.
+    - **accuracy** if every receiver states its deviation, and it varies.
+    - **robust** always: it costs little without outliers, and is needed with some.
+
+    Not included are the gate (tuned on one receiver it rejects good fixes of another), the receiver's velocity (no log
+    with truth had it) and latency. Models are not chosen by scores: held-out likelihood and forecasts chose 18 to 24%
+    worse than the best on average, and 61 to 122% at worst; one good model for all was 4 to 12% worse. The figures are
+    in docs/results.md, "Default filter".
+    """
+    found = [sensors_of(drive) for drive in drives]
+    six = bool(found) and all(one.attitude for one in found)
+    wheels = bool(found) and all(one.odometer for one in found)
+    spreads = [one.spread for one in found if one.spread]
+    stated = bool(found) and len(spreads) == len(found)
+    use = ("lateral", "standstill", *(("odometer",) if wheels else ()), *(("accuracy",) if stated else ()))
+    all_there = all(len(one.axes) == 6 for one in found)
+    missing = "az, gx or gy of the IMU look wrong" if all_there else "an IMU without az, gx and gy"
+    reasons = ["six IMU axes" if six else missing]
+    if wheels:
+        reasons.append("an odometer")
+    if stated:
+        low, high = min(low for low, _ in spreads), max(high for _, high in spreads)
+        reasons.append(f"stated deviations from {low:.2g} to {high:.2g} m")
+    return SuggestedFilter("tilted12" if six else "planar8", (*use, "robust"), ", ".join(reasons))
+
+
+def has_attitude(drive: Drive) -> bool:
+    """Return whether roll and pitch are observable: az, gx and gy exist, az shows gravity, and gx and gy vary."""
+    az, gx, gy = drive.imu.az, drive.imu.gx, drive.imu.gy
+    if az is None or gx is None or gy is None:
+        return False
+    upright = abs(float(np.median(az)) / GRAVITY - 1.0) < NEAR_GRAVITY
+    return upright and bool(np.ptp(gx) > 0) and bool(np.ptp(gy) > 0)
+
+
+def stated_spread(drive: Drive) -> tuple[float, float] | None:
+    """Return the 5% and 95% quantiles of the stated deviations, m; None if they hardly vary."""
+    std_x, std_y = drive.gps.std_x, drive.gps.std_y
+    if std_x is None or std_y is None:
+        return None
+    low, high = np.quantile(np.concatenate([std_x, std_y]), [0.05, 0.95])
+    return (float(low), float(high)) if high > VARIES * low else None
+
+
+def stated_std(drive: Drive) -> tuple[float, float] | None:
+    """Return the standard deviation east and north that the receiver states, m; None if the log has none.
+
+    It is the median over the fixes if each has one, and otherwise ``gps_std_m`` of drive.toml.
+    """
+    gps = drive.gps
+    if gps.std_x is not None and gps.std_y is not None:
+        return float(np.median(gps.std_x)), float(np.median(gps.std_y))
+    std = drive.metadata.get("gps_std_m")
+    return None if std is None else (float(std), float(std))
+
+
+def white_noise(position: NDArray[np.complexfloating[Any, Any]]) -> float:
+    """Estimate the white noise of fixes, m per axis; 0 for fewer than four.
+
+    The estimate is robust. It uses third differences, which remove the motion, and lasting errors with it.
+
+    Parameters
+    ----------
+    position : ndarray of complex, shape (n,)
+        East + i north, m, of fixes at even times.
+    """
+    third = np.diff(position, n=3)
+    spread = np.concatenate([third.real, third.imag])
+    return float(np.median(np.abs(spread)) / 0.6745 / np.sqrt(20.0)) if len(third) else 0.0
+
+
+def has_white_errors(drive: Drive) -> bool:
+    """Return whether most of the error of the fixes is white, as far as the log shows.
+
+    If a receiver smooths, or its errors last, neighboring fixes differ by far less than their error.
+    """
+    gps = drive.gps
+    off, shown = max(stated_std(drive) or (UNSTATED_GPS_STD,)), white_noise(gps.x + 1j * gps.y)
+    return shown > WHITE * off and shown > 3 * motion_in_noise(float(np.median(np.diff(gps.time))))
+
+
+def motion_in_noise(interval: float) -> float:
+    """Return the contribution of the motion to `white_noise`, m, in a city, for fixes ``interval`` s apart."""
+    return 0.02 + 0.15 * interval**2

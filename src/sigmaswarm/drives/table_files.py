@@ -1,0 +1,283 @@
+"""One table of a drive, CSV or Parquet: its cells, their numbers, and the place of each fault."""
+
+import csv
+import mmap
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import DriveError
+from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
+from sigmaswarm.wording import names_shown, quoted, shown
+
+LARGEST = 1e7
+"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
+_NO_STD = "leave the column out where no deviation is stated"
+_DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
+RANGES: dict[str, tuple[float, float, str]] = {
+    "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
+    "alt": (-LARGEST, LARGEST, "give metres above the ellipsoid"),
+    "x": (-LARGEST, LARGEST, "give metres from an origin near by"),
+    "y": (-LARGEST, LARGEST, "give metres from an origin near by"),
+    "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
+    "std_x": (1e-6, LARGEST, _NO_STD),
+    "std_y": (1e-6, LARGEST, _NO_STD),
+    "std_theta": (1e-9, LARGEST, _NO_STD),
+    **dict.fromkeys(
+        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "vx", "vy", "theta"),
+        (-LARGEST, LARGEST, _DAMAGED),
+    ),
+}
+"""Lowest and highest value allowed in a column, and the remedy."""
+
+_LONGEST_LEAP = 1e12
+"""Usual intervals between two rows: 300 years at 100 Hz, in any unit of time. A clock that was set jumps by less."""
+
+CSV, PARQUET = FORMS = ".csv", ".parquet"
+"""File formats of a drive's tables."""
+TABLES = tuple(f"{name}{form}" for name in ("imu", "gps", "odometer", "truth") for form in FORMS)
+
+BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
+"""Errors of polars on damaged tables; some bytes fail its own assertions."""
+
+
+def one_file(path: Path) -> dict[str, Any]:
+    """Return arguments for polars' readers that read a file by its name: run[1] is no pattern, ~ no home."""
+    return {"source": path.absolute(), "glob": False}
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """The cells of a table, and the number of each row (n,): the line of a CSV file, the row of a Parquet file, from 1.
+
+    Cells of a CSV file are numbers if all of them are finite numbers, which takes a fifth of the memory, and otherwise
+    text (None if empty), from which messages quote. Those of a Parquet file have the types of the file.
+    """
+
+    path: Path
+    cells: pl.DataFrame
+    lines: NDArray[np.int64]
+
+    @classmethod
+    def read(cls, path: Path) -> "TableFile":
+        """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
+        require_regular(path)
+        if not path.is_file():
+            raise DriveError(
+                f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
+            )
+        if path.suffix == PARQUET:
+            cells = _parquet(path)
+            return cls(path, cells, np.arange(1, len(cells) + 1))
+        _require_few_columns(path, require_text(path).count(b",") + 1)
+        cells = _plain_numbers(path)
+        return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
+
+    @classmethod
+    def _text(cls, path: Path) -> "TableFile":
+        try:
+            cells = pl.read_csv(**one_file(path), infer_schema=False)
+        except pl.exceptions.NoDataError:
+            raise _empty(path) from None
+        except BROKEN:
+            raise _shape_fault(path) from None
+        filled = cells.select(~pl.all_horizontal(pl.all().is_null())).to_series().arg_true()
+        if filled.is_empty():
+            raise _empty(path)
+        names = [
+            name.strip().split("_duplicated_")[0] for name in cells.columns
+        ]  # polars renames a second one
+        for name in names:
+            if names.count(name) > 1:
+                raise DriveError(
+                    f"{path}, row 1: column {quoted(name)} appears twice; delete or rename one of them"
+                )
+        cells.columns = names
+        # A copy of a day's text takes a gigabyte.
+        rows = cells if len(filled) == len(cells) else cells[filled]
+        return cls(path, rows, filled.to_numpy() + 2)  # the header is line 1
+
+    def columns(
+        self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
+    ) -> dict[str, Array]:
+        """The known columns as numbers, each (n,), ``t`` renamed ``time``; others only get a remark."""
+        told: list[str] = []
+        try:
+            found = self._known_columns(required, optional, told)
+        except DriveError:
+            if self.path.suffix == PARQUET or self.cells.dtypes[0] == pl.String:
+                raise
+            return self._text(self.path).columns(required, optional, remarks)
+        remarks += told
+        return found
+
+    def _known_columns(
+        self, required: Sequence[str], optional: Sequence[str], remarks: list[str]
+    ) -> dict[str, Array]:
+        known = (*required, *optional)
+        names = self.cells.columns
+        for name in required:
+            if name not in names:
+                if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
+                    raise DriveError(
+                        f"{self._header}: {quoted(names[0])} is one cell; separate cells by commas, and write "
+                        "decimals with a dot"
+                    )
+                raise DriveError(
+                    f"{self._header}: no column {name}, only {names_shown(names)}; add or rename it"
+                )
+        if unknown := [name for name in names if name not in known]:
+            self._require_one_line(unknown)
+            said = names_shown(unknown, "'")
+            remarks.append(f"{self.path}: ignoring {said}; the known columns are {', '.join(known)}")
+        numbers = {name: self._numbers(name) for name in known if name in names}
+        self._require_increasing(numbers["t"])
+        return {"time" if name == "t" else name: values for name, values in numbers.items()}
+
+    @property
+    def _header(self) -> str:
+        """Where the names of the columns stand."""
+        return f"{self.path}" if self.path.suffix == PARQUET else f"{self.path}, row 1"
+
+    def _require_one_line(self, columns: Sequence[str]) -> None:
+        """Refuse cells with a line break: a quote that is not closed swallows all rows after it."""
+        for name in (name for name in columns if self.cells[name].dtype == pl.String):
+            broken = self.cells[name].str.contains("\n", literal=True).fill_null(False)
+            if broken.any():
+                what = "holds a line break"
+                raise self._fault(int(broken.arg_max() or 0), name, what, 'close the quote (") before it')
+
+    def _numbers(self, column: str) -> Array:
+        """A column (n,) as finite numbers within its range."""
+        text = self.cells[column]
+        if text.dtype == pl.String and self.path.suffix != PARQUET:
+            text = text.str.strip_chars()
+        elif not text.dtype.is_numeric():
+            raise DriveError(
+                f"{self.path}, column {column}: holds {shown(text.dtype)}, not numbers; write it as 64-bit floats"
+            )
+        values = text.cast(pl.Float64, strict=False)
+        if values.null_count() or not values.is_finite().all():
+            i = int(values.is_finite().fill_null(False).arg_min() or 0)
+            if text[i] is None or text[i] == "":
+                empty = self._fault(i, column, "is empty", "fill it in or delete the row")
+                raise empty if self.path.suffix == PARQUET else _shape_fault(self.path, empty)
+            raise self._fault(
+                i, column, "is not a finite number", "write digits with a dot, or delete the row"
+            )
+        low, high, remedy = RANGES.get(column, (-np.inf, np.inf, ""))
+        within = values.is_between(low, high)
+        if not within.all():
+            raise self._fault(int(within.arg_min() or 0), column, f"is outside {low:g} to {high:g}", remedy)
+        return values.to_numpy()
+
+    def _require_increasing(self, time: Array) -> None:
+        late = np.flatnonzero(np.diff(time) <= 0)
+        if late.size:
+            i = int(late[0]) + 1
+            what = f"is not after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
+        if i := leap(time):
+            what = f"lies absurdly far after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", what, "delete the row with the damaged time")
+
+    def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
+        cell = self.cells[column][i]
+        value = "" if cell is None else str(cell)
+        where = f"{self.path}, row {self.lines[i]}, column {shown(column)}"
+        return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
+
+
+def _require_few_columns(path: Path, count: int) -> None:
+    if count > MOST_COLUMNS:
+        raise DriveError(
+            f"{path}: has {count} columns, more than {MOST_COLUMNS}; leave out what a drive does not need"
+        )
+
+
+def leap(time: Array) -> int:
+    """Find the first row (n,) that lies absurdly far after the one before; 0 if there is none."""
+    if len(time) < 3:
+        return 0
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    if interval.max() <= _LONGEST_LEAP * usual:
+        return 0
+    return int(np.argmax(interval > _LONGEST_LEAP * usual)) + 1
+
+
+def _parquet(path: Path) -> pl.DataFrame:
+    """The columns of a Parquet file."""
+    try:
+        scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
+        schema = scan.collect_schema()
+        _require_few_columns(path, len(schema))
+        rows = int(scan.select(pl.len()).collect().item())  # as the footer says
+        if rows * len(schema) > MOST_CELLS:
+            raise DriveError(
+                f"{path}: says that it has {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
+                "split the drive"
+            )
+        kept = [
+            pl.col(name) if kind.is_numeric() else pl.lit(None, kind).alias(name)
+            for name, kind in schema.items()
+        ]  # others are refused or ignored, whatever they hold
+        cells = scan.select(kept).collect()
+    except (*BROKEN, OSError):
+        raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
+    if cells.is_empty():
+        raise DriveError(f"{path} holds no rows; it needs one row per sample")
+    return cells
+
+
+def _plain_numbers(path: Path) -> pl.DataFrame | None:
+    """The cells of a file that holds nothing but finite numbers under plain names; None of any other."""
+    if _has_lone_quote(path):
+        return None
+    try:
+        names = pl.read_csv(**one_file(path), n_rows=0).columns
+        cells = pl.read_csv(
+            **one_file(path), schema_overrides=dict.fromkeys(names, pl.Float64), low_memory=True
+        )
+    except (*BROKEN, OSError, UnicodeDecodeError):
+        return None
+    plain = all(name == name.strip() and "_duplicated_" not in name for name in names)
+    whole = len(cells) > 0 and all(column.null_count() == 0 and column.is_finite().all() for column in cells)
+    return cells if plain and whole else None
+
+
+def _has_lone_quote(path: Path) -> bool:
+    """Whether a cell is nothing but a quotation mark, which makes polars print a trace where it looks for a number."""
+    if path.stat().st_size == 0:
+        return False
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        return text.find(b'"') >= 0 and re.search(rb'(?:^|[,\r\n])"(?:[,\r\n]|$)', text) is not None
+
+
+def _empty(path: Path) -> DriveError:
+    what = "is empty" if path.stat().st_size == 0 else "holds no rows"
+    return DriveError(f"{path} {what}; it needs a header line and one row per sample")
+
+
+def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
+    """The first row whose number of cells is not the header's, looked for only once something is wrong."""
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+        rows = csv.reader(file)
+        try:
+            width = len(next(rows))
+            for row in rows:
+                if row and len(row) != width:
+                    return DriveError(
+                        f"{path}, row {rows.line_num}: {quoted(','.join(row))} has {len(row)} cells, "
+                        f"the header {width}; complete or delete the row, and write decimals with a dot"
+                    )
+        except csv.Error:  # an endless cell
+            return DriveError(f'{path}, row {rows.line_num}: a quote (") is not closed; close or delete it')
+    return otherwise or DriveError(f"{path} is not comma-separated text in UTF-8; export it as that")

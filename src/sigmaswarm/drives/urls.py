@@ -1,0 +1,106 @@
+"""URLs of drives, which fsspec reads (s3, gs, abfs, sftp, https ...).
+
+A drive behind a URL is copied to a temporary folder and read from there: one reader, one set of checks.
+"""
+
+import re
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from sigmaswarm.drives.table_files import TABLES
+from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.wording import shown
+
+
+def is_url(location: str | Path) -> bool:
+    """Return whether fsspec reads this location."""
+    return "://" in str(location)
+
+
+def without_secrets(url: str) -> str:
+    """Remove user, password and query from a URL, for messages."""
+    return re.sub(r"(?<=://)[^/@]*@", "***@", url).partition("?")[0]
+
+
+def drive_urls(url: str) -> list[str]:
+    """Return the URL itself if it is a drive's, or those of all drives in that folder, sorted by name."""
+    url = url.rstrip("/")
+    with _errors_in_one_line(url):
+        system, path = _opened(url)
+        if any(_exists(system, f"{path}/{name}") for name in ("drive.toml", *TABLES[:4])):
+            return [url]
+        if not _exists(system, path):
+            raise FileNotFoundError(path)
+        names = [str(entry).rstrip("/").rpartition("/")[2] for entry in system.ls(path, detail=False)]
+        found = [
+            name for name in sorted(names) if any(_exists(system, f"{path}/{name}/{t}") for t in TABLES[:2])
+        ]
+        if not found:
+            raise DriveError(
+                f"{without_secrets(url)}: holds no drive; a drive is a folder with imu.csv, gps.csv and drive.toml"
+            )
+        return [f"{url}/{name}" for name in found]
+
+
+@contextmanager
+def local_copy(url: str) -> Generator[Path]:
+    """Copy a drive's files to a temporary folder, which is removed with the block."""
+    if "?" in url:
+        raise InputError(
+            f"{without_secrets(url)}?...: a drive has several files, which a signed URL can't name; give their folder"
+        )
+    with TemporaryDirectory(prefix="sigmaswarm-") as scratch:
+        folder = Path(scratch) / (url.rpartition("/")[2] or "drive")
+        folder.mkdir()
+        with _errors_in_one_line(url):
+            system, path = _opened(url)
+            names = [name for name in ("drive.toml", *TABLES) if _exists(system, f"{path}/{name}")]
+            if not names:
+                raise FileNotFoundError(path)
+            for name in names:
+                with system.open(f"{path}/{name}", "rb") as source, (folder / name).open("wb") as target:
+                    shutil.copyfileobj(source, target, 1 << 20)
+        yield folder
+
+
+def _opened(url: str) -> tuple[Any, str]:
+    """Open the file system of a URL; return it and the path in it."""
+    try:
+        import fsspec
+    except ImportError:
+        raise InputError(
+            f"{without_secrets(url)}: reading URLs needs fsspec; run: pip install fsspec"
+        ) from None
+    system, path = fsspec.core.url_to_fs(url)
+    return system, str(path).rstrip("/")
+
+
+def _exists(system: Any, path: str) -> bool:
+    """Return whether a path exists; fsspec's own ``exists`` returns False where permission is denied."""
+    try:
+        system.info(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+@contextmanager
+def _errors_in_one_line(url: str) -> Generator[None]:
+    """Turn the errors of fsspec and of each protocol's library into one line."""
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except FileNotFoundError:
+        raise DriveError(
+            f"{without_secrets(url)} does not exist, or can't be seen from here; name a drive's folder"
+        ) from None
+    except Exception as error:  # each protocol's library has errors of its own
+        why = shown(without_secrets(f"{type(error).__name__}: {error}"), 200)
+        raise DriveError(
+            f"{without_secrets(url)}: can't be read ({why}); look at the address and your right to read it"
+        ) from None

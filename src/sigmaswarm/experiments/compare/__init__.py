@@ -1,1 +1,0 @@
-"""Several optimizers with the same budget on the same drives, over many seeds."""

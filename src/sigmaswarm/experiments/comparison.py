@@ -1,0 +1,236 @@
+"""The results of a comparison of optimizers: the outcome of every tuning, and statistics of them."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
+from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.tuning.config import TuneConfig
+
+FEWEST_SEEDS = 6
+"""With fewer pairs a two-sided signed-rank test can't reach 5%: its lowest p is 2^(1 - pairs)."""
+
+COMPARED = {
+    "cost": "training cost",
+    "held_out_cost": "held-out cost",
+    "held_out_rmse": "held-out RMSE, m",
+    "held_out_heading": "held-out heading error, deg",
+}
+"""The measures; lower wins."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One row of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        The optimizer's name and its settings, as ``pso:polish=300``.
+    scale : str
+    config : TuneConfig
+        Of the tunings, but for the seed.
+    """
+
+    name: str
+    scale: str
+    config: TuneConfig
+
+    @property
+    def budget(self) -> int:
+        """Evaluations of a tuning, at most."""
+        return self.config.particles * self.config.generations * self.config.trials
+
+    @property
+    def label(self) -> str:
+        """Name and scale."""
+        return f"{self.name}, {self.scale}"
+
+    @property
+    def folder(self) -> str:
+        """A name for files."""
+        return f"{self.name}-{self.scale}".replace(":", "-").replace(",", "-").replace("=", "")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one tuning of a comparison: run.json.
+
+    Attributes
+    ----------
+    cost : float
+        The objective on the training drives.
+    held_out_cost, held_out_rmse, held_out_heading : float or None
+        Objective, and means of position RMSE (m) and heading error (deg), on the held-out drives; None without such
+        drives or truth, or where the filter failed.
+    touched : tuple of str
+        Parameters that ended at a bound.
+    evaluations, failures : int
+        Number of parameter sets, and of failed ones.
+    history_evaluations, history_steps : tuple of int
+        Evaluations and filter steps spent after each generation.
+    history_best : tuple of float
+        Lowest cost so far after each generation.
+    """
+
+    cost: float
+    held_out_cost: float | None
+    held_out_rmse: float | None
+    held_out_heading: float | None
+    touched: tuple[str, ...]
+    evaluations: int
+    failures: int
+    history_evaluations: tuple[int, ...]
+    history_steps: tuple[int, ...]
+    history_best: tuple[float, ...]
+
+    def write(self, file: Path) -> None:
+        """Write run.json."""
+        write_json(file, asdict(self))
+
+    @classmethod
+    def read(cls, file: Path) -> "Outcome":
+        """Read run.json.
+
+        Raises
+        ------
+        InputError
+            If the file can't be read.
+        """
+        try:
+            table: dict[str, Any] = json.loads(file.read_text())
+            return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})  # pyright: ignore
+        except (OSError, ValueError, TypeError, AttributeError):
+            raise InputError(f"{file}: not a readable result; delete it to redo this run") from None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The result of `compare`.
+
+    Attributes
+    ----------
+    contenders : tuple of Contender
+        The first one is the reference.
+    runs : mapping of a contender's label to tuple of Outcome
+        One for each seed.
+    budget : int
+        Evaluations of each run, at most.
+    steps_per_set : int
+        Filter steps of one evaluation on all training drives.
+    drives, test : tuple of str
+        Training and held-out drives.
+    """
+
+    contenders: tuple[Contender, ...]
+    runs: Mapping[str, tuple[Outcome, ...]]
+    budget: int
+    steps_per_set: int
+    drives: tuple[str, ...]
+    test: tuple[str, ...]
+
+    @property
+    def seeds(self) -> int:
+        """How many runs each contender had."""
+        return len(self.runs[self.contenders[0].label])
+
+    def values(self, label: str, measure: str) -> Array:
+        """One figure of every run, shape (seeds,); ``inf`` where the filter failed."""
+        found = [getattr(run, measure) for run in self.runs[label]]
+        return np.array([np.inf if v is None else v for v in found], dtype=np.float64)
+
+    @cached_property
+    def measures(self) -> tuple[str, ...]:
+        """The measures that are known of at least one run."""
+        every = [run for runs in self.runs.values() for run in runs]
+        return tuple(m for m in COMPARED if any(getattr(run, m) is not None for run in every))
+
+    @cached_property
+    def frame(self) -> pl.DataFrame:
+        """One row for each contender: medians with 95% intervals, worst runs, and tests against the first.
+
+        ``p`` is of a two-sided Wilcoxon test over the seeds, corrected after Holm over all contenders of a measure.
+        """
+        rows = [self._row(contender) for contender in self.contenders]
+        for measure in self.measures:
+            reference = self.values(self.contenders[0].label, measure)
+            others = [self.values(c.label, measure) for c in self.contenders[1:]]
+            corrected = holm([signed_rank(other, reference) for other in others])
+            for row, p in zip(rows, [None, *corrected], strict=True):
+                row[f"{measure}_p"] = p
+        return pl.DataFrame(rows, infer_schema_length=None)
+
+    def _row(self, contender: Contender) -> dict[str, Any]:
+        runs = self.runs[contender.label]
+        row: dict[str, Any] = {"optimizer": contender.name, "scale": contender.scale, "seeds": len(runs)}
+        for measure in self.measures:
+            values = self.values(contender.label, measure)
+            low, high = median_interval(values)
+            row |= {f"{measure}_median": float(np.median(values)), f"{measure}_low": low}
+            row |= {f"{measure}_high": high, f"{measure}_worst": float(values.max())}
+        row["evaluations"] = float(np.mean([run.evaluations for run in runs]))
+        full = self.budget * self.steps_per_set
+        row["steps_share"] = float(np.mean([run.history_steps[-1] for run in runs])) / full
+        row["failures"] = sum(run.failures for run in runs)
+        touched = Counter(name for run in runs for name in run.touched)
+        row["touched_bounds"] = " ".join(f"{name}:{count}" for name, count in sorted(touched.items()))
+        return row
+
+    @cached_property
+    def runs_frame(self) -> pl.DataFrame:
+        """One row for each run."""
+        rows = [
+            {"optimizer": c.name, "scale": c.scale, "seed": seed}
+            | {m: getattr(run, m) for m in COMPARED}
+            | {
+                "evaluations": run.evaluations,
+                "failures": run.failures,
+                "filter_steps": run.history_steps[-1],
+            }
+            | {"touched_bounds": " ".join(run.touched)}
+            for c in self.contenders
+            for seed, run in enumerate(self.runs[c.label])
+        ]
+        return pl.DataFrame(rows, schema_overrides=dict.fromkeys(COMPARED, pl.Float64))
+
+    @cached_property
+    def curves(self) -> pl.DataFrame:
+        """Median and quartiles over the seeds of the lowest cost so far, after 1%, 2%, ... of the budget's steps.
+
+        The budget is counted in evaluations on all drives; raced ones count by their filter steps.
+        """
+        grid = self.budget * np.arange(1, 101) / 100
+        rows = list[dict[str, Any]]()
+        for contender in self.contenders:
+            reached = np.array([self._reached(run, grid) for run in self.runs[contender.label]])
+            low, high = np.quantile(
+                reached, [0.25, 0.75], axis=0, method="nearest"
+            )  # inf can't be interpolated
+            columns = (grid, np.median(reached, axis=0), low, high)
+            names = ("full_evaluations", "median", "quartile_1", "quartile_3")
+            who = {"optimizer": contender.name, "scale": contender.scale}
+            rows += [who | dict(zip(names, row, strict=True)) for row in np.transpose(columns).tolist()]
+        return pl.DataFrame(rows)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write comparison.csv, runs.csv and curves.csv; return their paths."""
+        frames = {"comparison.csv": self.frame, "runs.csv": self.runs_frame, "curves.csv": self.curves}
+        for name, frame in frames.items():
+            write_whole(folder / name, frame.write_csv())
+        return [folder / name for name in frames]
+
+    def _reached(self, run: Outcome, grid: Array) -> Array:
+        """Return the lowest cost of a run at each share of the budget; ``inf`` in the first generation."""
+        spent = np.array(run.history_steps) / self.steps_per_set
+        best = np.array([np.inf, *run.history_best])
+        return best[np.searchsorted(spent, grid * (1 + 1e-12), side="right")]

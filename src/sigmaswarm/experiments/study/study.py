@@ -1,0 +1,335 @@
+"""Run a study: tune every method in every trial, then score all methods on the test drives.
+
+The folder of a study holds
+
+    study.toml           the configuration; a resumed study must have the same
+    trials/              a folder for each protocol and tuned method, as a tuning's
+    results.json         see `record.py`
+    scores.csv           one row per protocol, trial, method, test drive and measure
+    learned/             with rivals, a folder for each network and trial, and for each point of a learning curve, as
+                         `sigmaswarm learn` makes it
+    elsewhere/           with rivals, scores.csv of drives of other sensors, and of another car
+    tracks.npz           tracks of a few test drives of the best trial
+    best/                a parameter file of the best trial of each tuning
+    timings.json         durations of the study and of filters; it alone, with tables of it, differs between two runs;
+                         with rivals each tuning and training has one, too
+"""
+
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.grid import Report, run_grid
+from sigmaswarm.experiments.study.config import MAIN, StudyConfig, read_config
+from sigmaswarm.experiments.study.design import Design, Task, designs_elsewhere, make_design, tuning_name
+from sigmaswarm.experiments.study.networks import score_networks, train_all, trainings
+from sigmaswarm.experiments.study.record import Results, StudyRecord, Variant, spreads_of
+from sigmaswarm.experiments.study.results import results_of, rival_results
+from sigmaswarm.experiments.study.scores import score_all
+from sigmaswarm.experiments.study.timings import Stopwatch, kept_time, rival_times, write_timings
+from sigmaswarm.experiments.study.tracks import follow
+from sigmaswarm.files import held_folder, make_folder, write_whole
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.learned.fitting import exact
+from sigmaswarm.scoring.jobs import cores
+from sigmaswarm.scoring.tracks import Picture, save_tracks
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.objectives import objective_named
+from sigmaswarm.tuning.options import require_packages
+from sigmaswarm.tuning.problem import CarProblem, car_space, usual_interval
+from sigmaswarm.tuning.search import Search, Trial
+from sigmaswarm.tuning.space import SearchSpace
+from sigmaswarm.tuning.store import ResultFolder
+from sigmaswarm.versions import versions
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+RACED = 0.2
+"""About the share of a tuning's time that racing leaves; it orders the tunings."""
+
+
+@dataclass(frozen=True)
+class StudyProgress:
+    """Progress of a study.
+
+    Attributes
+    ----------
+    done, total : generations of all tunings, and epochs of all trainings of networks
+    task : Task that advanced
+    """
+
+    done: int
+    total: int
+    task: Task
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A finished study.
+
+    Attributes
+    ----------
+    folder : Path
+    design : Design
+    trials : mapping of Task to Trial
+    parameters : mapping of Task to FilterParameters
+    best : mapping of str to FilterParameters
+        Of the best trial of each folder in trials/, also saved as best/<name>.toml.
+    record : StudyRecord
+        The content of the folder.
+    picture : Picture
+        Of a test drive of the trial whose honest PSO-UKF has the lowest training cost.
+    """
+
+    folder: Path
+    design: Design
+    trials: dict[Task, Trial]
+    parameters: dict[Task, FilterParameters]
+    best: dict[str, FilterParameters]
+    record: StudyRecord
+    picture: Picture
+
+    @property
+    def results(self) -> Results:
+        """The content of results.json."""
+        return self.record.results
+
+    def best_of(self, protocol: str, method: str, drive: int) -> tuple[str, FilterParameters]:
+        """Return name and parameters of the best tuning for a drive, given by its index."""
+        name = tuning_name(protocol, method, self.design.group_of(drive))
+        return name, self.best[name]
+
+
+def shown_trial(trials: Mapping[Task, Trial]) -> int:
+    """Return the trial whose filters are drawn: that of the honest PSO-UKF's lowest training cost."""
+    cost: dict[int, float] = {}
+    for task, trial in trials.items():
+        if task.variant == ("honest", MAIN):
+            cost[task.trial] = cost.get(task.trial, 0.0) + trial.cost
+    return min(cost, key=cost.__getitem__)
+
+
+def run_study(
+    config: StudyConfig,
+    out: str | Path,
+    *,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    cluster: "Client | None" = None,
+    progress: Callable[[StudyProgress], None] | None = None,
+) -> Study:
+    """Run a study, or resume one, and write its results.
+
+    Parameters
+    ----------
+    config : StudyConfig
+    out : path
+        The study's folder.
+    resume : bool
+        Continue with the content of ``out``. The result has the same bits as that of an uninterrupted study.
+    executor : concurrent.futures.Executor, optional
+        Runs the tunings; by default forked processes on Linux, else threads.
+    workers : int, optional
+        Number of these; all cores by default. The result does not depend on it.
+    cluster : distributed.Client, optional
+        A Dask cluster whose workers make or read the drives and do the work. The result does not depend on it. Not
+        with rivals: networks are trained locally.
+    progress : callable, optional
+        Called with a `StudyProgress` as tunings and trainings advance.
+
+    Raises
+    ------
+    InputError
+        If the configuration, the folder or the drives can't be used.
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    """
+    if config.rivals:
+        with exact():  # raises where JAX is missing
+            require_packages("bo")
+        if cluster is not None:
+            raise InputError("rivals = True: networks are trained on local drives; leave the cluster out")
+    watch = Stopwatch()
+    with held_folder(Path(out)) as folder, ExitStack() as stack:
+        _open_folder(folder, config, resume)
+        if config.rivals:  # bo silences it, but a compiler in another thread may undo that
+            stack.enter_context(warnings.catch_warnings())
+            warnings.filterwarnings("ignore", "The optimal value found for dimension")
+        # Python's own number of threads is larger, and they would wait for each other.
+        crew = workers or cores()
+        pool = executor or stack.enter_context(ThreadPoolExecutor(crew if cluster is None else workers))
+        forks = (
+            sys.platform == "linux" and crew > 1 and executor is cluster is None and not config.rivals
+        )  # for JAX
+        return _run(folder, config, pool, crew if forks else 0, cluster, progress, watch)
+
+
+def _run(
+    folder: Path,
+    config: StudyConfig,
+    pool: Executor,
+    processes: int,
+    cluster: "Client | None",
+    progress: Callable[[StudyProgress], None] | None,
+    watch: Stopwatch,
+) -> Study:
+    design = make_design(config, pool, cluster)
+    elsewhere = designs_elsewhere(design, pool)
+    spaces, training = _spaces(design), trainings(design)
+    total = len(list(design.tasks)) * config.generations + sum(t.epochs for t in training)
+
+    def report(done: int, task: Task) -> None:
+        if progress:
+            progress(StudyProgress(done, total, task))
+
+    trials = _tune_all(design, spaces, folder, pool, report, processes)
+    watch.lap("tuning")
+    points = {task: spaces[task.variant].decode(trial.point[np.newaxis])[0] for task, trial in trials.items()}
+    touched = {task: spaces[task.variant].touched(trial.point) for task, trial in trials.items()}
+    networks = train_all(design, training, points, folder, report)
+    if networks:
+        watch.lap("training")
+    whole = {t.task: network for t, network in networks.items() if t.minutes is None}
+    scores = score_all(design, points, pool, whole)
+    away = {place: score_all(other, points, pool, whole) for place, other in elsewhere.items()}
+    rivals = None
+    if config.rivals:
+        less = [network for t, network in networks.items() if t.minutes is not None]
+        curve = score_networks(design, less, [design.split(0)[1]] * len(less), pool)
+        rivals = rival_results(trials, networks, scores, away, curve)
+    results = results_of(design, trials, points, touched, scores, rivals)
+    tracks, picture = follow(design, points, shown_trial(trials))
+    scores.write(folder)
+    for place, table in away.items():
+        table.write(make_folder(folder / "elsewhere" / place.replace(" ", "-")))
+    results.write(folder)
+    save_tracks(tracks, folder / "tracks.npz")
+    watch.lap("scoring")
+    times = rival_times(folder, design, points, networks) if config.rivals else {}
+    live = write_timings(folder, design, watch, times)
+    record = StudyRecord(results, spreads_of(scores.to_frame()), live, times, tracks, versions())
+    return Study(folder, design, trials, points, _write_best(folder, trials, points), record, picture)
+
+
+def _write_best(
+    out: Path, trials: Mapping[Task, Trial], points: Mapping[Task, FilterParameters]
+) -> dict[str, FilterParameters]:
+    """Write a parameter file of the best trial of each tuning, by the training cost alone."""
+    best: dict[str, Task] = {}
+    for task, trial in trials.items():
+        if task.folder not in best or trial.cost < trials[best[task.folder]].cost:
+            best[task.folder] = task
+    make_folder(out / "best")
+    for name, task in best.items():
+        points[task].save(out / "best" / f"{name}.toml")
+    return {name: points[task] for name, task in best.items()}
+
+
+def _open_folder(out: Path, config: StudyConfig, resume: bool) -> None:
+    file = out / "study.toml"
+    if not file.exists():
+        write_whole(file, config.to_toml())
+        return
+    if not resume:
+        raise InputError(
+            f"{out}: already holds a study; add --resume to go on with it, or name another folder"
+        )
+    saved = read_config(file)
+    for name in StudyConfig.model_fields:
+        if getattr(saved, name) != getattr(config, name):
+            raise InputError(
+                f"{file}: was started with {name} = {getattr(saved, name)!r}, now asked for "
+                f"{getattr(config, name)!r}; repeat the first command, or name another folder"
+            )
+
+
+def _spaces(design: Design) -> dict[Variant, SearchSpace]:
+    """Make the search space of every tuned variant, for the drives' usual IMU interval."""
+    interval = usual_interval(design.drives)
+    return {(p, m): car_space(design.tune_config(m, p), interval) for p, m in design.config.tuned}
+
+
+def _tune_all(
+    design: Design,
+    spaces: Mapping[Variant, SearchSpace],
+    out: Path,
+    pool: Executor,
+    progress: Callable[[int, Task], None],
+    processes: int,
+) -> dict[Task, Trial]:
+    """Run every tuning of the study, on the drives of its group that its trial trains on."""
+    configs = {(p, m): design.tune_config(m, p) for p, m in spaces}
+    outages = {
+        variant: objective_named(config.objective).needs_outages for variant, config in configs.items()
+    }
+    replays = {needed: design.replays(outages=needed) for needed in set(outages.values())}
+    folders = _result_folders(design, out)
+    splits = [set(design.split(trial)[0]) for trial in range(design.config.trials)]
+
+    def problem(variant: Variant, drives: list[int]) -> CarProblem:
+        return CarProblem(configs[variant], spaces[variant], [], replays[outages[variant]].subset(drives))
+
+    def one(task: Task, report: Report) -> Trial:
+        train = [i for i in design.members(task.group) if i in splits[task.trial]]
+        folder = folders[task.folder]
+        landscape = problem(task.variant, train)
+        search = Search(configs[task.variant], landscape, None, folder, lambda now: report(now.generation))
+        timed = design.config.rivals and folder.finished(task.trial) is None
+        file = folder.path / f"trial-{task.trial:03d}" / "timings.json"
+        with kept_time(file) if timed else nullcontext():
+            trial = search.trial(task.trial)
+        if not np.isfinite(trial.cost):
+            raise InputError(
+                f"{task.folder}: no parameter set gave a finite cost in trial {task.trial}; "
+                "look for NaN or wildly wrong values in the drives"
+            )
+        return trial
+
+    if processes:
+        for variant in configs:  # compiled and loaded once, before the processes fork
+            first: Array = spaces[variant].low[np.newaxis]
+            problem(variant, list(range(len(design.drives)))).each(first, [0], None)
+    return run_grid(
+        list(design.tasks),
+        one,
+        pool,
+        processes=processes,
+        rounds=design.config.generations,
+        effort=lambda task: _effort(configs[task.variant], outages[task.variant]),
+        progress=lambda done, _, task: progress(done, task),
+    )
+
+
+def _effort(config: TuneConfig, outages: bool) -> float:
+    """Estimate the duration of a tuning relative to others on as many drives."""
+    passes, step = 1 + outages, len(MODELS[config.model].states) ** 1.5
+    return passes * step * (RACED if config.racing else 1.0) * config.particles * config.generations
+
+
+def _result_folders(design: Design, out: Path) -> dict[str, ResultFolder]:
+    """Open a folder for the trials of each tuning, with its configuration and data."""
+    data = {"fingerprint": design.fingerprint(), "drives": len(design.drives)}
+    folders: dict[str, ResultFolder] = {}
+    for task in design.tasks:
+        if task.folder not in folders:
+            asked: dict[str, Any] = {
+                **design.tune_config(task.method, task.protocol).model_dump(mode="json"),
+                "group": task.group,
+                "train_fraction": design.config.train_fraction,
+                "drives": data,
+                "versions": versions(),
+            }
+            folders[task.folder] = ResultFolder(out / "trials" / task.folder, asked, resume=True)
+    return folders

@@ -1,0 +1,564 @@
+"""LiveFilterBank: sixteen filters behind the interface of one; their mixture is the estimate.
+
+All of it depends on the stream alone. Lanes are replaced by what can't change any more: the state so far back that no
+late fix reaches it; from there the samples are taken again with the new lanes. So the same samples and fixes give the
+same bits, in time or late, live or from a file.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.gyro_seen import UP
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.bank.search import SCALED, Evidence, Found, Steps, search
+from sigmaswarm.filters.bank.spread import FIXED, START, Spread
+from sigmaswarm.filters.compiled import live, swarm
+from sigmaswarm.filters.compiled.lagged import again_call
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, R, at, state_rows
+from sigmaswarm.filters.compiled.memory import Memory
+from sigmaswarm.filters.compiled.swarm import N_TAPE, TAPE, swarm_step
+from sigmaswarm.filters.divergence import DivergenceMonitor
+from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.live import LiveFilter, LiveState, told
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import state_estimate
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.geodesy import wrap_angle
+
+SEARCH_EVERY = 10.0
+"""s from one search to the next."""
+SEARCH_TAKES = 1.0
+"""s of the stream until its result is used; a search takes some 15 ms on another thread."""
+REPLAYED = 60.0
+"""s that a search replays."""
+FASTER = 2.0
+"""m/s: at lower speeds fixes say little on headings and biases, and no lane is replaced."""
+REPLACED = 7
+"""Lanes replaced after a search: one by the result, the others by copies of good ones, jittered."""
+JITTER = 0.6
+"""Of an offset's standard deviation: how far a copy lies off its parent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """Mean and covariance of a bank's mixture at some moments, the heading on the circle.
+
+    Attributes
+    ----------
+    mean : (k, n)
+    covariance : (k, n, n)
+    """
+
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    @np.errstate(all="ignore")  # a lane may fail, and does not count then
+    def of(cls, states: Array, weights: Array, model: ModelName) -> "Mixture":
+        """Mix the state rows (k, s, LANES) with the weights (k, LANES) of a bank; NaN where all weights are 0."""
+        mean, covariance = state_estimate(states, model)  # (k, LANES, n), (k, LANES, n, n)
+        sound = np.isfinite(mean.sum(axis=2) + covariance.sum(axis=(2, 3)))
+        weights = np.where(sound, weights, 0.0)
+        total = weights.sum(axis=1, keepdims=True)
+        weights = np.divide(weights, total, out=np.full_like(weights, np.nan), where=total > 0.0)
+        leads = np.argmax(weights, axis=1)
+        from_leader = mean - mean[np.arange(len(mean)), leads][:, np.newaxis]
+        from_leader[:, :, THETA] = wrap_angle(from_leader[:, :, THETA])
+        out = weights == 0.0  # lanes that are NaN included
+        from_leader[out], covariance[out] = 0.0, 0.0
+        middle = np.einsum("kl,kln->kn", weights, from_leader)
+        off = from_leader - middle[:, np.newaxis]
+        spread = np.einsum("kl,kln,klm->knm", weights, off, off)
+        together = np.einsum("kl,klnm->knm", weights, covariance) + spread
+        return cls(mean[np.arange(len(mean)), leads] + middle, together)
+
+
+@dataclass(frozen=True, eq=False)
+class _Snapshot:
+    """A state from which a replay can begin.
+
+    Attributes
+    ----------
+    taped : int
+        Number of steps in the log.
+    time, fixed_at : s: its time, and that of the last fix before it
+    lanes : (N_KEPT, LANES)
+    evidence : (LANES,)
+    ancestors : (LANES,) of int
+        The lane of this snapshot that each present lane comes from.
+    """
+
+    taped: int
+    time: float
+    fixed_at: float
+    lanes: Array
+    evidence: Array
+    ancestors: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pending:
+    """A search under way, which replays the logged steps up to number ``taped``, from the ancestor of lane ``led``.
+
+    A copy of it, in a forked process or by pickle, has no thread that searches, and so searches itself.
+    """
+
+    taped: int
+    led: int
+    arguments: tuple[Any, ...]
+    process: int
+    found: "Future[Found | None]"
+
+    @classmethod
+    def begun(cls, taped: int, led: int, *arguments: Any) -> "_Pending":
+        """Begin a search on another thread."""
+        return cls(taped, led, arguments, os.getpid(), _searcher().submit(search, *arguments))
+
+    def result(self) -> Found | None:
+        """Wait for the result."""
+        return self.found.result() if self.process == os.getpid() else search(*self.arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Pending.begun, (self.taped, self.led, *self.arguments)
+
+
+class LiveFilterBank(LiveFilter):
+    """A bank of sixteen filters with different parameters on one stream of samples; their mixture is the estimate.
+
+    Each filter (lane) predicts the fixes. Its weight comes from their likelihood, its evidence, which fades within a
+    minute. Lane 0 is the tuning itself, with the bits of a `LiveFilter`; some lanes stand for other receivers. Every
+    10 s of driving the worst lanes are replaced by the result of a search over the last minute, and by copies of good
+    lanes with their states. So the bank follows a change of sensors or of the reception. On the car that a filter was
+    tuned for it is no better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with
+    the gyro corrected by the known bias, which most of them keep.
+
+    It is used like a `LiveFilter`, but has no smoothed state. A copy by `pickle` goes on with the same bits. A fix from
+    before a reset of lanes comes too late for all of them.
+
+    Parameters
+    ----------
+    parameters, initial, nominal_interval, lever_arm, history, recover, as_recorded
+        As of `LiveFilter`.
+    seed : int
+        Seed of the lanes' first offsets and of the search.
+    searches : bool
+        Search for better filters on the way; False: the sixteen stay as they are.
+    believe_times : bool
+        Take each time as it is, however far ahead: for a recording, whose samples are in order.
+
+    Attributes
+    ----------
+    spread : Spread
+        The offsets that the lanes can have.
+    offsets : ndarray, shape (16, d)
+        Offsets of the lanes: decades, m for the rear axle.
+    n_searches : int
+        Searches with a result.
+    restarts : list of float
+        s: resets of lane 0; the others are reset together where their mixture diverges, see ``bank_restarts``.
+    """
+
+    def __init__(
+        self,
+        parameters: FilterParameters,
+        initial: InitialState,
+        *,
+        nominal_interval: float,
+        lever_arm: Sequence[float] = (0.0, 0.0),
+        history: float = 1.0,
+        recover: bool = True,
+        as_recorded: bool = False,
+        seed: int = 0,
+        searches: bool = True,
+        believe_times: bool = False,
+    ) -> None:
+        super().__init__(
+            parameters,
+            initial,
+            nominal_interval=nominal_interval,
+            lever_arm=lever_arm,
+            history=history,
+            recover=recover,
+            as_recorded=as_recorded,
+        )
+        self._seed, self._searches, self.n_searches = seed, searches, 0
+        self._counted = LANES
+        self.spread = Spread(parameters)
+        self.offsets = self.spread.first(np.random.default_rng([seed, 0]))
+        self._population = self.offsets * self.spread.lasting
+        self._model: ModelName = parameters.model
+        self._settled = len(self._memory.arrays.history)  # as many samples back nothing changes any more
+        self._memory = self._with_lanes(nominal_interval)
+        self._belief[live.BELIEVES_TIMES] = believe_times
+        self._start_lanes(initial, slice(None))
+        self._together = DivergenceMonitor() if recover else None
+        self._last_sound = self._mixed()
+        self._snapshots = [self._snapshot(self._numbers, initial.time)]
+        self._pending: _Pending | None = None
+        self._due = initial.time + SEARCH_EVERY
+        self._n_begun = 0
+        Steps(self._model, np.empty((0, N_TAPE)), np.zeros(3)).run(self._rows_of(self._numbers)[:, :8].copy())
+        again_call()
+
+    def _with_lanes(self, nominal_interval: float) -> Memory:
+        of_one = self._memory.arrays
+        longest = SEARCH_EVERY + SEARCH_TAKES + REPLAYED
+        tape = int(2.5 * longest / nominal_interval) + self._settled  # fixes come as often as samples at most
+        wider = np.zeros(live.BEHIND + TAPE + tape * N_TAPE)
+        wider[: live.N_ALL] = of_one.belief
+        wider[live.BEHIND + swarm.TAPE_LENGTH] = tape
+        of_one.counts[live.SPARE] = live.MARK_EVERY
+        longer = np.zeros((self._settled + live.MARK_EVERY, live.N_RECORD))
+        marks = np.zeros((len(longer) // live.MARK_EVERY + 2, swarm.MARKED))
+        arrays = of_one._replace(belief=wider, history=longer, marks=marks)
+        return Memory(swarm_step(self._model), arrays)
+
+    @property
+    def _numbers(self) -> Array:
+        """The lanes' numbers, which follow the state of lane 0."""
+        return self._belief[live.BEHIND :]
+
+    def _start_lanes(self, start: InitialState, lanes: slice) -> None:
+        """Start some lanes, and set the evidence of all to 0."""
+        rows = self._rows_of(self._numbers)
+        rows[:, lanes] = self._started(start)[:, lanes]
+        rows[CONSTANT_ROWS, lanes] = self.spread.constants(self._own_constants, self.offsets[lanes])
+        sound = np.isfinite(rows[state_rows(self._model)]).all(axis=0) & (rows[R.OK] == 1.0)
+        self._numbers[swarm.EVIDENCE] = np.where(sound, 0.0, -np.inf)
+        self._numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
+        self._numbers[swarm.AGAINST][self._counted :] = np.inf
+        self._numbers[swarm.FIXED_AT] = start.time
+        swarm.weigh(self._belief)
+
+    def _started(self, start: InitialState) -> Array:
+        """Rows of all lanes at a start, (N_KEPT, LANES)."""
+        sets = tuple(self.spread.parameters(self.offsets[lane]) for lane in range(LANES))
+        return KernelArray(sets).start([start], [self._interval])[0]
+
+    def count_only(self, lanes: int) -> None:
+        """Give weight to the first lanes only, as an export with so many does; without searches only."""
+        self._counted = lanes
+        self._numbers[swarm.AGAINST][lanes:] = np.inf
+        swarm.weigh(self._belief)
+
+    @property
+    def _own_constants(self) -> Array:
+        return KernelArray((self.parameters,)).constants(self._interval)[:, :1]
+
+    @staticmethod
+    def _rows_of(numbers: Array) -> Array:
+        """The lanes in `_numbers`, or in a checkpoint: (N_KEPT, LANES)."""
+        return numbers[swarm.ROWS].reshape(N_KEPT, LANES)
+
+    def predict(self, t: float, imu: Sequence[float]) -> None:
+        """Take an IMU sample, as `LiveFilter.predict`."""
+        super().predict(t, imu)
+        if t >= self._due and self._belief[live.TIME] >= self._due:
+            self._move()
+
+    def _move(self) -> None:
+        """Begin a search, or use its result."""
+        now = float(self._belief[live.TIME])
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            found = pending.result()
+            if found is not None:
+                self._replace(found, pending.taped, pending.led)
+        elif self._searches:
+            self._pending = self._begin()
+        self._due = now + (SEARCH_TAKES if self._pending else SEARCH_EVERY - SEARCH_TAKES)
+
+    def _settled_mark(self) -> tuple[int, Array, Array] | None:
+        """The last checkpoint that no late fix reaches: the number of its record, the record, the checkpoint."""
+        of = self._memory.arrays
+        counts, history, marks = of.counts, of.history, of.marks
+        n, kept = int(counts[live.N_SAMPLES]), int(counts[live.N_HISTORY])
+        number = max(0, n - self._settled) // live.MARK_EVERY * live.MARK_EVERY
+        place = number - (n - kept)
+        if place < 0:  # there was a reset since
+            return None
+        record = history[(int(counts[live.OLDEST]) + place) % len(history)]
+        return place, record, marks[number // live.MARK_EVERY % len(marks)]
+
+    def _snapshot(self, numbers: Array, time: float) -> _Snapshot:
+        rows, evidence = self._rows_of(numbers).copy(), numbers[swarm.EVIDENCE].copy()
+        return _Snapshot(
+            int(numbers[swarm.TAPED]), time, float(numbers[swarm.FIXED_AT]), rows, evidence, np.arange(LANES)
+        )
+
+    def _begin(self) -> _Pending | None:
+        mark = self._settled_mark()
+        if mark is None:
+            return None
+        _, record, numbers = mark
+        here = self._snapshot(numbers, float(record[live.TIME]))
+        self._snapshots = [s for s in (*self._snapshots, here) if s.time >= here.time - REPLAYED - 1e-6]
+        if not numbers[swarm.WEIGHT].any():  # all have failed
+            return None
+        leads = int(np.argmax(numbers[swarm.WEIGHT]))
+        if np.hypot(*here.lanes[[R.U, R.V], leads]) <= FASTER:
+            return None
+        begins = next(s for s in self._snapshots if self._is_taped(s.taped))
+        self._n_begun += 1
+        was = int(begins.ancestors[leads])
+        lever = self._belief[live.LEVER].copy()
+        steps = Steps(self._model, self._tape(begins.taped, here.taped), lever)
+        chance = self._seed, self._n_begun
+        return _Pending.begun(
+            *(here.taped, leads, self.spread, steps, begins.lanes[:, was]),
+            *(Evidence(float(begins.evidence[was]), begins.fixed_at), self.offsets[leads].copy()),
+            *(self._population, self._interval, chance),
+        )
+
+    def _is_taped(self, first: int) -> bool:
+        """True if the log has the steps from number ``first`` on."""
+        return first >= int(self._numbers[swarm.TAPED]) - int(self._numbers[swarm.TAPE_LENGTH])
+
+    def _tape(self, first: int, last: int) -> Array:
+        """Steps from number ``first`` to before ``last``, (k, N_TAPE)."""
+        length = int(self._numbers[swarm.TAPE_LENGTH])
+        tape = self._numbers[TAPE:].reshape(length, N_TAPE)
+        return tape[np.arange(first, last) % length]
+
+    def _replace(self, found: Found, replayed: int, led: int) -> None:
+        """Replace the worst lanes by the result and by copies of good lanes; then take the last samples again."""
+        mark = self._settled_mark()
+        if mark is None:
+            return
+        place, record, numbers = mark
+        if not (numbers[swarm.WEIGHT].any() and self._is_taped(replayed)):
+            return
+        since = self._tape(replayed, int(numbers[swarm.TAPED]))
+        rng = np.random.default_rng([self._seed, self._n_begun, 1])
+        rows, weight = self._rows_of(numbers), numbers[swarm.WEIGHT].copy()
+        evidence = numbers[swarm.EVIDENCE]
+        leads = int(np.argmax(weight))
+        worst = [int(lane) for lane in np.argsort(weight, kind="stable") if lane >= len(FIXED)][:REPLACED]
+        parents = rng.choice(LANES, size=len(worst) - 1, p=weight / weight.sum())
+        state, evidence_now = self._brought_on(found, since)
+        offsets, states, known = [found.offsets], [state], [evidence_now]
+        for parent in parents:
+            jitter = JITTER * self.spread.std * rng.standard_normal(len(self.spread.names))
+            offsets.append((self.offsets[parent] + jitter) * self.spread.lasting)
+            states.append(rows[:, parent].copy())
+            known.append(float(evidence[parent]))
+        lost = ~np.isfinite(evidence) | (rows[R.OK] != 1.0)
+        failed = [lane for lane in range(1, LANES) if lost[lane] and lane not in worst]
+        for lane in failed:  # it goes on from where the best one is, with its own offsets
+            rows[:, lane], evidence[lane] = rows[:, leads], evidence[leads]
+        for lane, its, state, evidence_of in zip(worst, offsets, states, known, strict=True):
+            self.offsets[lane], rows[:, lane], evidence[lane] = its, state, evidence_of
+        for snapshot in self._snapshots:
+            of = snapshot.ancestors.copy()
+            snapshot.ancestors[worst] = of[[led, *parents]]
+            snapshot.ancestors[failed] = of[leads]
+        new = [*worst, *failed]  # the constants of others may have been adapted
+        rows[CONSTANT_ROWS, new] = self.spread.constants(self._own_constants, self.offsets[new])
+        rows[np.ix_(np.array(SCALED), np.array(new))] = 1.0
+        numbers[swarm.AGAINST] = self.spread.penalty(self.offsets)
+        self._population = found.population
+        self.n_searches += 1
+        belief, counts, _, fixes, speeds, history, marks, _ = self._memory.arrays
+        belief[live.BEHIND : live.BEHIND + swarm.MARKED] = numbers
+        swarm.weigh(belief)
+        numbers[swarm.WEIGHT] = self._numbers[swarm.WEIGHT]
+        belief[: live.N_BELIEF] = record[: live.N_BELIEF]
+        again_call()(self._memory.step.address, belief, counts, fixes, speeds, history, marks, place, True)
+
+    def _brought_on(self, found: Found, since: Array) -> tuple[Array, float]:
+        """The result of a search, (N_KEPT,), after the steps since its replay; and its evidence."""
+        steps = Steps(self._model, since, self._belief[live.LEVER].copy())
+        lane, known = steps.followed(found.lane, found.known)
+        return lane, known.evidence
+
+    def _check_divergence(self, now: float, *, due: bool) -> None:
+        super()._check_divergence(now, due=due)
+        fix, together = self._last_fix(now), self._together
+        if fix is None or together is None or not (due or together.lost):
+            return
+        estimate = self._with_sound_biases(together.lost, *self._mixed())
+        gyro_bias = self._gyro_bias(estimate[0])
+        start = self._judged(together, now, fix, lambda: estimate, due=due, gyro_bias=gyro_bias)
+        if start is None and due and not self.weights.any():  # all failed
+            with np.errstate(all="ignore"):  # values that are not finite give no start
+                start = self._check(now, fix, *estimate).start
+        if start is not None:
+            self._start_lanes(start, slice(1, None))
+            self._keep_biases(start, gyro_bias, *estimate)
+            self._begin_history()
+        self._holds = self._holds or together.lost
+
+    @property
+    def _biases(self) -> list[int]:
+        """Indices of the biases among the model's states."""
+        return [i for i, state in enumerate(MODELS[self._model].states) if state.bias_of]
+
+    def _with_sound_biases(self, lost: bool, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """State estimate (n,), (n, n) with the biases from before it was lost: at a fix, lanes forget them."""
+        if not lost:
+            self._last_sound = mean, covariance
+            return mean, covariance
+        biases = self._biases
+        was, variance = self._last_sound
+        mean[biases], covariance[biases], covariance[:, biases] = was[biases], 0.0, 0.0
+        covariance[np.ix_(biases, biases)] = variance[np.ix_(biases, biases)]
+        return mean, covariance
+
+    def _gyro_bias(self, mean: Array) -> float:
+        """Known bias of the gyro, rad/s, for alignments: with a bad gyro they would find a wrong heading."""
+        bias = float(mean[GYRO_BIAS]) if len(mean) > GYRO_BIAS else 0.0
+        return bias if np.isfinite(bias) else 0.0
+
+    def _keep_biases(self, start: InitialState, gyro_bias: float, mean: Array, covariance: Array) -> None:
+        """Keep the known biases of a state estimate (n,), (n, n), except in lanes that stand for other biases.
+
+        The alignment's own bias is used where it is more precise or contradicts the known one.
+        """
+        seen = start.gyro
+        surer = (
+            seen is not None
+            and len(mean) > GYRO_BIAS
+            and seen.variance[UP] < covariance[GYRO_BIAS, GYRO_BIAS]
+        )
+        contradicts = seen is not None and seen.taken != gyro_bias
+        if surer or contradicts or not np.isfinite(mean.sum() + covariance.sum()):
+            return
+        lanes = [lane for lane in range(1, LANES) if lane >= len(FIXED) or START not in FIXED[lane]]
+        biases = self._biases
+        rows, state = self._rows_of(self._numbers), state_rows(self._model)
+        of_state = state[:, np.newaxis], np.array(lanes)
+        rows[of_state] = self._started(replace(start, gyro=None))[of_state]
+        for i in biases:
+            rows[i, lanes] = mean[i]
+            for j in biases[: biases.index(i) + 1]:
+                rows[at(i, j), lanes] = covariance[i, j]
+
+    def _reset(self, start: InitialState) -> None:
+        super()._reset(start)
+        self._rows_of(self._numbers)[:, 0] = self._belief[:N_KEPT]
+        evidence = self._numbers[swarm.EVIDENCE]
+        if not np.isfinite(evidence[0]):  # it had failed: it counts again, as little as any
+            evidence[0] = evidence[np.isfinite(evidence)].min(initial=0.0)
+        self._begin_history()
+
+    def _begin_history(self) -> None:
+        """Forget the history: nothing goes back to before now."""
+        counts = self._memory.arrays.counts
+        counts[live.N_HISTORY] = counts[live.OLDEST] = 0
+        counts[live.N_SAMPLES] = -(-int(counts[live.N_SAMPLES]) // live.MARK_EVERY) * live.MARK_EVERY
+        self._snapshots = [self._snapshot(self._numbers, float(self._belief[live.TIME]))]
+        self._pending = None
+
+    @property
+    def bank_restarts(self) -> list[float]:
+        """Resets of all lanes but the first, whose mixture had diverged, s."""
+        return [] if self._together is None else self._together.restarts
+
+    @property
+    def swarm_restarts(self) -> list[float]:
+        """Deprecated name of ``bank_restarts``."""
+        return self.bank_restarts
+
+    @property
+    def weights(self) -> Array:
+        """Weights of the lanes, (16,), of sum 1; all 0 where all have failed."""
+        return self._numbers[swarm.WEIGHT].copy()
+
+    @property
+    def effective(self) -> float:
+        """Effective number of lanes: 1 / sum of squared weights."""
+        squares = float(np.square(self.weights).sum())
+        return 1.0 / squares if squares > 0.0 else 0.0
+
+    @property
+    def leader(self) -> FilterParameters:
+        """Parameters of the lane of the largest weight."""
+        return self.spread.parameters(self.offsets[int(np.argmax(self.weights))])
+
+    @property
+    def moved(self) -> Array:
+        """Weighted mean of the offsets from the tuning, (d,)."""
+        return self.weights @ self.offsets * self.spread.lasting
+
+    @property
+    def settled(self) -> FilterParameters:
+        """The tuning moved by `moved`: the filter to save for this car."""
+        return self.spread.parameters(self.moved)
+
+    @property
+    def n_fixes(self) -> int:
+        """Number of fixes that were used."""
+        return int(self._numbers[swarm.N_FIXED])
+
+    @property
+    def innovation(self) -> tuple[Array, Array]:
+        """Innovation nu (2,) m and its covariance S (2, 2) m2 of the mixture at the last fix."""
+        n = self._numbers
+        xy = n[swarm.S_XY]
+        return n[[swarm.NU_X, swarm.NU_Y]], np.array([[n[swarm.S_XX], xy], [xy, n[swarm.S_YY]]])
+
+    @property
+    def state(self) -> LiveState:
+        """State estimate of the mixture after the last IMU sample and all fixes up to then."""
+        mean, covariance = self._mixed()
+        sound = self._plausible and _is_definite(covariance)
+        return told(float(self._belief[live.TIME]), mean, covariance, self.lost, sound)
+
+    @property
+    def lost(self) -> bool:
+        """True if the mixture has diverged and can't yet be reset; its position is that of the last fix."""
+        return self._together is not None and self._together.lost
+
+    def lanes(self) -> tuple[Array, Array]:
+        """State rows (s, LANES) and weights (LANES,) now, to mix many moments at once."""
+        return self._rows_of(self._numbers)[state_rows(self._model)], self.weights
+
+    def _mixed(self) -> tuple[Array, Array]:
+        states, weights = self.lanes()
+        mixed = Mixture.of(states[np.newaxis], weights[np.newaxis], self._model)
+        return mixed.mean[0], mixed.covariance[0]
+
+    @property
+    def smoothed(self) -> LiveState:
+        """Not available for a filter bank.
+
+        Raises
+        ------
+        InputError
+        """
+        raise InputError("a filter bank has no smoothed state; take a LiveFilter with lag=2.0, say")
+
+
+def _is_definite(covariance: Array) -> bool:
+    """Whether a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    variance = covariance.diagonal()
+    if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
+        return False
+    scale = np.sqrt(variance)
+    scale[scale == 0.0] = 1.0
+    correlations = covariance / scale / scale[:, np.newaxis]
+    try:
+        np.linalg.cholesky(correlations + live.ROUNDING * np.eye(len(scale)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+@cache
+def _searcher() -> ThreadPoolExecutor:
+    """One thread for the searches of all filter banks of a process."""
+    return ThreadPoolExecutor(1, thread_name_prefix="swarm")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_searcher.cache_clear)  # a forked process has no such thread

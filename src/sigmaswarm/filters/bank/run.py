@@ -1,0 +1,237 @@
+"""A filter bank over a whole drive: its samples and fixes, one by one, through a `LiveFilterBank`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from heapq import merge
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.recording import Innovations, Piece, failure_at
+from sigmaswarm.filters.replay import Replay, require_readable
+from sigmaswarm.filters.run import Estimate, estimate_of, replay_of
+from sigmaswarm.geodesy import wrap_angle
+
+SETTLED_OVER = 60.0
+"""s at the end of a drive over which the offsets are averaged."""
+LOG_INTERVAL = 1.0
+"""s between two rows of the log."""
+_AT_ONCE = 500
+"""Samples whose mixtures are computed together."""
+
+
+@dataclass(frozen=True, eq=False)
+class BankLog:
+    """Log of a filter bank, once a second.
+
+    Attributes
+    ----------
+    names : tuple of str, length d
+        Names of the offsets: see `spread`.
+    time : (k,) s
+    weights : (k, LANES)
+    moved : (k, d)
+        How far the mixture was from the tuning: decades, m for the rear axle.
+    groups : mapping of str to list of int
+        See `Spread.groups`.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    weights: Array
+    moved: Array
+    groups: Mapping[str, list[int]]
+
+    @property
+    def effective(self) -> Array:
+        """Effective number of filters in the mixture, (k,); 0 where all had failed."""
+        squares = np.square(self.weights).sum(axis=1)
+        return np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+
+    @property
+    def settled(self) -> Array:
+        """Mean offset from the tuning in the last minute, (d,)."""
+        return self.moved[self.time >= self.time[-1] - SETTLED_OVER].mean(axis=0)
+
+    @property
+    def shares(self) -> dict[str, Array]:
+        """Total weight of each group of lanes, (k,)."""
+        return {name: self.weights[:, lanes].sum(axis=1) for name, lanes in self.groups.items()}
+
+    def to_frame(self) -> pl.DataFrame:
+        """Table of the log: t, the lane of the largest weight, effective, each offset, each lane's weight."""
+        columns = {"t": self.time, "leads": self.weights.argmax(axis=1), "effective": self.effective}
+        columns |= {name: self.moved[:, i] for i, name in enumerate(self.names)}
+        columns |= {f"weight_{lane}": self.weights[:, lane] for lane in range(self.weights.shape[1])}
+        return pl.DataFrame(columns)
+
+
+class BankRun:
+    """A filter bank over a replay, as an iterator of pieces; its log after the last one.
+
+    Parameters
+    ----------
+    replay : Replay
+    parameters : FilterParameters
+    seed : int
+    searches, recover, as_recorded
+        See `LiveFilterBank`.
+
+    Attributes
+    ----------
+    bank : LiveFilterBank
+    initial : InitialState
+    failure : str or None
+        When no lane was left for the first time, in the pieces so far.
+    """
+
+    def __init__(
+        self,
+        replay: Replay,
+        parameters: FilterParameters,
+        *,
+        seed: int = 0,
+        searches: bool = True,
+        recover: bool = False,
+        as_recorded: bool = False,
+    ) -> None:
+        require_readable(replay, KernelArray((parameters,)))
+        self._line, self.initial = replay.timeline, replay.initial
+        self._model: ModelName = parameters.model
+        self.bank = LiveFilterBank(
+            parameters,
+            replay.initial,
+            nominal_interval=self._line.nominal_interval,
+            lever_arm=self._line.lever.tolist(),
+            seed=seed,
+            searches=searches,
+            recover=recover,
+            as_recorded=as_recorded,
+            believe_times=True,
+        )
+        self.failure: str | None = None
+        self._log: list[tuple[float, Array, Array]] = []
+        self._innovations: list[tuple[float, ...]] = []
+
+    @property
+    def restarts(self) -> list[float]:
+        """s: times of the bank's resets in the pieces so far."""
+        return self.bank.bank_restarts
+
+    def __iter__(self) -> Iterator[Piece]:
+        line, drive, bank = self._line, self._line.drive, self.bank
+        last = len(drive.imu) - 1
+        imu = [drive.imu.time, *(getattr(drive.imu, axis) for axis in MODELS[self._model].imu)]
+        begins = int(np.searchsorted(drive.imu.time, self.initial.time, side="right"))
+        events = _events(drive)
+        event = next(events, None)
+        states, weights, lost = [], [], []
+        at, logged, fixed = 0, -np.inf, 0
+        for k, (t, *sample) in enumerate(_rows(imu)):
+            while event is not None and event[0] <= t:
+                if event[1] is None:
+                    bank.update_odometer(event[0], event[2])
+                else:
+                    bank.update(event[0], event[1], *event[2])
+                event = next(events, None)
+            bank.predict(t, sample)
+            if k < begins:
+                continue
+            if bank.n_fixes != fixed:
+                fixed = bank.n_fixes
+                nu, s = bank.innovation
+                self._innovations.append((t, *nu.tolist(), s[0, 0], s[0, 1], s[1, 1]))
+            if t >= logged + LOG_INTERVAL:
+                logged = t
+                self._log.append((t, bank.weights, bank.moved))
+            state, weight = bank.lanes()
+            states.append(state)
+            weights.append(weight)
+            lost.append(bank.lost)
+            if len(states) == _AT_ONCE or k == last:
+                yield self._piece(line.imu_time[at : at + len(states)], states, weights, lost)
+                at += len(states)
+                states, weights, lost = [], [], []
+
+    def _piece(self, time: Array, states: list[Array], weights: list[Array], lost: list[bool]) -> Piece:
+        mixed = Mixture.of(np.array(states), np.array(weights), self._model)
+        mixed.mean[:, THETA] = wrap_angle(mixed.mean[:, THETA])
+        sound = np.isfinite(mixed.mean.sum(axis=1) + mixed.covariance.sum(axis=(1, 2)))
+        if self.failure is None and not sound.all():
+            self.failure = failure_at(self._line, float(time[np.argmin(sound)]))
+        return Piece(time, mixed.mean, mixed.covariance, sound, np.array(lost))
+
+    @property
+    def log(self) -> BankLog:
+        """Log of the pieces so far."""
+        time, weights, moved = (np.array(column) for column in zip(*self._log, strict=True))
+        return BankLog(self.bank.spread.names, time, weights, moved, self.bank.spread.groups)
+
+    @property
+    def innovations(self) -> Innovations:
+        """Innovations of the mixture in the pieces so far: of the last fix before each sample, at its time."""
+        rows = np.array(self._innovations).reshape(-1, 6)
+        return Innovations(rows[:, 0], rows[:, 1:3], rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2))
+
+
+def _rows(columns: Sequence[Array]) -> Iterator[list[float]]:
+    """Rows of columns as Python numbers, converted in parts."""
+    for first in range(0, len(columns[0]), _AT_ONCE):
+        yield from np.column_stack([column[first : first + _AT_ONCE] for column in columns]).tolist()
+
+
+def _events(drive: Drive) -> Iterator[tuple[float, Any, Any]]:
+    """Fixes (time, position, (velocity, std)) and odometer readings (time, None, speed), by time."""
+    gps, wheels = drive.gps, drive.odometer
+    has_velocity = gps.speed is not None and gps.course is not None
+    has_std = gps.std_x is not None and gps.std_y is not None
+    columns = [gps.time, gps.x, gps.y]
+    if gps.speed is not None and gps.course is not None:
+        columns += [gps.speed * np.cos(gps.course), gps.speed * np.sin(gps.course)]
+    if gps.std_x is not None and gps.std_y is not None:
+        columns += [gps.std_x, gps.std_y]
+    fixes = (
+        (t, (x, y), (more[:2] if has_velocity else None, more[-2:] if has_std else None))
+        for t, x, y, *more in _rows(columns)
+    )
+    readings = ((t, None, v) for t, v in _rows([wheels.time, wheels.speed])) if wheels else ()
+    return merge(fixes, readings, key=itemgetter(0))
+
+
+def run_bank(
+    drive: Drive | PreparedDrive,
+    parameters: FilterParameters,
+    *,
+    initial: InitialState | None = None,
+    seed: int = 0,
+    searches: bool = True,
+    recover: bool = True,
+    as_recorded: bool = False,
+) -> Estimate:
+    """Run a filter bank of a tuning over a drive: the estimate of a `LiveFilterBank` at each IMU sample.
+
+    Parameters
+    ----------
+    drive, parameters, initial, recover, as_recorded
+        As in `run_filter`.
+    seed, searches
+        As of `LiveFilterBank`.
+
+    Raises
+    ------
+    AlignmentError
+        If ``initial`` is not given and the drive never moves far enough.
+    """
+    replay = replay_of(drive, initial, as_recorded=as_recorded)
+    run = BankRun(replay, parameters, seed=seed, searches=searches, recover=recover, as_recorded=as_recorded)
+    return estimate_of(run, recover=recover)

@@ -1,0 +1,248 @@
+"""The search of a filter bank: filters of other offsets, replayed over the last minute, by differential evolution.
+
+R. Storn and K. Price, Differential evolution, Journal of Global Optimization 11, 1997 (rand/1/bin). Each
+search begins with the population of the last one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import FIRST_AXIS, Q_SCALE
+from sigmaswarm.filters.bank.spread import Spread
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, SUM_ROWS, WIDEST, R
+from sigmaswarm.filters.compiled.run import NO_INNOVATIONS, NO_RECORD, NO_TARGETS, SINCE, new_place, run_lanes
+from sigmaswarm.filters.compiled.swarm import (
+    EVIDENCE_COUNTS,
+    EVIDENCE_LASTS,
+    LARGEST_NIS,
+    T_FIX,
+    T_FLAGS,
+    T_SINCE,
+    T_STEP,
+    T_TIME,
+    T_WHEELS,
+)
+from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.schedule import FIX, ODOMETER
+from sigmaswarm.filters.student import INNOVATION_DOF
+
+GENERATIONS = 8
+WEIGHT, CROSSOVER = 0.7, 0.9
+"""Of differential evolution: F and CR."""
+NOT_SCORED = 2.0
+"""s at the beginning of a replay, in which a filter of other offsets settles."""
+FEWEST_FIXES = 8
+"""Fewest fixes that are scored; fewer do not decide."""
+FARTHEST = 8.0
+"""Standard deviations of an offset."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The evidence of a filter, and the time of the last fix in it, s."""
+
+    evidence: float
+    at: float
+
+    def then(self, time: Array, lost: Array) -> "Evidence":
+        """Add fixes at some times, s, each of which lowers the evidence by its loss."""
+        if not len(time):
+            return self
+        left = np.exp((np.append(self.at, time) - time[-1]) / EVIDENCE_LASTS)
+        return Evidence(float(left[0] * self.evidence - left[1:] @ lost), float(time[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of the log of a filter bank (k, N_TAPE), and what else `run_lanes` reads of them."""
+
+    model: ModelName
+    rows: Array
+    lever: Array
+
+    def run(self, lanes: Array) -> Array:
+        """Take lanes (N_KEPT, m), changed, through all steps; the loss over each lane's fixes, (m,).
+
+        The loss is -log of their likelihood under Student's t, as the objective ``innovation-t``, without the fixes of
+        the first `NOT_SCORED` seconds.
+        """
+        place = self._place
+        scored = (
+            int(np.searchsorted(self.rows[:, T_TIME], self._begins + NOT_SCORED)) if len(self.rows) else 0
+        )
+        self._run(lanes, place, scored)
+        before = _lost(lanes)
+        self._run(lanes, place, len(self.rows))
+        return _lost(lanes) - before
+
+    def followed(self, lane: Array, known: Evidence) -> tuple[Array, Evidence]:
+        """A lane (N_KEPT,) after all steps, and its evidence then."""
+        lanes = np.repeat(lane[:, np.newaxis], WIDEST, axis=1)
+        fixes = np.flatnonzero(self.rows[:, T_FLAGS].astype(np.uint8) & FIX)
+        innovations = np.empty((len(fixes), 5))
+        self._run(lanes, self._place, len(self.rows), innovations)
+        return lanes[:, 0], known.then(self.rows[fixes, T_TIME], _lost_over(*innovations.T))
+
+    @property
+    def _place(self) -> Array:
+        place = new_place()
+        if len(self.rows):
+            place[SINCE] = self.rows[0, T_SINCE] - self.rows[0, T_STEP][Q_SCALE]
+        return place
+
+    def _run(self, lanes: Array, place: Array, stop: int, innovations: Array = NO_INNOVATIONS) -> None:
+        """Run from a place to before step ``stop``; lanes and place are changed."""
+        k = len(self.rows)
+        flags, steps = self.rows[:, T_FLAGS].astype(np.uint8), self.rows[:, T_STEP]
+        arrays = (
+            np.ascontiguousarray(steps[:, :FIRST_AXIS]),
+            np.arange(k, dtype=np.int32),
+            np.ascontiguousarray(steps[:, FIRST_AXIS:]),
+            flags,
+            np.ascontiguousarray(self.rows[flags & FIX > 0, T_FIX]),
+            np.ascontiguousarray(self.rows[flags & ODOMETER > 0, T_WHEELS]),
+            self.lever,
+            NO_TARGETS,
+            np.zeros(k, dtype=np.int32),
+        )
+        run_lanes(self.model, *arrays, lanes, place, stop, NO_RECORD, innovations)
+
+    @property
+    def _begins(self) -> float:
+        return float(self.rows[0, T_TIME] - self.rows[0, T_STEP][0])
+
+    @property
+    def n_scored(self) -> int:
+        """Number of fixes that are scored."""
+        if not len(self.rows):
+            return 0
+        is_fix = (self.rows[:, T_FLAGS].astype(np.int64) & FIX) > 0
+        return int((is_fix & (self.rows[:, T_TIME] >= self._begins + NOT_SCORED)).sum())
+
+
+@np.errstate(all="ignore")  # a lane may fail
+def _lost(lanes: Array) -> Array:
+    determinants = lanes[R.LOG_DET] + np.log(lanes[R.DET])
+    return 0.5 * determinants + 0.5 * (INNOVATION_DOF + 2.0) * (lanes[R.LOG_TAIL] + np.log(lanes[R.TAIL]))
+
+
+@np.errstate(all="ignore")
+def _lost_over(x: Array, y: Array, xx: Array, xy: Array, yy: Array) -> Array:
+    """Loss of a lane's evidence over each fix, (f,), of nu (m) and S (m2): as in `compiled.swarm`."""
+    det = xx * yy - xy * xy
+    nis = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / det
+    lost = 0.5 * np.log(det) + 0.5 * np.minimum(nis, LARGEST_NIS)
+    return np.where((det > 0.0) & np.isfinite(det) & (nis >= 0.0), lost, np.inf)
+
+
+SCALED = R.TIMES_R, R.TIMES_Q
+"""Factors of a fuzzy filter's constants: 1 where those are replaced."""
+
+
+def as_at_start(lanes: Array) -> Array:
+    """Lanes (N_KEPT, m) in the same state with their sums at 0."""
+    fresh = lanes.copy()
+    sums = fresh[SUM_ROWS]
+    lasting = R.REJECTED, R.RECENT, R.OUTLIERS, R.SPAN, R.QUICK, R.SLOW, R.HEADING, R.OK
+    kept = [row - SUM_ROWS.start for row in lasting]
+    remembered = sums[kept].copy()
+    sums[:] = 0.0
+    sums[kept] = remembered
+    fresh[[R.DET, R.TAIL, *SCALED]] = 1.0
+    return fresh
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Result of a search: the best filter.
+
+    Attributes
+    ----------
+    offsets : (d,)
+    lane : (N_KEPT,)
+        The filter at the end of the replay.
+    known : Evidence
+        By the fixes up to then.
+    population : (LANES, d)
+        For the next search.
+    """
+
+    offsets: Array
+    lane: Array
+    known: Evidence
+    population: Array
+
+
+def search(
+    spread: Spread,
+    steps: Steps,
+    start: Array,
+    known: Evidence,
+    leader: Array,
+    population: Array,
+    nominal_interval: float,
+    seed: Sequence[int],
+) -> Found | None:
+    """Look for better offsets over some steps; None where they have too few fixes.
+
+    Parameters
+    ----------
+    spread : Spread
+    steps : Steps
+    start : (N_KEPT,)
+        The filter before the first of them.
+    known : Evidence
+        By the fixes up to there.
+    leader : (d,)
+        The offsets of the lane of the largest weight; they replace the last of the population.
+    population : (LANES, d)
+    nominal_interval : s
+    seed : sequence of int
+        Seed of the random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    if steps.n_scored < FEWEST_FIXES:
+        return None
+    own = KernelArray((spread.tuning,)).constants(nominal_interval)[:, :1]
+
+    def begun(offsets: Array) -> Array:
+        lanes = np.repeat(as_at_start(start[:, np.newaxis]), len(offsets), axis=1)
+        lanes[CONSTANT_ROWS] = spread.constants(own, offsets)
+        return lanes
+
+    def costs(offsets: Array) -> Array:
+        lanes = begun(offsets)
+        lost = steps.run(lanes)
+        lost[(lanes[R.OK] != 1.0) | ~np.isfinite(lost)] = np.inf
+        return EVIDENCE_COUNTS * lost + spread.penalty(offsets)
+
+    offsets = population.copy()
+    offsets[-1] = leader  # the last place is the leader's, in each search
+    cost = costs(offsets)
+    for _ in range(GENERATIONS):
+        trial = _trials(offsets, spread, rng)
+        trial_cost = costs(trial)
+        better: NDArray[np.bool_] = trial_cost < cost
+        offsets[better], cost[better] = trial[better], trial_cost[better]
+    best = int(np.argmin(cost))
+    if not np.isfinite(cost[best]):
+        return None
+    lane, known = steps.followed(begun(offsets[best : best + 1])[:, 0], known)
+    return Found(offsets[best], lane, known, offsets)
+
+
+def _trials(offsets: Array, spread: Spread, rng: np.random.Generator) -> Array:
+    """Make a trial for each of the population: another one plus the difference of two more, crossed with it."""
+    n, d = offsets.shape
+    others = np.array([rng.permutation(np.delete(np.arange(n), i))[:3] for i in range(n)])
+    a, b, c = (offsets[others[:, k]] for k in range(3))
+    moved = a + WEIGHT * (b - c)
+    crossed = rng.random((n, d)) < CROSSOVER
+    crossed[np.arange(n), rng.integers(d, size=n)] = True
+    trial = np.where(crossed, moved, offsets)
+    return np.clip(trial, -FARTHEST * spread.std, FARTHEST * spread.std) * spread.lasting

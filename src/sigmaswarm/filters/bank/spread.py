@@ -1,0 +1,202 @@
+"""Offsets of a bank's filters from the tuning, most of them in decades of variance.
+
+An offset stands for one thing that may have changed since the filter was tuned: the noise of the IMU or the receiver,
+the place of the rear axle. One matrix turns offsets into constants of the kernel: a lane costs one power of ten.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.compiled.layout import CONSTANTS, LANES, LETTERS
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+
+OFFSET_DOF = 4.0
+"""Degrees of freedom of the offsets' distribution, Student's t: most are small; of another sensor large."""
+Q_STD, WALK_STD, R_STD, OTHER_STD = 0.5, 0.7, 0.7, 0.4
+"""Standard deviations of offsets, decades of variance: of a state's noise, a bias's walk, R, other measurements."""
+R_DOWN_STD = 0.45
+"""The same of an R below the tuning's, in the penalty: in a city fixes are good until they jump."""
+SCALE_STD = 0.7
+"""The same of all variances together: a common factor of the covariance does not change the estimates."""
+START_STD = 1.5
+"""The same of the biases' variance at the start, which is never less than the tuning's."""
+AXLE_STD = 0.7
+"""m."""
+R, SCALE, START, AXLE = "r", "scale", "bias_start", "rear_axle"
+FIXED = (
+    {},
+    {START: 2.0},
+    {START: 4.0},
+    {R: -1.4},
+    {R: -2.8},
+    {R: 1.2},
+    {R: 2.5, START: 3.0},
+    {R: 4.5, START: 3.0},
+)
+"""The first lanes, which are never replaced: the tuning; other biases; other receivers, two with another IMU."""
+
+_MEASURED = {
+    "velocity": ("velocity_noise", "R_VELOCITY"),
+    "lateral": ("lateral_noise", "R_LATERAL"),
+    "standstill": ("standstill_noise", "R_STANDSTILL"),
+    "odometer": ("odometer_noise", "R_ODOMETER"),
+}
+"""By the offset's name: the parameter and the kernel's constant."""
+FAR, FAR_AXLE = 0.5, 0.5
+"""Decades, m: larger offsets are reported."""
+_MEANS = {
+    R: "R is {times}: another receiver?",
+    SCALE: "all variances together are {times}: the filter was tuned without regard to its covariance?",
+    **dict.fromkeys(_MEASURED, "the noise of {name} is {times}: another vehicle, or another mounting?"),
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The offsets that a tuning can have.
+
+    Parameters
+    ----------
+    tuning : FilterParameters
+    """
+
+    tuning: FilterParameters
+
+    @cached_property
+    def deviations(self) -> dict[str, float]:
+        """Name and standard deviation of each offset, in decades of variance; that of the rear axle in m."""
+        p, found = self.tuning, dict[str, float]()
+        for state in MODELS[p.model].states:
+            found[f"q_{state.shared}"] = WALK_STD if state.bias_of else Q_STD
+        found |= {R: R_STD, SCALE: SCALE_STD}
+        found |= {name: OTHER_STD for name, (of, _) in _MEASURED.items() if getattr(p, of) is not None}
+        if MODELS[p.model].sensors:
+            found[START] = START_STD
+        if p.lateral_noise is not None:
+            found[AXLE] = AXLE_STD
+        return found
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the offsets, in order."""
+        return tuple(self.deviations)
+
+    @cached_property
+    def std(self) -> Array:
+        """Their standard deviations, (d,)."""
+        return np.array(list(self.deviations.values()))
+
+    @cached_property
+    def lasting(self) -> Array:
+        """1 for offsets that still matter after the start, (d,), 0 for that of the start."""
+        return np.array([0.0 if name == START else 1.0 for name in self.names])
+
+    def first(self, rng: np.random.Generator) -> Array:
+        """Offsets at the start of a bank, (LANES, d). Lane 0 is the tuning."""
+        offsets = rng.standard_normal((LANES, len(self.names))) * self.std
+        if START in self.names:
+            start = self.names.index(START)
+            offsets[:, start] = np.abs(offsets[:, start])
+        for lane, fixed in enumerate(FIXED):
+            if fixed and not set(fixed) & set(self.names):
+                continue  # a model without biases
+            offsets[lane] = [fixed.get(name, 0.0) for name in self.names]
+        return offsets
+
+    @cached_property
+    def groups(self) -> dict[str, list[int]]:
+        """Lanes by the name of their group."""
+        biased = [lane for lane, by in enumerate(FIXED) if START in by and R not in by]
+        receivers = [lane for lane, by in enumerate(FIXED) if R in by]
+        others = [*range(len(FIXED), LANES)]
+        if START not in self.names:
+            return {"the tuning": [0], "other receivers": receivers, "found on the way": [*biased, *others]}
+        return {
+            "the tuning": [0],
+            "other biases": biased,
+            "other receivers": receivers,
+            "found on the way": others,
+        }
+
+    def penalty(self, offsets: Array) -> Array:
+        """Log-prior penalty of offsets (m, d), (m,): -log of Student's t of each, in standard deviations."""
+        relative = offsets / self.std
+        r = relative[..., self.names.index(R)]
+        r[r < 0.0] *= R_STD / R_DOWN_STD
+        return 0.5 * (OFFSET_DOF + 1.0) * np.log1p(np.square(relative) / OFFSET_DOF).sum(axis=-1)
+
+    @cached_property
+    def _decades(self) -> Array:
+        """Decades of each constant per decade of each offset, (N_CONSTANTS, d)."""
+        found = np.zeros((len(CONSTANTS), len(self.names)))
+
+        def grows(constant: str, name: str) -> None:
+            found[CONSTANTS.index(constant), self.names.index(name)] = 1.0
+
+        for state in MODELS[self.tuning.model].states:
+            grows(f"Q_{LETTERS[state.name]}", f"q_{state.shared}")
+        for constant in ("RX", "RY", "ACCURACY"):
+            grows(constant, R)
+        for name, (_, constant) in _MEASURED.items():
+            if name in self.names:
+                grows(constant, name)
+        found[:, self.names.index(SCALE)] = found.any(axis=1)
+        return found
+
+    def constants(self, tuned: Array, offsets: Array) -> Array:
+        """The kernel's constants (N_CONSTANTS, m) of lanes with offsets (m, d), from the tuning's (N_CONSTANTS, 1)."""
+        found = tuned * 10.0 ** (self._decades @ offsets.T)
+        if AXLE in self.names:
+            found[CONSTANTS.index("REAR_AXLE")] += offsets[:, self.names.index(AXLE)]
+        return found
+
+    def warnings(self, moved: Array) -> tuple[str, ...]:
+        """Sentences on offsets (d,) that are too large for the vehicle that the filter was tuned for.
+
+        A factor that all variances have in common is reported once, and the others relative to it.
+        """
+        found, by = list[str](), dict(zip(self.names, moved.tolist(), strict=True))
+        common = by[SCALE]
+        if abs(common) > FAR:
+            found.append(_MEANS[SCALE].format(times=_times(common)))
+        for name, offset in by.items():
+            if name == AXLE:
+                if abs(offset) > FAR_AXLE:
+                    where = "back" if offset > 0 else "ahead"
+                    found.append(f"the rear axle lies {abs(offset):.1f} m farther {where} than in the tuning")
+            elif name not in (START, SCALE):
+                is_its_own = abs(offset) > FAR or abs(common) <= FAR
+                if is_its_own and abs(offset + common) > FAR:
+                    sentence = _MEANS.get(name, "the noise of {name} is {times}: another IMU?")
+                    found.append(sentence.format(name=name.removeprefix("q_"), times=_times(offset + common)))
+        return tuple(found)
+
+    said = warnings  # deprecated name
+
+    def parameters(self, offsets: Array) -> FilterParameters:
+        """The tuning with offsets (d,) as parameters."""
+        p, by = self.tuning, dict(zip(self.names, offsets.tolist(), strict=True))
+        shared = [f"q_{state.shared}" for state in MODELS[p.model].states]
+        scale = 10.0 ** by[SCALE]
+        r = scale * 10.0 ** by[R]
+        changed = {
+            of: scale * 10.0 ** by[name] * getattr(p, of) for name, (of, _) in _MEASURED.items() if name in by
+        }
+        q = [scale * 10.0 ** by[name] * q for name, q in zip(shared, p.process_noise, strict=True)]
+        return replace(
+            p,
+            process_noise=tuple(q),
+            measurement_noise=tuple(r * variance for variance in p.measurement_noise),
+            accuracy_scale=None if p.accuracy_scale is None else r * p.accuracy_scale,
+            bias_std=tuple(10.0 ** (by.get(START, 0.0) / 2) * std for std in p.bias_std),
+            rear_axle=p.rear_axle + by.get(AXLE, 0.0),
+            **changed,
+        )
+
+
+def _times(decades: float) -> str:
+    return f"{10.0**decades:.2g} times the tuning's"

@@ -1,0 +1,293 @@
+"""Divergence of a filter: how it is detected, and where the filter is reset to.
+
+The fixes of the last seconds determine position, speed and heading by themselves (`drives.alignment`). A filter that
+contradicts them for long, and by far more than its covariance allows, has diverged: it is reset to such an alignment.
+A run and a live filter use the same rule.
+
+The thresholds are from nine recordings, each run by filters tuned on it and on others. A sound filter's heading is
+20 deg off the alignments for 8 s at most (fixes drift sideways in a city), and its position is 20 m and 5 sigma off the
+fixes for 6 s. For a diverged filter both last 18 s and more.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import Alignments, InitialState
+from sigmaswarm.drives.drive import Array, Drive, Gps, Imu
+from sigmaswarm.drives.timeline import Timeline
+from sigmaswarm.filters.compiled.live import LEAP
+from sigmaswarm.filters.compiled.watch import LATEST_LOOK, LOOK_INTERVAL
+from sigmaswarm.filters.models import GYRO_BIAS, THETA, planar5
+from sigmaswarm.geodesy import wrap_angle
+
+DIVERGED_AFTER = 10.0
+"""s of contradiction without a break; a city drives fixes aside, and a robust filter needs to recover, for less."""
+FEWEST_CHECKS = 5
+"""Checks in that time, at least."""
+MANY_SIGMAS = 5.0
+"""Standard deviations, as filter and fixes state them, by which the two contradict each other."""
+HEADING_OFF = np.radians(20.0)
+"""rad between the headings of the filter and of an alignment: less is no divergence, whatever the covariance."""
+POSITION_OFF = 20.0
+"""m between the filter's prediction and a fix; likewise."""
+SUSPECT = np.radians(10.0)
+"""rad between the filter's heading and a rough course: from here on an alignment is worth its cost."""
+SPEED_STD = 10.0
+"""m/s per axis: standard deviation of the velocity while only fixes are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class CheckTimes:
+    """When a filter is checked.
+
+    Attributes
+    ----------
+    step : ndarray of int, shape (l,)
+        The steps of the time line after which it is: each ends at an IMU sample.
+    fix : ndarray of int, shape (l,)
+        The last fix before, by its number on the time line.
+    """
+
+    step: NDArray[np.intp]
+    fix: NDArray[np.intp]
+
+
+def check_times(line: Timeline) -> CheckTimes:
+    """Find the first IMU sample after new fixes in each `LOOK_INTERVAL`.
+
+    A sample that ends a long silence is left out: a live filter takes it only with the next one.
+    """
+    sampled, updating = np.flatnonzero(line.sampled), np.flatnonzero(line.absorbs)
+    before = np.searchsorted(updating, sampled, side="right")  # fixes up to each sample
+    fresh = np.flatnonzero(np.diff(before, prepend=0) > 0)
+    step, last = sampled[fresh], updating[before[fresh] - 1]
+    silence = np.diff(line.end[sampled], prepend=line.start)[fresh]
+    soon = (line.end[step] - line.end[last] <= LATEST_LOOK) & (silence <= LEAP)
+    step, last = step[soon], last[soon]
+    slot = np.floor((line.end[step] - line.start) / LOOK_INTERVAL + 1e-6)
+    first = np.unique(slot, return_index=True)[1]
+    fix = np.searchsorted(line.fix_time, line.end[last[first]], side="right") - 1
+    return CheckTimes(step[first], fix)
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """One check: a filter's state after an IMU sample, and the fixes that it is compared with.
+
+    Attributes
+    ----------
+    time : s
+    mean, covariance : (n,), (n, n)
+    fix_time, fix : s; (2,) m: the last fix
+    fix_variance : (2,) m2
+    lever : (2,) m forward and left from the IMU to the antenna
+    latency : s
+    since : function that gives the steps from the fix to the moment, (k, 4) s, m/s2, m/s2, rad/s, with ax, ay, gz
+    heading : function that gives a rough heading at the moment from the log alone, rad; NaN where there is none
+    align : function that gives the alignment that ends at the fix, or None; costly
+    """
+
+    time: float
+    mean: Array
+    covariance: Array
+    fix_time: float
+    fix: Array
+    fix_variance: Array
+    lever: Array
+    latency: float
+    since: Callable[[], Array]
+    heading: Callable[[], float]
+    align: Callable[[], InitialState | None]
+
+    @property
+    def position_contradicts(self) -> bool:
+        """True if the fix lies far off its prediction."""
+        x, y, vx, vy, theta = self.mean[:5].tolist()
+        back = self.latency + self.time - self.fix_time
+        east, north = self.fix.tolist()  # plain numbers: nearly always it ends here
+        c, s = math.cos(theta), math.sin(theta)
+        forward, left = self.lever[:2].tolist()
+        east -= x - back * vx + c * forward - s * left
+        north -= y - back * vy + s * forward + c * left
+        if math.hypot(east, north) <= POSITION_OFF:
+            return False
+        off = np.array([east, north])
+        covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
+        try:
+            return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
+        except np.linalg.LinAlgError:  # a fix and a filter that are both certain
+            return True
+
+    @property
+    def heading_contradicts(self) -> bool | None:
+        """True if the heading is far off that of the alignment; None where there is no alignment."""
+        theta, heading = float(self.mean[THETA]), self.heading()
+        if not math.isfinite(heading):
+            return None
+        if abs(math.remainder(heading - theta, math.tau)) < SUSPECT:
+            return False
+        aligned = self.start
+        if aligned is None:
+            return None
+        off = abs(wrap_angle(float(aligned.mean[THETA]) + self._turned_by_bias(aligned) - theta))
+        std = np.sqrt(self.covariance[THETA, THETA] + aligned.covariance[THETA, THETA])
+        return bool(off > max(HEADING_OFF, MANY_SIGMAS * std))
+
+    def _turned_by_bias(self, aligned: InitialState) -> float:
+        """Change of an alignment's heading, rad, by the gyro bias of the filter."""
+        gyro = aligned.gyro
+        if gyro is None or len(self.mean) <= GYRO_BIAS:
+            return 0.0
+        more = float(self.mean[GYRO_BIAS]) - gyro.taken
+        return more * (float(gyro.turns[THETA]) - (self.time - self.fix_time))
+
+    @property
+    def start(self) -> InitialState | None:
+        """Where a filter could be reset to at this moment: the alignment, propagated by the steps since the fix."""
+        aligned = self.align()
+        if aligned is None:
+            return None
+        mean, gyro = aligned.mean, aligned.gyro
+        biases = np.array([0.0, 0.0, gyro.taken if gyro else 0.0])
+        for dt, *imu in self.since():
+            mean = planar5(mean, dt, np.array(imu) - biases)
+        sound = np.isfinite(mean).all() and np.isfinite(aligned.covariance).all()
+        return InitialState(mean, aligned.covariance, self.time, gyro) if sound else None
+
+
+class DivergenceMonitor:
+    """Checks one filter again and again, and decides when it is reset.
+
+    Attributes
+    ----------
+    restarts : list of float
+        s: times of the resets.
+    lost : bool
+        The filter has diverged, and there is no alignment to reset it to: the estimate is the last fix, see `at_fix`.
+    """
+
+    def __init__(self) -> None:
+        self.restarts: list[float] = []
+        self.lost = False
+        self._position, self._heading = _Contradiction(), _Contradiction()
+
+    def take(self, check: Check) -> InitialState | None:
+        """Where the filter is reset to after a check; None where it goes on, or is ``lost``."""
+        if not np.isfinite(check.mean).all():  # it has failed, which is reported elsewhere
+            return None
+        return self.take_all([check.time], lambda _: check)[1]
+
+    def take_all(
+        self, times: Sequence[float], check_at: Callable[[int], Check]
+    ) -> tuple[int | None, InitialState | None]:
+        """Check a filter at some moments: the first at which it has diverged, and where it can be reset to there.
+
+        ``check_at`` gives the check at the k-th of the times, s. Of a filter that is ``lost`` only the first is taken.
+        """
+        with np.errstate(all="ignore"):  # values that are not finite contradict nothing
+            first = 0 if self.lost else self._first_diverged(times, check_at)
+            if first is None:
+                return None, None
+            start = check_at(first).start
+        self.lost = start is None
+        if start is not None:
+            self.restarts.append(float(start.time))
+            self._position, self._heading = _Contradiction(), _Contradiction()
+        return first, start
+
+    def _first_diverged(self, times: Sequence[float], check_at: Callable[[int], Check]) -> int | None:
+        far = self._position.first_lasting(times, lambda k: check_at(k).position_contradicts)
+        times = times if far is None else times[: far + 1]
+        turned = self._heading.first_lasting(times, lambda k: check_at(k).heading_contradicts)
+        return far if turned is None else turned
+
+
+def said_of_restarts(drive: str, times: Sequence[float]) -> str:
+    """Sentence on the resets of a filter on a drive, without its subject."""
+    at = ", ".join(f"{t:.1f}" for t in times[:5]) + (" ..." if len(times) > 5 else "")
+    often = f"{len(times)} times" if len(times) > 1 else "once"
+    return f"diverged on {drive} and was reset {often}, at t = {at} s"
+
+
+class _Contradiction:
+    """How long checks have contradicted a filter without a break."""
+
+    def __init__(self) -> None:
+        self._since, self._now, self._checks = 0.0, 0.0, 0
+
+    def first_lasting(self, times: Sequence[float], contradicts: Callable[[int], bool | None]) -> int | None:
+        """Find the first check at which the contradiction has lasted; None where it has not.
+
+        ``contradicts`` is slow. So it is called backwards from the next check at which the contradiction could have
+        lasted, until one without contradiction: what was before that one does not matter.
+        """
+        begin = 0
+        while begin < len(times):
+            end, results = begin + self._soonest(times[begin:]), list[tuple[int, bool | None]]()
+            for k in range(end, begin - 1, -1):
+                results.append((k, contradicts(k)))
+                if results[-1][1] is False:
+                    break
+            for k, result in reversed(results):
+                self._note(times[k], result)
+                if self._checks >= FEWEST_CHECKS and self._now - self._since >= DIVERGED_AFTER:
+                    return k
+            begin = end + 1
+        return None
+
+    def _soonest(self, times: Sequence[float]) -> int:
+        """The first check at which it would last if all contradicted; the last one where there is none."""
+        since = self._since if self._checks else times[0]
+        lasting = (
+            t - since >= DIVERGED_AFTER and self._checks + k + 1 >= FEWEST_CHECKS for k, t in enumerate(times)
+        )
+        return next((k for k, lasts in enumerate(lasting) if lasts), len(times) - 1)
+
+    def _note(self, time: float, contradicts: bool | None) -> None:
+        """Take the result of a check; None, no result, is no break."""
+        if contradicts is False:
+            self._checks = 0
+        elif contradicts:
+            self._since = time if self._checks == 0 else self._since
+            self._now = time
+            self._checks += 1
+
+
+def steps_since(samples: Array, time: float) -> Array:
+    """Steps from a moment to the last sample, (k, 4), as `Check.since`, of samples (m, 4 or more)."""
+    steps = samples[samples[:, 0] >= time, :4]
+    steps[:, 0] = np.diff(steps[:, 0], prepend=time)
+    return steps
+
+
+def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
+    """Align by the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy; fixes (m, 3) s, m, m.
+
+    ``gyro_bias``: known bias about the up axis, rad/s.
+    """
+    columns = samples[np.isfinite(samples).all(axis=1)].T
+    columns[3] -= gyro_bias
+    imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
+    if not len(imu):
+        return None
+    drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
+    try:
+        alignments = Alignments(drive)
+        found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    except (ArithmeticError, np.linalg.LinAlgError):  # of samples such as 1e200
+        return None
+    if found is None or found.gyro is None or not gyro_bias:
+        return found
+    return replace(found, gyro=found.gyro.beside(gyro_bias))
+
+
+def at_fix(time: float, fix: Array, variance: Array, theta: float, lever: Array) -> InitialState:
+    """State of a car that can't be aligned: at a fix (2,) m with a variance (2,) m2, of unknown speed and heading."""
+    c, s = np.cos(theta), np.sin(theta)
+    turned = np.array([c * lever[0] - s * lever[1], s * lever[0] + c * lever[1]])
+    mean = np.array([*(fix - turned), 0.0, 0.0, theta])
+    return InitialState(mean, np.diag([*variance, SPEED_STD**2, SPEED_STD**2, np.pi**2 / 3]), time)

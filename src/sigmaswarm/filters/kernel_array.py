@@ -1,0 +1,299 @@
+"""Parameter sets as columns of the compiled kernel's array: their constants, where they start, and what they sum up.
+
+The work of each drive and block takes time next to a kernel of 0.2 ms, and it holds Python's lock while other threads
+wait. So it is done for all sets, and all drives, together.
+"""
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.compiled.layout import (
+    CONSTANT_ROWS,
+    CONSTANTS,
+    MEAN,
+    N_KEPT,
+    N_STATE,
+    Q0,
+    R,
+    lanes_for,
+    most_lanes,
+)
+from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.names import ModelName
+from sigmaswarm.filters.packing import SHOWN, pack_states, sound_lanes
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.schedule import STANDSTILL_RATE_NOISE, starts_of, switches
+from sigmaswarm.filters.student import OUTLIERS_SPAN
+from sigmaswarm.filters.table import ParameterTable
+
+Starts = dict[InitialState, tuple[Array, Array]]
+"""State rows (N_STATE, columns) of filters at starts, and their headings (columns,), rad; one column if all agree."""
+
+MOST_STARTS = 20_000
+"""Starts of columns, 3 kB each, that are computed in advance; more are computed when they are used."""
+MOST_CACHED = 1_000
+"""Starts, 3 kB each, that are kept from one generation to the next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Sums over replays for each parameter set; every array has shape (n_replays, n_sets), NaN where a set failed.
+
+    Attributes
+    ----------
+    squared_position : m2, over targets, each times its weight
+    squared_heading : rad2, over targets whose heading is compared, likewise
+    nees : sum of e^T P^-1 e of the position over targets; P with the variances of the reference
+    squared_fix : m2, residuals of the fixes after their update
+    squared_forecast : m2, innovations of the hidden fixes
+    nis : sum of nu^T S^-1 nu over the fixes, hidden ones included
+    log_tail : sum of ln(1 + NIS / c) over the fixes, hidden ones included, with c of `innovation-t`
+    forecast_t : sum of ln det S / 2 + (v + 2) / 2 ln(1 + NIS / c) over the hidden fixes, with v and c of `forecast-t`
+    log_determinant : sum of ln det S over the fixes, hidden ones included
+    failed : bool: the covariance lost its definiteness, or something became NaN
+    """
+
+    squared_position: Array
+    squared_heading: Array
+    nees: Array
+    squared_fix: Array
+    squared_forecast: Array
+    nis: Array
+    log_tail: Array
+    forecast_t: Array
+    log_determinant: Array
+    failed: NDArray[np.bool_]
+
+    @classmethod
+    def empty(cls, n_replays: int, n_sets: int) -> "Sums":
+        """Make room for sums that `put` fills in."""
+        numbers = np.empty((9, n_replays, n_sets))
+        return cls(*numbers, failed=np.empty((n_replays, n_sets), dtype=np.bool_))
+
+    def put(self, replays: slice, sets: NDArray[np.intp], part: "Sums") -> None:
+        """Fill in the sums of some replays and sets."""
+        for name, column in vars(self).items():
+            column[replays, sets] = getattr(part, name)
+
+
+class KernelArray:
+    """Parameter sets of one model and with the same measurements, which run side by side.
+
+    The array has ``width`` columns for each block, up to `most_lanes`. A block that is not full repeats a set.
+
+    Parameters
+    ----------
+    parameter_sets : sequence of FilterParameters
+
+    Attributes
+    ----------
+    like : FilterParameters
+        One with the model and the measurements of all its sets; of a single set, itself.
+    size : int
+        Number of sets.
+    reads : tuple
+        What it needs of a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
+
+    Raises
+    ------
+    InputError
+        If the model is not compiled as this type of filter.
+    """
+
+    def __init__(self, parameter_sets: Sequence[FilterParameters]) -> None:
+        table = ParameterTable.of(parameter_sets)
+        self.like, self._first, self.size = table.like, 0, len(table)
+        kinds = MODELS[self.like.model].kinds
+        if self.like.kind not in kinds:
+            raise InputError(
+                f"{self.like.model} is not compiled as {self.like.kind}; take kind {' or '.join(kinds)}, "
+                "or run_textbook"
+            )
+        # A full block may begin at any set.
+        columns = np.minimum(np.arange(len(table) + most_lanes(self.model) - 1), len(table) - 1)
+        self._constants = _constants(table)[:, columns]
+        self._interval = table.column("nominal_interval")[columns]
+        self._bias_std = np.array([self.like.bias_std])
+        if "bias_std" in table.columns:
+            self._bias_std = table.column("bias_std")[columns]
+        accuracy = bool(self._constants[R.ACCURACY - CONSTANT_ROWS.start].any())
+        self.reads = self.like.model, accuracy, switches(self.like)
+        self._starts: Starts = {}
+
+    def part(self, sets: range) -> "KernelArray":
+        """Some of its sets, which share what was computed for all of them."""
+        part = copy(self)
+        part._first, part.size = self._first + sets.start, len(sets)
+        return part
+
+    @property
+    def model(self) -> ModelName:
+        """Model of all its sets."""
+        return self.like.model
+
+    @property
+    def width(self) -> int:
+        """Columns of a block."""
+        return lanes_for(-(-self.size // self.blocks))
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return -(-self.size // most_lanes(self.model))
+
+    @property
+    def _columns(self) -> slice:
+        """Columns of all blocks; those left over have sets that do not belong to it."""
+        return slice(self._first, self._first + self.blocks * self.width)
+
+    @property
+    def plausible(self) -> NDArray[np.bool_]:
+        """Sets with Q >= 0 and R > 0, shape (size,): only rounding can make their P indefinite.
+
+        The P of others may be indefinite for long without notice.
+        """
+        own = self._constants[:, self._first : self._first + self.size]
+        r = own[[R.RX - CONSTANT_ROWS.start, R.RY - CONSTANT_ROWS.start]]
+        return (own[_Q].min(axis=0) >= 0) & (r.min(axis=0) > 0)
+
+    def constants(self, nominal_interval: float) -> Array:
+        """The kernel's constants, shape (N_CONSTANTS, columns), on a drive of that IMU interval, s."""
+        constants, own = self._constants[:, self._columns].copy(), self._interval[self._columns]
+        constants[_Q] *= nominal_interval / np.where(own > 0.0, own, nominal_interval)
+        constants[R.PATIENCE - CONSTANT_ROWS.start] = _patience(nominal_interval)
+        return constants
+
+    def compute_starts(self, initial: Sequence[InitialState]) -> None:
+        """Compute where all sets start, for the parts made afterwards: it takes as long as for a few sets."""
+        unknown = tuple(dict.fromkeys(initial))
+        if len(unknown) * len(self._bias_std) <= MOST_STARTS:
+            self._starts = self._starts_at(unknown, self._bias_std)
+
+    def start(self, initial: Sequence[InitialState], nominal_intervals: Sequence[float]) -> Array:
+        """Rows of the filters at m starts, shape (blocks * m, N_KEPT, width); intervals (s) are the drives'."""
+        columns, blocks, m = self._columns, self.blocks, len(initial)
+        shared = len(self._bias_std) == 1
+        starts, chosen = self._starts, slice(None) if shared else columns
+        if not all(start in starts for start in initial):
+            starts = self._starts_at(tuple(dict.fromkeys(initial)), self._bias_std[chosen])
+            chosen = slice(None)
+        own, constants = self._interval[columns], _in_blocks(self._constants[:, columns], blocks)
+        rows = np.empty((blocks, m, N_KEPT, self.width))
+        rows[:] = _FRESH
+        rows[:, :, CONSTANT_ROWS] = constants[:, np.newaxis]
+        for k, (start, interval) in enumerate(zip(initial, nominal_intervals, strict=True)):
+            state, heading = starts[start]
+            ratio = interval / np.where(own > 0.0, own, interval)
+            rows[:, k, Q0 : Q0 + len(MEAN)] *= _in_blocks(ratio[np.newaxis], blocks)
+            rows[:, k, R.PATIENCE] = _patience(interval)
+            rows[:, k, :N_STATE] = _in_blocks(state[:, chosen], blocks)
+            rows[:, k, R.HEADING] = _in_blocks(heading[np.newaxis, chosen], blocks)[:, 0]
+        return rows.reshape(-1, N_KEPT, self.width)
+
+    def _starts_at(self, initial: tuple[InitialState, ...], bias_std: Array) -> Starts:
+        if len(bias_std) == 1 and len(initial) <= MOST_CACHED:
+            return _shared_starts(initial, self.model, self.like.bias_std)
+        return _starts_of(initial, self.model, bias_std)
+
+    def sums(self, rows: Array) -> Sums:
+        """Sums of the sets from the final rows of m replays, which began as `start` gives them."""
+        found, sums = sound_lanes(rows, self.model), rows[:, SHOWN].swapaxes(0, 1)
+        if self.blocks > 1:  # all of a replay's side by side
+            found, sums = _side_by_side(found, self.blocks), _side_by_side(sums, self.blocks)
+        sound = found[:, : self.size] & self.plausible
+        return Sums(*np.where(sound, sums[..., : self.size], np.nan), failed=~sound)
+
+
+_Q = slice(Q0 - CONSTANT_ROWS.start, Q0 - CONSTANT_ROWS.start + len(MEAN))
+"""Rows of Q among the constants."""
+_FRESH = np.zeros((N_KEPT, 1))
+"""Rows of a filter before its first step."""
+_FRESH[[R.DET, R.TAIL, R.OK, R.QUICK, R.SLOW, R.TIMES_R, R.TIMES_Q]] = 1.0
+_FRESH[R.RECENT] = -1.0
+
+
+def _patience(nominal_interval: float) -> float:
+    """Nominal steps that outliers span; less a little, for the rounding of times since 1970."""
+    return (OUTLIERS_SPAN - 1e-6) / nominal_interval
+
+
+def _starts_of(initial: tuple[InitialState, ...], model: ModelName, bias_std: Array) -> Starts:
+    mean, covariance = starts_of(initial, MODELS[model], bias_std)
+    found = zip(pack_states(mean, covariance, model), mean[..., THETA], strict=True)
+    return dict(zip(initial, found, strict=True))
+
+
+@lru_cache(4)
+def _shared_starts(
+    initial: tuple[InitialState, ...], model: ModelName, bias_std: tuple[float, float]
+) -> Starts:
+    """Starts of sets that agree in ``bias_std``; kept, since all generations of a search have the same."""
+    return _starts_of(initial, model, np.array([bias_std]))
+
+
+def _in_blocks(rows: Array, blocks: int) -> Array:
+    """Rows (r, columns) as (blocks, r, width); a single column, for all, as (1, r, 1)."""
+    return rows.reshape(len(rows), blocks if rows.shape[1] > 1 else 1, -1).swapaxes(0, 1)
+
+
+def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
+    """Values of each block, (..., blocks * m, width), as (..., m, columns)."""
+    *more, rows, width = each.shape
+    by_block = each.reshape(*more, blocks, rows // blocks, width)
+    return by_block.swapaxes(-3, -2).reshape(*more, rows // blocks, blocks * width)
+
+
+def _constants(table: ParameterTable) -> Array:
+    """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is left at 0."""
+    constants = np.zeros((len(CONSTANTS), len(table)))
+    for row, value in _values(table.field).items():
+        constants[row - CONSTANT_ROWS.start] = value
+    return constants
+
+
+def _values(of: Callable[[str], Any]) -> dict[int, Any]:
+    """The value of each constant, by its row, of a function that gives a field's values."""
+    kind, forgetting = of("kind"), of("forgetting")
+    q = np.transpose(of("process_noise"))
+    alpha2, n_kappa = np.square(of("alpha")), len(q) + np.asarray(of("kappa"))
+    gamma2, second = alpha2 * n_kappa, np.where(kind == "ekf", 0.0, 1.0)
+    rx, ry = np.transpose(of("measurement_noise"))
+    width_ratio, width_trend = np.transpose(of("fuzzy_widths"))
+    gain_r, gain_q = np.transpose(of("fuzzy_gains"))
+    return {
+        R.R_RATE: STANDSTILL_RATE_NOISE,
+        R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
+        R.SHORTENS: -second * 8 / gamma2,
+        R.SPREAD: alpha2 * (n_kappa - 1) + of("beta"),
+        R.SECOND: second,
+        R.FORGETTING: np.where(kind == "adaptive-ukf", forgetting, 1.0),
+        R.FADING: np.where(kind == "strong-tracking-ukf", forgetting, -1.0),
+        R.FUZZY: np.where(kind == "fuzzy-ukf", forgetting, -1.0),
+        **{Q0 + i: variance for i, variance in enumerate(q)},
+        R.RX: rx,
+        R.RY: ry,
+        R.WIDTH_RATIO: width_ratio,
+        R.WIDTH_TREND: width_trend,
+        R.GAIN_R: gain_r,
+        R.GAIN_Q: gain_q,
+        R.R_VELOCITY: of("velocity_noise"),
+        R.R_LATERAL: of("lateral_noise"),
+        R.R_STANDSTILL: of("standstill_noise"),
+        R.R_ODOMETER: of("odometer_noise"),
+        R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
+        R.ODOMETER_LATENCY: of("odometer_latency"),
+        R.REAR_AXLE: of("rear_axle"),
+        R.LATENCY: of("latency"),
+        R.GATE: of("gate"),
+        R.ACCURACY: of("accuracy_scale"),
+        R.DOF: of("robust_dof"),
+    }

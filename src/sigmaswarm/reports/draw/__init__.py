@@ -1,1 +1,0 @@
-"""Draw what `reports/views/` says: PNG by matplotlib, charts of pages by plotly, pages as HTML, tables as text."""

@@ -1,0 +1,160 @@
+"""A drive on one page: path, speed, IMU, fixes, outages, and what was achieved of what was wanted."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.reports.style import BLUE, GREY, PURPLE, VERMILION
+
+Array = NDArray[np.float64]
+
+_TRUTH, _FIX, _OUTAGE, _THIRD = BLUE, VERMILION, GREY, PURPLE
+
+
+def drive_figure(drive: Drive) -> Figure:
+    """Draw a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        Recorded or simulated; with truth or without.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        12 by 9 inches; save it with ``figure.savefig(path)``.
+    """
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    grid = figure.add_gridspec(4, 2, width_ratios=[1, 1.35])
+    origin = _start(drive)
+    gaps = _gaps(drive.gps.time)
+    _draw_path(figure.add_subplot(grid[:3, 0]), drive, gaps)
+    _draw_figures(figure.add_subplot(grid[3, 0]), drive)
+    top = figure.add_subplot(grid[0, 1])
+    panels = [top, *(figure.add_subplot(grid[i, 1], sharex=top) for i in range(1, 4))]
+    _draw_speed(panels[0], drive, origin)
+    imu = drive.imu
+    when = imu.time - origin
+    _draw_lines(
+        panels[1], when, {"forward": (imu.ax, _TRUTH), "left": (imu.ay, _FIX)}, "specific force\nm/s²"
+    )
+    rates = {"yaw": (imu.gz, _TRUTH), "roll": (imu.gx, _FIX), "pitch": (imu.gy, _THIRD)}
+    shown = {k: (np.degrees(v), color) for k, (v, color) in rates.items() if v is not None}
+    _draw_lines(panels[2], when, shown, "angular rate\ndeg/s")
+    _draw_fixes(panels[3], drive, origin)
+    for panel in panels:
+        for begin, end in gaps:
+            panel.axvspan(begin - origin, end - origin, color=_OUTAGE, alpha=0.25, lw=0)
+        panel.grid(alpha=0.3)
+        panel.tick_params(labelbottom=panel is panels[-1])
+    panels[-1].set_xlabel("time, s" + (" (gray: no fixes)" if gaps else ""))
+    figure.suptitle(f"{drive.name}: {drive.duration:.1f} s, {len(imu)} IMU samples, {len(drive.gps)} fixes")
+    return figure
+
+
+def _start(drive: Drive) -> float:
+    """Show large time stamps (seconds of a week, of an epoch) from the drive's beginning."""
+    first = float(drive.imu.time[0])
+    return first if abs(first) > 1000 else 0.0
+
+
+def _gaps(times: Array) -> list[tuple[float, float]]:
+    """Where fixes are missing for more than 2.5 of their usual intervals, s."""
+    if len(times) < 3:
+        return []
+    steps = np.diff(times)
+    return [(float(times[i]), float(times[i + 1])) for i in np.flatnonzero(steps > 2.5 * np.median(steps))]
+
+
+def _draw_path(axes: Axes, drive: Drive, gaps: list[tuple[float, float]]) -> None:
+    axes.plot(drive.gps.x, drive.gps.y, ".", color=_FIX, ms=4, label="fixes", zorder=1)
+    truth = drive.truth
+    if truth is not None:
+        axes.plot(truth.x, truth.y, color=_TRUTH, lw=1.5, label="truth", zorder=2)
+        for i, (begin, end) in enumerate(gaps):
+            inside = (truth.time >= begin) & (truth.time <= end)
+            label = "truth, no fixes" if i == 0 else None
+            axes.plot(truth.x[inside], truth.y[inside], color="black", lw=3.5, label=label, zorder=3)
+    first = (drive.gps.x[0], drive.gps.y[0]) if truth is None else (truth.x[0], truth.y[0])
+    axes.plot(*first, "o", color="black", ms=7, label="start", zorder=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best", fontsize="small")
+
+
+def _draw_speed(axes: Axes, drive: Drive, origin: float) -> None:
+    gps, truth = drive.gps, drive.truth
+    if gps.speed is not None:
+        axes.plot(gps.time - origin, gps.speed * 3.6, ".", color=_FIX, ms=3, label="receiver")
+    if truth is not None:
+        axes.plot(
+            truth.time - origin, np.hypot(truth.vx, truth.vy) * 3.6, color=_TRUTH, lw=1.5, label="truth"
+        )
+    if gps.speed is None and truth is None:
+        steps = np.hypot(np.diff(gps.x), np.diff(gps.y)) / np.diff(gps.time)
+        axes.plot(gps.time[1:] - origin, steps * 3.6, ".", color=_FIX, ms=3, label="from fix to fix")
+    axes.set_ylabel("speed\nkm/h")
+    _legend_above(axes)
+
+
+def _draw_lines(axes: Axes, when: Array, lines: dict[str, tuple[Array, str]], label: str) -> None:
+    # The first line, which matters most, is drawn on top of the others.
+    for order, (name, (values, color)) in enumerate(lines.items()):
+        axes.plot(when, values, color=color, lw=0.8, label=name, zorder=3 - 0.1 * order)
+    axes.set_ylabel(label)
+    _legend_above(axes)
+
+
+def _legend_above(axes: Axes) -> None:
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=3, frameon=False, fontsize="small")
+
+
+def _draw_fixes(axes: Axes, drive: Drive, origin: float) -> None:
+    """Errors of the fixes where the truth is known, else the time from fix to fix."""
+    gps, truth = drive.gps, drive.truth
+    if truth is None:
+        axes.plot(gps.time[1:] - origin, np.diff(gps.time), ".", color=_FIX, ms=3)
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel("time from fix\nto fix, s")
+        return
+    # NaN where fixes are missing, so that no line pretends to know the error there.
+    after_gaps = np.searchsorted(gps.time, [end for _, end in _gaps(gps.time)])
+    when = np.insert(gps.time - origin, after_gaps, np.nan)
+    for values, true, color, name in ((gps.x, truth.x, _TRUTH, "east"), (gps.y, truth.y, _FIX, "north")):
+        error = values - np.interp(gps.time, truth.time, true)
+        axes.plot(when, np.insert(error, after_gaps, np.nan), ".-", color=color, ms=3, lw=0.5, label=name)
+    axes.axhline(0, color="black", lw=0.5)
+    axes.set_ylabel("error of the\nfixes, m")
+    _legend_above(axes)
+
+
+def _draw_figures(axes: Axes, drive: Drive) -> None:
+    """Table of target and achieved figures of a simulated drive."""
+    axes.axis("off")
+    target, achieved = (_numbers(drive.metadata.get(key)) for key in ("target", "achieved"))
+    if not achieved:
+        return
+    names = [*target, *(name for name in achieved if name not in target)]
+    cells = [[name, *(f"{d[name]:.3g}" if name in d else "" for d in (target, achieved))] for name in names]
+    place = Bbox.from_bounds(0, -0.05, 1, 1.1)
+    table = axes.table(cells, colLabels=["", "target", "achieved"], colWidths=[0.56, 0.2, 0.24], bbox=place)
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    for (_, column), cell in table.get_celld().items():
+        cell.set_edgecolor("#dddddd")
+        cell.set_text_props(ha="left" if column == 0 else "right")
+
+
+def _numbers(table: Any) -> dict[str, float]:
+    return (
+        {str(k): float(v) for k, v in table.items() if isinstance(v, int | float)}
+        if isinstance(table, dict)
+        else {}
+    )

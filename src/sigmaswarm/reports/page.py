@@ -1,0 +1,215 @@
+"""A report as one HTML file: it needs no network and no other file.
+
+Charts are SVG by matplotlib, drawn as the PNG files are. The tracks are explored with plotly.js, of which the page
+holds the basic bundle (MIT license, see assets/); the bundle and the tracks are compressed.
+"""
+
+import base64
+import gzip
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from sigmaswarm.reports.figures import svg
+from sigmaswarm.reports.views.charts import Chart, Look
+from sigmaswarm.scoring.consistency import GATE_95
+from sigmaswarm.scoring.thinning import Thinned
+from sigmaswarm.scoring.tracks import Columns, Tracks
+from sigmaswarm.tables import Cell, Column, Table, numbers_of, shown
+from sigmaswarm.versions import __version__
+
+LONG = 24
+"""Characters of a cell above which its column gets a minimum width."""
+MOST_NUMBERS = 250_000
+"""Numbers of all tracks of a page; more drives are drawn with fewer points each, so that it stays below 2 MB."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number of the summary with its unit, and a note to compare it with."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A series of the tracks: its label, its look, and whether it is visible when the page opens."""
+
+    series: str
+    label: str
+    look: Look
+    shown: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class TrackView:
+    """Tracks to explore.
+
+    Attributes
+    ----------
+    drives : tuple of Tracks
+    lines : tuple of Line
+        The first one is drawn on top.
+    main : str
+        The series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    """
+
+    drives: tuple[Tracks, ...]
+    lines: tuple[Line, ...]
+    main: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page: text, then tables, charts and tracks."""
+
+    title: str
+    text: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    charts: tuple[Chart, ...] = ()
+    tracks: TrackView | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """The content of a page.
+
+    Attributes
+    ----------
+    title : str
+    lead : tuple of str
+        The result in a few sentences.
+    figures : tuple of Figure
+    remarks : tuple of str
+        Warnings to read before the result is used.
+    sections : tuple of Section
+        At most one of them has tracks.
+    config, versions : mapping
+        Configuration and software of the result.
+    command : str
+        Command that repeats it; empty where there is none.
+    command_note : str
+        Remark on the command.
+    """
+
+    title: str
+    lead: tuple[str, ...]
+    figures: tuple[Figure, ...] = ()
+    remarks: tuple[str, ...] = ()
+    sections: tuple[Section, ...] = ()
+    config: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
+    command: str = ""
+    command_note: str = ""
+
+
+def page(report: Report) -> str:
+    """Render the page.
+
+    Every text of the report is escaped, and the page's policy forbids any request, so that neither a drive's name nor
+    anything else can reach out of it.
+    """
+    tracks = next((section.tracks for section in report.sections if section.tracks), None)
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            report=report,
+            version=__version__,
+            style=Markup(_asset("page.css")),
+            script=Markup(_asset("page.js")),
+            tracks=tracks and _packed(json.dumps(_view(tracks), allow_nan=False, separators=(",", ":"))),
+            plotly=tracks and _packed(_asset("plotly-basic.min.js")),
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    loader = PackageLoader("sigmaswarm.reports", "assets")
+    made = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    filters: dict[str, Any] = {"svg": lambda chart: Markup(svg(chart)), "plain": _plain, "cell": _cell}  # pyright: ignore
+    made.filters.update(filters)
+    return made
+
+
+def _asset(name: str) -> str:
+    return files("sigmaswarm.reports").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def _packed(text: str) -> str:
+    """Compress a text for the page's script; base64 needs no escaping."""
+    return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
+
+
+def _view(view: TrackView) -> dict[str, Any]:
+    present = {name for drive in view.drives for name in drive.series}
+    lines = [
+        {
+            "series": line.series,
+            "label": line.label,
+            "shown": line.shown,
+            "color": line.look.color,
+            "dash": line.look.dash,
+            "width": max(line.look.width, 1.2),
+        }
+        for line in view.lines
+        if line.series in present
+    ]
+    size = sum(len(v) for drive in view.drives for of in drive.series.values() for v in of.values())
+    share = min(1.0, MOST_NUMBERS / max(size, 1))
+    drives = [_tracks(drive, share) for drive in view.drives]
+    return {"drives": drives, "lines": lines, "main": view.main, "gate": GATE_95}
+
+
+def _tracks(tracks: Tracks, share: float) -> dict[str, Any]:
+    """Round to the millimetre and millisecond; large time stamps count from the drive's beginning."""
+    first = min(float(columns["time"][0]) for columns in tracks.series.values())
+    origin = first if abs(first) > 1000 else 0.0
+    series = {
+        name: {
+            column: _rounded(values - origin if column == "time" else values)
+            for column, values in _thinned(columns, share).items()
+        }
+        for name, columns in tracks.series.items()
+    }
+    return {"name": tracks.name, "origin": origin, "series": series}
+
+
+def _thinned(columns: Columns, share: float) -> Columns:
+    if share == 1.0:
+        return columns
+    n = len(columns["time"])
+    thin = Thinned(n, max(int(share * n), 50))
+    thin.add(columns)
+    return thin.columns
+
+
+def _rounded(values: np.ndarray[Any, Any]) -> list[float | None]:
+    return [v if math.isfinite(v) else None for v in np.round(values.astype(np.float64), 3).tolist()]
+
+
+def _cell(cell: Cell, column: Column) -> dict[str, Any]:
+    """Text, style and sort key of a cell."""
+    if isinstance(cell, str):
+        return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
+    known = numbers_of(cell)
+    return {"text": shown(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value)) or "none"  # pyright: ignore
+    return str(value)

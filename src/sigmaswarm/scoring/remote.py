@@ -1,0 +1,143 @@
+"""Scores on the drives of a cluster's workers: parameter sets travel there, and numbers come back."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.datasets.dataset import Dataset
+from sigmaswarm.datasets.remote import RemoteDataset, in_order
+from sigmaswarm.datasets.worker import CachedDrive, apply_to_each
+from sigmaswarm.drives.drive import Array, Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.table import ParameterTable
+from sigmaswarm.scoring.batch import Passes, Replayer, Scores
+
+T = TypeVar("T")
+Check = Callable[[Replayer], None]
+"""Raises an `InputError` if prepared drives can't be used; importable by name, or a partial of such."""
+
+
+def replays_on(dataset: Dataset, passes: Passes, check: Check) -> "Replays":
+    """Prepare the drives of a dataset for the given passes, where they are.
+
+    Raises
+    ------
+    AlignmentError
+        If a drive never moves far enough to start a filter.
+    InputError
+        The errors of ``check``; a remote dataset names all drives that can't be used.
+    """
+    if isinstance(dataset, RemoteDataset):
+        remote = RemoteReplayer(dataset, passes, check)
+        _ = remote.steps  # prepares the drives
+        return remote
+    return _replayer(
+        [PreparedDrive(d, as_recorded=passes.as_recorded) for d in dataset.imap(_itself)], passes, check
+    )
+
+
+def _itself(drive: Drive) -> Drive:
+    return drive
+
+
+def _replayer(drives: Sequence[PreparedDrive], passes: Passes, check: Check) -> Replayer:
+    replayer = Replayer(
+        drives, outages=passes.outages, forecasts=passes.forecasts, outage_seed=passes.outage_seed
+    )
+    check(replayer)
+    return replayer
+
+
+@dataclass(frozen=True)
+class RemoteReplayer:
+    """A `Replayer` of a remote dataset; the workers share the work, so it needs no executor."""
+
+    dataset: RemoteDataset
+    passes: Passes
+    check: Check
+
+    @cached_property
+    def steps(self) -> NDArray[np.int64]:
+        """Filter steps of one parameter set on each drive, over all passes, shape (n_drives,)."""
+        steps = partial(_steps, passes=self.passes, check=self.check)
+        return np.array(in_order(self.dataset.call(apply_to_each, steps)), np.int64)
+
+    def subset(self, drives: Sequence[int]) -> "RemoteReplayer":
+        """Return the replayer of some of the drives, by index."""
+        part = RemoteReplayer(self.dataset.subset(drives), self.passes, self.check)
+        part.__dict__["steps"] = self.steps[list(drives)]
+        return part
+
+    def scores(self, parameter_sets: Sequence[FilterParameters], executor: Executor | None = None) -> Scores:
+        """Score all sets on all drives."""
+        return Scores.unstacked(self._joined(Scores.stacked, parameter_sets))
+
+    def measured(
+        self,
+        take: Callable[[Scores], Array],
+        parameter_sets: Sequence[FilterParameters],
+        executor: Executor | None = None,
+    ) -> Array:
+        """Apply a function to the scores, shape (n_sets, n_drives), on the workers."""
+        return self._joined(take, parameter_sets)
+
+    def of_each_prepared(self, function: Callable[[PreparedDrive], T]) -> list[T]:
+        """Apply a function to each prepared drive."""
+        return map_prepared(self.dataset, function, as_recorded=self.passes.as_recorded)
+
+    def _joined(self, take: Callable[[Scores], Array], parameter_sets: Sequence[FilterParameters]) -> Array:
+        """Join results of shape (..., n_sets, n_drives) in the order of the drives."""
+        sets = parameter_sets if isinstance(parameter_sets, ParameterTable) else tuple(parameter_sets)
+        answers = self.dataset.call(_taken, self.passes, self.check, take, sets)
+        shape = answers[0][1].shape[:-1]
+        whole = np.empty(
+            (len(self.dataset), *shape[::-1])
+        ).T  # memory order of `Replayer`: bits of sums depend on it
+        for places, part in answers:
+            whole[..., places] = part
+        return whole
+
+
+Replays = Replayer | RemoteReplayer
+"""Prepared drives, which any number of parameter sets run over."""
+
+
+def map_prepared(
+    dataset: RemoteDataset, function: Callable[[PreparedDrive], T], *, as_recorded: bool
+) -> list[T]:
+    """Apply a function to each prepared drive of a remote dataset."""
+    return in_order(dataset.call(apply_to_each, partial(_with_prepared, function, as_recorded)))
+
+
+def _with_prepared(function: Callable[[PreparedDrive], Any], as_recorded: bool, drive: CachedDrive) -> Any:
+    return function(_prepared(drive, as_recorded))
+
+
+def _prepared(drive: CachedDrive, as_recorded: bool) -> PreparedDrive:
+    return drive.once(("prepared", as_recorded), partial(PreparedDrive, as_recorded=as_recorded))
+
+
+def _cached_replayer(drive: CachedDrive, passes: Passes, check: Check) -> Replayer:
+    return drive.once(passes, lambda _: _replayer([_prepared(drive, passes.as_recorded)], passes, check))
+
+
+def _steps(drive: CachedDrive, passes: Passes, check: Check) -> int:
+    return int(_cached_replayer(drive, passes, check).steps[0])
+
+
+def _taken(
+    drives: Sequence[CachedDrive],
+    pool: Executor | None,
+    passes: Passes,
+    check: Check,
+    take: Callable[[Scores], Array],
+    parameter_sets: Sequence[FilterParameters],
+) -> Array:
+    replayer = Replayer.together([_cached_replayer(drive, passes, check) for drive in drives])
+    return take(replayer.scores(parameter_sets, pool))

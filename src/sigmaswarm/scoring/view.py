@@ -1,0 +1,311 @@
+"""What the terminal, notebooks and the page show of an evaluation: its tables and its sentences, each written once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sigmaswarm import notebook
+from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
+from sigmaswarm.scoring.consistency import FORECASTS, verdicts
+from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_UNTUNED, Measure, measures
+from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.remarks import (
+    how_far,
+    partly_scored,
+    restarted,
+    said_of_drives,
+    worse_than_raw,
+    worse_than_untuned,
+)
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.tables import Cell, Column, Table
+
+LATE = 5.0
+"""s into a drive: a start of the scores after it is reported."""
+MOST_REMARKS = 3
+"""Remarks that `print` shows of an evaluation."""
+NO_TRUTH = (
+    "without truth there are no errors of position and heading. What remains: how far each filter drifts while fixes "
+    "are hidden from it, measured against those fixes (whose own errors are in these figures, too), and whether its "
+    "predictions of the fixes agree with its covariances (NIS)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationView:
+    """An evaluation as people read it, from memory or from its files.
+
+    Attributes
+    ----------
+    scores : ScoresRecord
+    setup : EvaluationRecord
+    names : mapping of method to str
+        Display names, in the order of the rows.
+    """
+
+    scores: ScoresRecord
+    setup: EvaluationRecord
+    names: Mapping[str, str]
+
+    @property
+    def measures(self) -> Mapping[str, Measure]:
+        """The measures, named after the length of the outages."""
+        return measures(self.setup.outage_length_s)
+
+    @property
+    def blind(self) -> bool:
+        """Whether no drive has truth."""
+        return all(drive.has_truth is False for drive in self.setup.data)
+
+    @property
+    def rival(self) -> str:
+        """The method to beat: the user's own filter where it was compared, else the baseline."""
+        return OWN if OWN in self.scores.mean else UNTUNED
+
+    # ---- tables ----
+
+    def mean_table(self) -> Table:
+        """Means over the drives."""
+        methods, known = self.scores.known(self.names, self.measures)
+        rows = [
+            ("mean", self.names[m], *(self.scores.mean_of(m, k) for k in known))
+            for m in methods
+            if m in self.scores.mean
+        ]
+        return self._table("Mean over drives", self._columns(known), rows)
+
+    def drive_table(self) -> Table:
+        """The scores of each drive."""
+        methods, known = self.scores.known(self.names, self.measures)
+        rows = [
+            (drive, self._name(drive, m), *(found[m].get(k) for k in known))
+            for drive, found in self.scores.drives.items()
+            for m in methods
+            if m in found
+        ]
+        return self._table("Each drive", self._columns(known), rows)
+
+    def drift_table(self) -> Table:
+        """The drifts with the number of outages, and the lowest and highest drift of a single placement of them."""
+        drifts = self.scores.drifts
+        known = [m for m in self.measures if any(m in of for of in drifts.values())]
+        columns = [Column("drive"), Column("method")]
+        for m in known:
+            columns += [
+                Column("outages"),
+                Column(self.measures[m].title, "m"),
+                Column("a single placement", "m"),
+            ]
+        rows: list[tuple[Cell, ...]] = []
+        for drive, of in drifts.items():
+            for method in (m for m in self.names if m != "raw_gps"):
+                cells: list[Cell] = []
+                for m in known:
+                    one, value = of.get(m), self.scores.drives[drive].get(method, {}).get(m)
+                    cells += [one and float(one.outages), value, one and one.spread(method)]
+                rows.append((drive, self.names[method], *cells))
+        return self._table("Drifts by the placement of the outages", columns, rows)
+
+    def consistency_table(self) -> Table:
+        """NIS, NEES and whiteness of the tuned filter on each drive."""
+        nees = not self.blind
+        columns = [Column("drive"), Column("fixes"), Column("mean NIS"), Column("consistent")]
+        columns += [Column("in 95% gate", "%", "{:.0f}".format), *([Column("mean NEES")] if nees else [])]
+        columns += [
+            Column("correlation", number="{:+.2f}".format),
+            Column("whiteness p", number="{:.2g}".format),
+        ]
+        rows: list[tuple[Cell, ...]] = []
+        for drive, c in self.scores.consistency.items():
+            if c is None:
+                rows.append((drive, *([None] * (len(columns) - 1))))
+                continue
+            cells: tuple[Cell, ...] = (
+                drive,
+                c.n_fixes,
+                c.mean_nis,
+                c.nis_band_95,
+                100 * c.share_inside_95_gate,
+            )
+            cells += (c.mean_nees,) if nees else ()
+            rows.append((*cells, c.autocorrelation[0], c.white_p))
+        return Table("", tuple(columns), tuple(rows))
+
+    def _columns(self, known: Sequence[str]) -> list[Column]:
+        shown = [self.measures[m] for m in known]
+        return [Column("drive"), Column("method"), *(Column(m.title, m.unit) for m in shown)]
+
+    def _name(self, drive: str, method: str) -> str:
+        failed = method in self.scores.failed.get(drive, ())
+        return f"{self.names[method]} (failed)" if failed else self.names[method]
+
+    def _table(self, caption: str, columns: Sequence[Column], rows: Sequence[tuple[Cell, ...]]) -> Table:
+        """Emphasize the tuned filter."""
+        strong = frozenset(
+            i for i, row in enumerate(rows) if str(row[1]).removesuffix(" (failed)") == self.names["tuned"]
+        )
+        return Table(caption, tuple(columns), tuple(rows), strong)
+
+    # ---- sentences ----
+
+    def result(self) -> str:
+        """The result in a sentence: position error where truth is known, else the drift over outages."""
+        drives = said_of_drives(self.setup.data)
+        for measure, what in (
+            ("position_rmse_m", "has a position RMSE of {} m"),
+            ("outage_drift_m", f"drifts {{}} m (RMS) over an outage of {self.setup.outage_length_s:g} s"),
+        ):
+            tuned = self.scores.mean_of("tuned", measure)
+            if tuned is None:
+                continue
+            others = {m: v for m in (OWN, "raw_gps", UNTUNED) if (v := self.scores.mean_of(m, measure))}
+            each = [_compared(tuned, value, self.names[m]) for m, value in others.items()]
+            spread = self.scores.drift_said(measure)
+            said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
+            return f"{said}: {', '.join(each)}." if each else f"{said}."
+        return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
+
+    def coverage(self) -> tuple[str, ...]:
+        """Sentences about what the scores cover: their start, truth, and stale fixes."""
+        data = self.setup.data
+        late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
+        blind = [drive.name for drive in data if drive.has_truth is False]
+        return (
+            *([f"Filters start, and scores with them, {', '.join(late)}: at {START_RULE}."] if late else []),
+            *map(_sentence, partly_scored(data)),
+            *([f"{', '.join(blind)}: {NO_TRUTH}."] if blind else []),
+            *map(_sentence, how_far(self.scores, data)),
+            *(
+                f"{name}: no filter used {n} of the fixes: they are stale (repeat an earlier one although the vehicle "
+                "may have moved)."
+                for name, n in self.scores.stale_fixes.items()
+            ),
+        )
+
+    def explanations(self) -> tuple[str, ...]:
+        """Sentences that define the rows."""
+        return (
+            *([f"{HOW_UNTUNED}."] if UNTUNED in self.scores.mean else []),
+            *([] if OWN in self.scores.mean else [f"{HOW_AGAINST}."]),
+        )
+
+    def verdicts(self) -> dict[str, str]:
+        """Sentences about the consistency of the tuned filter, by kind."""
+        found = verdicts([c and c.summary for c in self.scores.consistency.values()])
+        return {kind: _sentence(said) for kind, said in found.items()}
+
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences to read before the result is used, worst first."""
+        data, shown = self.setup.data, self.measures
+        said = [
+            *worse_than_raw(self.scores),
+            *worse_than_untuned(self.scores, shown),
+            *restarted(self.scores),
+        ]
+        if any(drive.seen_s for drive in data):
+            said.insert(
+                0, "the filter was tuned on some of these drives: its scores there are better than on others"
+            )
+        if len(data) == 1 and data[0].duration_s:
+            said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
+        return tuple(map(_sentence, said))
+
+    def drifts(self) -> tuple[str, ...]:
+        """Sentences about the number of outages behind each drift."""
+        known = {m: self.scores.mean_of("tuned", m) for m in self.measures}
+        return tuple(
+            f"{self.measures[m].title} of the tuned filter: {drift:.3g} m over {spread}."
+            for m, drift in known.items()
+            if drift is not None and (spread := self.scores.drift_said(m))
+        )
+
+    # ---- notebooks and print ----
+
+    def to_text(self) -> str:
+        """Return at most 15 lines for `print`: the result, the means, and the first remarks."""
+        table = self.mean_table()
+        wide = [[str(row[1]), *(_digits(v) for v in row[2:])] for row in table.rows]
+        lines = _aligned([[c.heading for c in table.columns[1:]], *wide])
+        return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
+
+    def to_html(self) -> str:
+        """Return what a notebook shows: means over the drives, each drive below, and the warnings."""
+        each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
+        if len(self.scores.drives) == 1:
+            return each + remarks
+        return f"{self.mean_table().to_html()}{remarks}<details><summary>each drive</summary>{each}</details>"
+
+
+def explained_consistency(nees: bool) -> str:
+    """Explain the table of consistency."""
+    what = "NIS (of predictions of the fixes) and NEES (of errors) average" if nees else "NIS averages"
+    return (
+        f"Do the tuned filter's {'predictions and errors' if nees else 'predictions'} agree with its covariances? "
+        f"{what} 2 where they do; above 2 the filter is overconfident, below 2 too cautious."
+        f"{'' if nees else f' Beware: {FORECASTS}.'} Innovations of a consistent filter are white: no correlation to "
+        "the next fix. p is the probability that white ones look as correlated as these (Ljung and Box's test over "
+        "ten fixes). Below 0.01, each error is partly that of the fix before, as with most real receivers, and "
+        "averages out less than the filter assumes."
+    )
+
+
+def explained_scores(view: EvaluationView) -> str:
+    """Explain the tables of scores."""
+    with_truth = view.scores.known(view.names, view.measures)[1][0] == "position_rmse_m"
+    drifts = (
+        " Each method runs again with the fixes hidden, by as many placements of the outages as the drive has room "
+        "for, at most eight; a drift is the RMS over all of them, at the end of each."
+        + (
+            ""
+            if with_truth
+            else " Without truth it is against the hidden fixes and includes their own errors."
+        )
+        if view.scores.drifts
+        else ""
+    )
+    rmse = (
+        " RMSE: root of the mean square error. Half of the position errors lie below the 50% column, 19 of 20 below "
+        "the 95% column."
+        if with_truth
+        else ""
+    )
+    return (
+        f"Lower is better. Outages last {view.setup.outage_length_s:g} s, and {LONG_OUTAGE_LENGTH:g} s.{drifts}{rmse} "
+        "IMU only uses no fix after the drive's start, so its drift accumulates from there."
+    )
+
+
+def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
+    """Mark a drive as a training drive if it is one and its file does not say what the tuning saw.
+
+    A drive that is none may still hold a part of one: it is not called held out.
+    """
+    same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
+    if drive.seen_s is not None or not same:
+        return drive
+    return drive.model_copy(update={"seen_s": drive.duration_s or 0.0, "seen_in": same})
+
+
+def _compared(tuned: float, other: float, name: str) -> str:
+    change = 100 * (other - tuned) / other
+    return f"{abs(change):.0f}% {'lower' if change >= 0 else 'HIGHER'} than {name} ({other:.3g} m)"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:].removesuffix('.')}."
+
+
+def _digits(value: Any) -> str:
+    return notebook.number(value) if not isinstance(value, str) else value
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(w) if i == 0 else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        )
+        for row in rows
+    ]

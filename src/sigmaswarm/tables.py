@@ -1,0 +1,209 @@
+"""Tables of results, written once: the terminal, notebooks, pages, Markdown, LaTeX and CSV render the same record."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from sigmaswarm import notebook
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+Range = tuple[float | None, float | None]
+"""Lowest and highest value, such as an interval; sorted by its lowest."""
+Cell = str | float | Range | None
+"""None: not known."""
+UNKNOWN = "-"
+WIDEST = 20
+"""Characters of a name that a column of a terminal shows without a break."""
+MOST_PRINTED = 10
+"""Rows of a table that `repr` shows."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes
+    ----------
+    title : str
+    unit : str
+        Empty where it has none.
+    number : callable, optional
+        Format of a number and of both ends of a range; by default four digits, three for the ends of a range.
+    printed : callable, optional
+        Format in Markdown, LaTeX and CSV, where it differs.
+    joined : bool
+        Printed in the cell of the column before it in those: ``1.28 [1.26, 1.30]``.
+    """
+
+    title: str
+    unit: str = ""
+    number: Callable[[float], str] | None = None
+    printed: Callable[[float], str] | None = None
+    joined: bool = False
+
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+
+@dataclass(frozen=True, repr=False)
+class Table:
+    """A table; a notebook shows it as it is.
+
+    Attributes
+    ----------
+    caption : str
+    columns : tuple of Column, length n
+    rows : tuple of tuple of Cell, each of length n
+    strong : frozenset of int
+        Rows to emphasize.
+    note : str
+        Explanation of the figures.
+    """
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    strong: frozenset[int] = frozenset()
+    note: str = ""
+
+    def to_markdown(self) -> str:
+        """Return the table with its caption and note as Markdown."""
+        header = self._header()
+        lines = [f"**{self.caption}**", ""] if self.caption else []
+        lines += [_bar(header), _bar(["---", *["---:"] * (len(header) - 1)]), *map(_bar, self._printed())]
+        return "\n".join([*lines, *(["", self.note] if self.note else [])]) + "\n"
+
+    _repr_markdown_ = to_markdown
+
+    def __repr__(self) -> str:
+        more = len(self.rows) - MOST_PRINTED
+        if more <= 0:
+            return replace(self, note="").to_markdown()
+        few = replace(self, rows=self.rows[:MOST_PRINTED], note=f"{more} more rows; to_markdown() has all")
+        return few.to_markdown()
+
+    def to_html(self) -> str:
+        """Return the table as HTML for a notebook."""
+        rows = [list(map(shown, row, self.columns)) for row in self.rows]
+        return notebook.table(self.caption, [c.heading for c in self.columns], rows)
+
+    def to_latex(self) -> str:
+        """Return a booktabs table."""
+        header = self._header()
+        body = " \\\\\n".join(" & ".join(map(_escaped, row)) for row in self._printed())
+        return (
+            f"% {self.note}\n\\begin{{table}}\n\\caption{{{_escaped(self.caption)}}}\n"
+            f"\\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}\n\\toprule\n"
+            f"{' & '.join(map(_escaped, header))} \\\\\n\\midrule\n{body} \\\\\n"
+            "\\bottomrule\n\\end{tabular}\n\\end{table}\n"
+        )
+
+    def to_csv(self) -> str:
+        """Return the table as comma-separated values."""
+        return pl.DataFrame(self._printed(), schema=self._header(), orient="row").write_csv()
+
+    def to_rich(self, *, grouped: bool = False) -> "RichTable":
+        """Return the table for a terminal of 80 columns, with emphasized rows in bold.
+
+        ``grouped``: neighboring rows with the same first cell form a group under that name.
+        """
+        from rich import box
+        from rich.table import Table as RichTable
+        from rich.text import Text
+
+        names = [row[0] for row in self.rows]
+        drawn = RichTable(
+            title=self.caption or None,
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+            padding=(0, 1, 0, 0),
+        )
+        for i, column in enumerate(self.columns[grouped:], start=int(grouped)):
+            words = all(isinstance(row[i], str) for row in self.rows)
+            heading = "\n".join(wrap(column.heading, 8, break_long_words=False))
+            least = max(map(len, heading.split("\n")))
+            if words and self.rows:
+                least = max(least, min(WIDEST, *(len(str(row[i])) for row in self.rows)))
+            justify = "left" if words else "right"
+            drawn.add_column(heading, justify=justify, overflow="fold", min_width=least, no_wrap=not words)
+        for i, cells in enumerate(self.rows):
+            if grouped and (i == 0 or names[i] != names[i - 1]):
+                drawn.add_section()
+                drawn.add_row(Text(str(names[i]), "italic"))
+            row = list(map(shown, cells, self.columns))
+            drawn.add_row(*map(Text, row[grouped:]), style="bold" if i in self.strong else None)
+        return drawn
+
+    def _header(self) -> list[str]:
+        header: list[str] = []
+        for column in self.columns:
+            if column.joined:
+                header[-1] += f" [{column.title}]"
+            else:
+                header.append(column.heading)
+        return header
+
+    def _printed(self) -> list[list[str]]:
+        rows: list[list[str]] = []
+        for cells in self.rows:
+            rows.append([])
+            for cell, column in zip(cells, self.columns, strict=True):
+                if not column.joined:
+                    rows[-1].append(_printed(cell, column))
+                elif cell is not None:
+                    rows[-1][-1] += f" {_printed(cell, column)}"
+        return rows
+
+
+def shown(cell: Cell, column: Column, unknown: str = UNKNOWN) -> str:
+    """Format a cell for people."""
+    if isinstance(cell, str):
+        return cell
+    known = numbers_of(cell)
+    if known is None:
+        return unknown
+    return " to ".join((column.number or _digits(5 - len(known)))(end) for end in known)
+
+
+def numbers_of(cell: Cell) -> list[float] | None:
+    """Return the number of a cell, or both ends of its range; None where one of them is not known."""
+    ends = cell if isinstance(cell, tuple) else (cell,)
+    known = [float(end) for end in ends if isinstance(end, int | float) and math.isfinite(end)]
+    return known if len(known) == len(ends) else None
+
+
+def _digits(digits: int) -> Callable[[float], str]:
+    """Format with so many significant digits; whole numbers in full."""
+
+    def number(value: float) -> str:
+        whole = value == int(value) or abs(value) >= 10**digits
+        return f"{value:.0f}" if whole and abs(value) < 1e9 else f"{value:.{digits}g}"
+
+    return number
+
+
+def _printed(cell: Cell, column: Column) -> str:
+    """Format a cell as `shown` does, but with the printed format of numbers and a range in brackets."""
+    column = replace(column, number=column.printed or column.number)
+    if isinstance(cell, tuple):
+        return f"[{', '.join(shown(end, column) for end in cell)}]"
+    return shown(cell, column)
+
+
+def _bar(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _escaped(text: str) -> str:
+    for plain in ("&", "%", "_", "#"):
+        text = text.replace(plain, f"\\{plain}")
+    return text.replace("+-", "$\\pm$")

@@ -1,0 +1,145 @@
+"""Faults of a tuned filter that its objective hardly sees.
+
+Divergence and drift: during a tuning a filter is not reset where it diverges, so its cost there is that of a wrong
+track, but a likelihood that allows outliers allows a diverged filter too. Forecasts of the next fix say little about
+the next minute: a search that ended too early may leave a filter that forecasts nearly as well as the best, and drifts
+a kilometer.
+
+Scale of the covariance: all noises and the initial covariance times one factor leave a Kalman filter's gains, and so
+its estimates, unchanged; its covariances are multiplied, and its NIS divided. So mean NIS / 2 is the factor that makes
+the filter consistent. It holds for planar8 and tilted12 as far as their gains do not depend on the scale: a gate and
+Student's t do, and so do the start and the gaps of a drive. Within planar5's bounds the heading may be uncertain by
+degrees, where the sigma points' spread, and with it the mean, follows the scale. The factor's effect on the position is
+therefore measured.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.split import clip
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.divergence import said_of_restarts
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import baseline
+from sigmaswarm.filters.recording import Recording
+from sigmaswarm.filters.run import replay_of
+from sigmaswarm.scoring.drifts import UNTUNED, Outages
+from sigmaswarm.scoring.remote import Replays
+from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH
+from sigmaswarm.wording import to_do
+
+NAMED = 3
+"""Drives named in one message, and checked for drift."""
+WATCHED = 3600.0
+"""Seconds of a drive in which divergence is looked for; more would need more memory than everything else."""
+FAR = 1.5
+"""Drift relative to the data-sheet filter above which a warning is given."""
+FEW = 2
+"""Outage placements checked first."""
+NEAR = 1.2
+"""Ratio over those few placements below which the rest are skipped; the ratio then errs by 10%."""
+LOOK = 600.0
+"""Seconds in the middle of a drive that are checked for drift."""
+REMEDY = (
+    "DON'T USE IT; leave --model and --use out, which then suit the logs, or tune with more --trials, or on more "
+    "drives"
+)
+SCALE_FREE = ("truth-rmse", "truth-pose")
+"""Objectives that do not depend on the covariance."""
+SCALE_REMEDY = "tune with '{objective} + 0.2 nees'"
+SCALE_MOVED = 0.02
+"""Largest change of the position RMSE, as a share, with which the factor is offered."""
+SCALE_NEAR = 0.2
+"""Largest error of mean NIS after scaling, as a share, with which the factor is offered."""
+
+
+def restarts_of(ready: PreparedDrive, parameters: FilterParameters) -> tuple[str, list[float]]:
+    """Return a drive's name and the times at which a monitored filter was reset in its first hour, s."""
+    start = float(ready.drive.imu.time[0])
+    replay = replay_of(_part(ready, start, start + WATCHED))
+    return ready.drive.name, Recording(replay, parameters, recover=True).finished().restarts
+
+
+def _part(ready: PreparedDrive, start: float, end: float) -> PreparedDrive:
+    """Cut out a part of a drive, s on its clock; a shorter drive is returned whole."""
+    time = ready.drive.imu.time
+    if start <= time[0] and time[-1] <= end:
+        return ready
+    return PreparedDrive(clip(ready.drive, start, end), as_recorded=ready.as_recorded)
+
+
+def said_of_lost(found: Iterable[tuple[str, list[float]]]) -> list[str]:
+    """Warn of a filter that diverged on its own training drives."""
+    lost = [said_of_restarts(name, times) for name, times in found if times]
+    if not lost:
+        return []
+    more = f"; and on {len(lost) - NAMED} more drives" if len(lost) > NAMED else ""
+    return [to_do(REMEDY, f"the tuned filter {'; it '.join(lost[:NAMED])}{more}, though it was tuned there")]
+
+
+def drifts_of(
+    ready: PreparedDrive, parameters: FilterParameters, most: int | None = None
+) -> tuple[float, float]:
+    """Measure the drift of a filter and of the data-sheet filter over long outages, m; NaN where none fits.
+
+    ``most`` limits the outage placements.
+    """
+    middle = float(ready.drive.imu.time[0] + ready.drive.imu.time[-1]) / 2
+    try:
+        outages = Outages(
+            _part(ready, middle - LOOK / 2, middle + LOOK / 2), length=LONG_OUTAGE_LENGTH, seed=0, most=most
+        )
+    except InputError:  # the car stands there
+        return np.nan, np.nan
+    outages.run({"tuned": parameters, UNTUNED: baseline(ready.drive, like=parameters)}, watched=False)
+    return outages.drift("tuned"), outages.drift(UNTUNED)
+
+
+def _together(found: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Combine the drifts of all drives by their RMS; 0 where nothing is known."""
+    known = np.array([pair for pair in found if np.isfinite(pair).all()])
+    if not len(known):
+        return 0.0, 0.0
+    tuned, other = np.sqrt(np.mean(known**2, axis=0)).tolist()
+    return tuned, other
+
+
+def may_drift_far(found: Iterable[tuple[float, float]]) -> bool:
+    """Decide from a few outages if the drift deserves a full measurement."""
+    tuned, other = _together(found)
+    return tuned > NEAR * other
+
+
+def said_of_drifts(found: Iterable[tuple[float, float]]) -> list[str]:
+    """Warn of a filter that drifts much further than the data-sheet filter."""
+    tuned, other = _together(found)
+    if tuned <= FAR * other:
+        return []
+    why = (
+        f"over {LONG_OUTAGE_LENGTH:g} s without fixes the tuned filter drifts {tuned:.3g} m where it was tuned, the "
+        f"data-sheet filter {other:.3g} m"
+    )
+    return [to_do(REMEDY, why)]
+
+
+def said_of_scale(objective: str, parameters: FilterParameters, replays: Replays) -> list[str]:
+    """Warn where the objective leaves the covariance's scale free; state the factor that makes NIS right.
+
+    The factor is offered for planar8 and tilted12 where it leaves the positions unchanged; see
+    `FilterParameters.scaled`.
+    """
+    if objective not in SCALE_FREE:
+        return []
+    before = replays.scores([parameters])
+    nis = float(before.mean_nis.mean())
+    said = f"{objective} leaves the scale of the covariances free: mean NIS is {nis:.2g} where 2 is right"
+    remedy = SCALE_REMEDY.format(objective=objective)
+    if parameters.model != "planar5" and nis > 0:
+        after = replays.scores([parameters.scaled(nis / 2)])
+        moved = float(after.position_rmse.mean() / before.position_rmse.mean() - 1)
+        if abs(moved) <= SCALE_MOVED and abs(float(after.mean_nis.mean()) / 2 - 1) <= SCALE_NEAR:
+            right = f"all noises times {nis / 2:.3g} make it right and move the position RMSE by {moved:+.1%}"
+            return [to_do(f"{remedy}, or take FilterParameters.scaled({nis / 2:.3g})", f"{said}; {right}")]
+    return [to_do(remedy, said)]

@@ -1,0 +1,56 @@
+"""Clocks that are seconds apart are found before axes are read; a log that begins in reverse is recognized."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import sigmaswarm
+from sigmaswarm import Drive, Gps, Imu
+
+
+@cache
+def drive() -> Drive:
+    return sigmaswarm.simulate("urban", run=3, duration=150, gps="white-1m")
+
+
+@pytest.mark.parametrize("offset", [-37.0, -18.0, -6.0, 4.0, 18.0, 33.0])
+def test_an_offset_of_seconds_is_found_and_mended(offset: float):
+    late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
+    found = sigmaswarm.diagnose(late)
+    assert [f.code for f in found.findings if f.severity == "serious"] == ["clock-offset"]
+    mended = sigmaswarm.repair(late, found)
+    assert mended.gps.time[0] == pytest.approx(drive().gps.time[0], abs=0.2)
+    np.testing.assert_array_equal(mended.imu.ax, drive().imu.ax)
+    assert not sigmaswarm.diagnose(mended).serious
+
+
+@pytest.mark.parametrize("offset", [60.0, 120.0])
+def test_beyond_the_search_no_axis_is_blamed(offset: float):
+    late = replace(drive(), gps=replace(drive().gps, time=drive().gps.time + offset))
+    found = sigmaswarm.diagnose(late)
+    assert not {"accelerometer-axes", "accelerometer-sign", "gyro-sign", "mounting"} & found.codes
+
+
+def robot(reverse: bool, seed: int) -> Drive:
+    """Drive for 14 s, stop, and drive on with turns; exact kinematics and white noise."""
+    rng, t = np.random.default_rng(seed), np.arange(0, 90, 0.01)
+    first = -4.0 if reverse else 4.0
+    speed = np.interp(t, [0, 2, 5, 14, 16, 19, 24, 55, 60, 65, 85], [0, 0, first, first, 0, 0, 5, 5, 2, 5, 0])
+    rate = np.where(t > 24, 0.3 * np.sin(2 * np.pi * (t - 24) / 15), 0.0) * np.abs(speed) / 5
+    theta = 0.7 + np.cumsum(rate) * 0.01
+    position = np.cumsum(speed * np.exp(1j * theta)) * 0.01
+    noise = rng.standard_normal((3, len(t)))
+    force = np.gradient(speed, 0.01), speed * rate
+    imu = Imu(t, force[0] + 0.05 * noise[0], force[1] + 0.05 * noise[1], rate + 0.002 * noise[2])
+    k = slice(None, None, 20)
+    x, y = (part[k] + rng.standard_normal(len(t[k])) for part in (position.real, position.imag))
+    return Drive("robot", imu, Gps(t[k], x, y))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_log_that_begins_in_reverse(seed: int):
+    found = {f.code: f for f in sigmaswarm.diagnose(robot(True, seed)).findings}
+    assert found["reverse-start"].span[1] == pytest.approx(16, abs=2)
+    assert "reverse-start" not in sigmaswarm.diagnose(robot(False, seed)).codes

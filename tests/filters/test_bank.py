@@ -1,0 +1,542 @@
+"""The driving swarm: its lanes are filters, its mixture is theirs, and the same stream gives the same bits."""
+
+import math
+import os
+import pickle
+import signal
+import tracemalloc
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+import processes
+from filter_cases import OPTIONS, WEIGHED, equipped, parameters
+from sigmaswarm.drives.alignment import InitialState, initial_state
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.filters.bank.live import LiveFilterBank, Mixture
+from sigmaswarm.filters.bank.run import BankRun, run_bank
+from sigmaswarm.filters.bank.search import Evidence, Steps, search
+from sigmaswarm.filters.bank.spread import FIXED, START, R, Spread
+from sigmaswarm.filters.compiled import layout, swarm
+from sigmaswarm.filters.compiled.layout import LANES
+from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import GYRO_BIAS, MODELS, THETA
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import replay_of, run_filter, run_innovations
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.simulation.scenarios import simulate
+from support import make_drive
+
+ALL = OPTIONS["all"]
+
+
+@cache
+def drive() -> Drive:
+    return equipped(45.0)
+
+
+@cache
+def start() -> InitialState:
+    return initial_state(drive())
+
+
+def made(cls, p: FilterParameters, **more):
+    return cls(p, start(), nominal_interval=drive().nominal_interval, lever_arm=[1.0, 0.5, 1.2], **more)
+
+
+def events(late: float = 0.0) -> list[tuple[float, bool, int]]:
+    """IMU samples and fixes as they come, fixes ``late`` s after their time."""
+    samples = [(t, True, i) for i, t in enumerate(drive().imu.time)]
+    return sorted(samples + [(t + late, False, i) for i, t in enumerate(drive().gps.time)])
+
+
+def feed(filter: LiveFilter, stream: list[tuple[float, bool, int]]) -> Iterator[float]:
+    """Give a filter what comes; the times of the samples, after each."""
+    imu, gps = drive().imu, drive().gps
+    axes = MODELS[filter.parameters.model].imu
+    for t, is_imu, i in stream:
+        if is_imu:
+            filter.predict(t, [getattr(imu, axis)[i] for axis in axes])
+            yield t
+        else:
+            velocity = (gps.speed[i] * math.cos(gps.course[i]), gps.speed[i] * math.sin(gps.course[i]))
+            filter.update(gps.time[i], (gps.x[i], gps.y[i]), velocity, (0.5, 0.6))
+
+
+def fed(cls, p: FilterParameters, late: float = 0.0, **more):
+    filter = made(cls, p, **more)
+    for _ in feed(filter, events(late)):
+        pass
+    return filter
+
+
+def everything(of: LiveFilterBank) -> bytes:
+    """All numbers of the lanes, and what they differ in."""
+    return of._numbers[: swarm.MARKED].tobytes() + of.offsets.tobytes() + of._population.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("model", "option"),
+    [("planar8", ALL), ("planar8", WEIGHED["both"]), ("planar5", OPTIONS["velocity"]), ("tilted12", ALL)],
+)
+@pytest.mark.parametrize("late", [0.0, 0.23])
+def test_lane_0_is_the_tuning_by_itself(model: str, option: dict[str, float], late: float):
+    if model == "tilted12" and drive().imu.az is None:
+        pytest.skip("the drive has three axes")
+    p = parameters(model, **option)
+    alone, among = made(LiveFilter, p), made(LiveFilterBank, p)
+    for _, _ in zip(feed(alone, events(late)), feed(among, events(late)), strict=True):
+        assert among._estimate()[0].tobytes() == alone._estimate()[0].tobytes()
+        assert among._estimate()[1].tobytes() == alone._estimate()[1].tobytes()
+    assert among.n_searches >= 2
+    assert among.too_late == alone.too_late == 0
+
+
+@pytest.mark.parametrize("option", ["all", "both"])
+def test_late_fixes_change_no_bit_of_what_it_settles_on(option: str):
+    p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
+    in_time, late = fed(LiveFilterBank, p), fed(LiveFilterBank, p, 0.31)
+    for filter in (in_time, late):
+        for _ in feed(filter, [e for e in events() if not e[1] and e[0] > drive().imu.time[-1] - 0.5]):
+            pass
+    assert in_time.n_searches == late.n_searches >= 2
+    assert everything(late) == everything(in_time)
+    assert everything(fed(LiveFilterBank, p, seed=1)) != everything(in_time)
+
+
+def test_what_is_watched_does_not_change_it():
+    """Asking for the state, at whatever moments, changes nothing; nor does how fast the search is."""
+    p = parameters("planar8", **ALL)
+    asked = made(LiveFilterBank, p)
+    for k, _ in enumerate(feed(asked, events())):
+        if k % 7 == 0:
+            _ = asked.state, asked.weights, asked.settled, asked.innovation
+        if k % 100 == 0 and asked._pending is not None:
+            asked._pending.result()
+    assert everything(asked) == everything(fed(LiveFilterBank, p))
+
+
+def test_a_lane_that_is_replaced_goes_where_it_heads():
+    among = made(LiveFilterBank, parameters("planar5"))
+    steps = [(start().time + 0.01 * k, (1.0, 0.0, 0.0)) for k in range(1, 5)]
+    for t, seen in steps[:3]:
+        among.predict(t, seen)
+    rows = among._rows_of(among._numbers)
+    rows[[layout.R.T, layout.R.FACED], 7] = 2.5, 0.0
+    before = rows[[layout.R.U, layout.R.V], 7]
+    among.predict(*steps[3])
+    east, north = rows[[layout.R.U, layout.R.V], 7] - before
+    assert abs(math.atan2(north, east) - 2.5) < 1e-9
+
+
+@pytest.mark.parametrize("option", ["all", "both"])
+def test_each_lane_is_a_filter_and_the_mixture_theirs(option: str):
+    """Without a search: against one run of each lane's parameters, and the mixture in plain NumPy."""
+    p = parameters("planar8", **{**OPTIONS, **WEIGHED}[option])
+    seen = replace(
+        drive(),
+        gps=replace(drive().gps, std_x=np.full(len(drive().gps), 0.5), std_y=np.full(len(drive().gps), 0.6)),
+    )
+    found = fed(LiveFilterBank, p, searches=False)
+    states, weights = found.lanes()
+    evidence, means, covariances = np.zeros(LANES), [], []
+    for lane in range(LANES):
+        own = found.spread.parameters(found.offsets[lane])
+        run = run_filter(seen, own, initial=start())
+        means.append(run.mean[-1])
+        covariances.append(run.covariance[-1])
+        innovations = run_innovations(seen, own, initial=start())
+        before = start().time
+        for t, nis, s in zip(innovations.time, innovations.nis, innovations.covariance, strict=True):
+            loss = 0.5 * math.log(np.linalg.det(s)) + 0.5 * min(nis, swarm.LARGEST_NIS)
+            evidence[lane] = evidence[lane] * math.exp((before - t) / swarm.EVIDENCE_LASTS) - loss
+            before = t
+    np.testing.assert_allclose(found._numbers[swarm.EVIDENCE], evidence, rtol=1e-8)
+    log = swarm.EVIDENCE_COUNTS * evidence - found.spread.penalty(found.offsets)
+    expected = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    np.testing.assert_allclose(weights, expected, rtol=1e-6)
+    means, covariances = np.array(means), np.array(covariances)
+    means[:, 4] = means[0, 4] + wrap_angle(means[:, 4] - means[0, 4])
+    mean = expected @ means
+    spread = sum(w * np.outer(m - mean, m - mean) for w, m in zip(expected, means, strict=True))
+    mixed = found.state
+    np.testing.assert_allclose(mixed.mean, mean, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        mixed.covariance, np.einsum("l,lij->ij", expected, covariances) + spread, rtol=1e-6
+    )
+    assert states.shape[1] == LANES
+
+
+def test_the_heading_of_a_mixture_goes_around_the_circle():
+    p = parameters("planar5")
+    states = np.zeros((1, 20, LANES))
+    states[0, 4] = np.where(np.arange(LANES) % 2, math.pi - 0.1, -math.pi + 0.1)
+    mixed = Mixture.of(states, np.full((1, LANES), 1 / LANES), p.model)
+    assert abs(wrap_angle(mixed.mean[0, 4] - math.pi)) < 1e-12
+    assert mixed.covariance[0, 4, 4] == pytest.approx(0.01)
+    states[0, :, 3] = np.nan  # a lane that failed counts nothing
+    weights = np.full((1, LANES), 1 / (LANES - 1))
+    weights[0, 3] = 0.0
+    assert np.isfinite(Mixture.of(states, weights, p.model).mean).all()
+    assert np.isnan(Mixture.of(states, np.zeros((1, LANES)), p.model).mean).all()
+
+
+@settings(max_examples=25)
+@given(hnp.arrays(float, 13, elements=st.floats(-2.0, 2.0)))
+def test_the_kernels_constants_are_those_of_the_parameters(offsets: np.ndarray):
+    for model, option in (("planar8", WEIGHED["both"]), ("tilted12", ALL), ("planar5", {})):
+        spread = Spread(parameters(model, **option))
+        own = KernelArray((spread.tuning,)).constants(0.01)[:, :1]
+        by = np.resize(offsets, len(spread.names))
+        packed = KernelArray((spread.parameters(by),)).constants(0.01)[:, 0]
+        np.testing.assert_allclose(spread.constants(own, by[np.newaxis])[:, 0], packed, rtol=1e-12)
+    assert spread.constants(own, np.zeros((1, len(spread.names))))[:, 0].tobytes() == own[:, 0].tobytes()
+
+
+def resumed(saved: bytes, stream: list[tuple[float, bool, int]]) -> bytes:
+    """In another process, which has machine code of its own."""
+    filter = pickle.loads(saved)
+    for _ in feed(filter, stream):
+        pass
+    return everything(filter) + filter.state.mean.tobytes()
+
+
+def test_a_killed_process_goes_on_from_a_saved_copy_with_the_same_bits():
+    p, stream = parameters("planar8", **ALL), events()
+    filter, whole = made(LiveFilterBank, p), fed(LiveFilterBank, p)
+    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
+    for _ in feed(filter, stream[:cut]):
+        pass
+    assert filter._pending is not None
+    saved = pickle.dumps(filter)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        assert (
+            pool.submit(resumed, saved, stream[cut:]).result()
+            == everything(whole) + whole.state.mean.tobytes()
+        )
+    for _ in feed(filter, stream[cut:]):  # and the one that was copied goes on as if nothing had been
+        pass
+    assert everything(filter) == everything(whole)
+
+
+DIES = """
+import os, pickle, signal, sys
+from pathlib import Path
+from filters.test_bank import ALL, LiveFilterBank, events, feed, made, parameters, start
+
+filter = made(LiveFilterBank, parameters("planar8", **ALL))
+kept = 0.0
+for t in feed(filter, events()):
+    if t > kept + 0.31:  # as a car would: every now and then, whole or not at all
+        kept = t
+        Path("next").write_bytes(pickle.dumps((t, filter)))
+        os.replace("next", "saved")
+    if t > start().time + 20.7:  # a search is under way, and samples have come since
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+GOES_ON = """
+import pickle, sys
+from pathlib import Path
+from filters.test_bank import events, everything, feed
+
+t, filter = pickle.loads(Path("saved").read_bytes())
+stream = events()
+for _ in feed(filter, stream[1 + stream.index((t, True, next(i for at, s, i in stream if s and at == t))):]):
+    pass
+Path("end").write_bytes(everything(filter) + filter.state.mean.tobytes())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_process_that_is_killed_goes_on_from_what_it_saved_with_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert processes.run(DIES).returncode == -signal.SIGKILL
+    t, saved = pickle.loads(Path("saved").read_bytes())
+    assert start().time + 20.0 < t < start().time + 20.7
+    assert saved._pending is not None
+    gone_on = processes.run(GOES_ON)
+    assert gone_on.returncode == 0, gone_on.stderr
+    whole = fed(LiveFilterBank, parameters("planar8", **ALL))
+    assert whole.n_searches >= 2
+    assert Path("end").read_bytes() == everything(whole) + whole.state.mean.tobytes()
+
+
+def test_a_search_finds_what_loses_less_and_the_same_each_time():
+    p = parameters("planar8", **ALL)
+    filter = fed(LiveFilterBank, p, searches=False)
+    taped = filter._tape(0, int(filter._numbers[swarm.TAPED]))
+    begins, told = filter._snapshots[0].lanes[:, 0], Evidence(0.0, start().time)
+    steps = Steps(p.model, taped, np.array([1.0, 0.5, 1.2]))
+    zero = np.zeros(len(filter.spread.names))
+    wrong = zero.copy()
+    wrong[filter.spread.names.index(R)] = 2.0
+    population = filter.spread.first(np.random.default_rng(1))
+
+    def evidence_of(offsets: np.ndarray) -> float:
+        """As a swarm has it that began with these offsets."""
+        own = made(LiveFilterBank, p, searches=False)
+        own.offsets[8] = offsets
+        own._start_lanes(start(), slice(None))
+        for _ in feed(own, events()):
+            pass
+        return float(own._numbers[swarm.EVIDENCE][8])
+
+    def found():
+        return search(filter.spread, steps, begins, told, wrong, population, drive().nominal_interval, (3,))
+
+    first, again = found(), found()
+    assert first is not None and again is not None
+    assert first.known.evidence > evidence_of(wrong) + 10.0  # a hundred times R
+    assert abs(first.offsets[filter.spread.names.index(R)]) < 1.0
+    assert first.offsets.tobytes() == again.offsets.tobytes()
+    assert first.lane.tobytes() == again.lane.tobytes()
+    assert first.known == again.known
+    assert first.known.evidence == pytest.approx(evidence_of(first.offsets), rel=1e-9)
+    few = Steps(p.model, taped[:300], np.zeros(3))
+    assert search(filter.spread, few, begins, told, zero, population, 0.01, (0,)) is None
+
+
+@pytest.mark.parametrize("kind", ["ukf", "adaptive-ukf", "fuzzy-ukf"])
+def test_the_fixed_lanes_stay(kind: str):
+    p = parameters("planar8", kind=kind, **ALL)
+    first, last = made(LiveFilterBank, p), fed(LiveFilterBank, p)
+    assert last.n_searches >= 2
+    states = Mixture.of(last.lanes()[0][np.newaxis].repeat(LANES, 0), np.eye(LANES), p.model)
+    for lane in range(len(FIXED)):  # what goes on beside them does not touch them
+        alone = run_filter(drive(), last.spread.parameters(last.offsets[lane]), initial=start())
+        np.testing.assert_allclose(wrap_angle(states.mean[lane] - alone.mean[-1]), 0.0, atol=1e-9)
+        np.testing.assert_allclose(states.covariance[lane], alone.covariance[-1], rtol=1e-7, atol=1e-13)
+    np.testing.assert_array_equal(first.offsets[: len(FIXED)], last.offsets[: len(FIXED)])
+    assert not np.array_equal(first.offsets[len(FIXED) :], last.offsets[len(FIXED) :])
+    assert np.isfinite(last.offsets).all()
+    assert (last.offsets[len(FIXED) :, last.spread.names.index(START)] == 0.0).any()
+
+
+def test_it_says_that_the_receiver_is_another_one():
+    """A filter that was tuned for errors of 0.5 m, on a receiver with 4 m."""
+    seen = make_drive(duration=90.0, gps_std=4.0, seed=3)
+    p = parameters("planar8", lateral_noise=0.01, rear_axle=0.0)
+    run = BankRun(replay_of(seen), p, recover=True)
+    error = {"swarm": np.concatenate([piece.mean[:, :2] for piece in run])}
+    error["tuning"] = run_filter(seen, p).mean[:, :2]
+    t = seen.imu.time[seen.imu.time > run.initial.time]
+    true = np.column_stack([np.interp(t, seen.truth.time, c) for c in (seen.truth.x, seen.truth.y)])
+    rmse = {name: float(np.sqrt(np.square(of - true).sum(axis=1).mean())) for name, of in error.items()}
+    assert rmse["swarm"] < 0.75 * rmse["tuning"]
+    r = (
+        run.log.settled[run.bank.spread.names.index(R)]
+        + run.log.settled[run.bank.spread.names.index("scale")]
+    )
+    assert 0.8 < r < 2.6  # 4 m is 1.75 decades of 0.5 m to 0.6 m
+    assert any("another receiver?" in sentence for sentence in run.bank.spread.warnings(run.log.settled))
+    nis = {"swarm": run.innovations.nis.mean(), "tuning": run_innovations(seen, p).nis.mean()}
+    assert abs(math.log(nis["swarm"] / 2)) < 0.5 * abs(math.log(nis["tuning"] / 2))
+
+
+def test_a_run_is_the_stream():
+    p = parameters("planar8", lateral_noise=0.05)
+    run = run_bank(prepared(drive(), start()), p)
+    filter = made(LiveFilterBank, p)
+    means = [filter.state.mean for t in feed(filter, events()) if t > start().time]
+    np.testing.assert_allclose(
+        np.unwrap(run.mean, axis=0), np.unwrap(np.array(means), axis=0), rtol=0, atol=1e-9
+    )
+    assert run.failure is None
+    assert run.covariance.shape == (len(means), 8, 8)
+
+
+@pytest.mark.parametrize("at", [11.9, 13.2, 13.9, 15.1, 15.9, 17.0])  # before, in and after a search
+def test_that_all_lanes_fail_is_told_at_once_and_it_starts_anew(at: float):
+    p = parameters("planar8", **ALL)
+    filter, failed = made(LiveFilterBank, p), []
+    for t in feed(filter, events()):
+        if not failed and t > at:
+            filter.predict(t + 1e-4, (math.nan, 0.0, 0.0))
+            assert filter.state.failed
+        if t > at:
+            failed.append(filter.state.failed)
+    assert not failed[-1]  # it found itself from the fixes
+    true = np.array([drive().truth.x[-1], drive().truth.y[-1]])
+    assert np.linalg.norm(filter.state.mean[:2] - true) < 5.0
+    assert filter.state.covariance[0, 0] < 4.0
+
+
+BIAS = 0.25
+
+
+@cache
+def biased() -> Drive:
+    """A drive whose gyro is as it comes from the factory, rad/s off."""
+    made = simulate("urban", seed=4, duration=60.0, gps="white-1m")
+    return replace(made, imu=replace(made.imu, gz=made.imu.gz + BIAS))
+
+
+def biases(turned_at: float = math.inf, held_at: float = math.inf) -> tuple[LiveFilterBank, np.ndarray]:
+    """A swarm on that drive; times, and the bias as most lanes say.
+
+    All headings are turned at a moment, or all lanes are told that they are lost.
+    """
+    p = parameters("planar8", lateral_noise=0.05, rear_axle=1.5, bias_std=(0.5, 0.3))
+    imu, gps = biased().imu, biased().gps
+    filter = LiveFilterBank(p, initial_state(biased()), nominal_interval=0.01, searches=False)
+    fixes, found = iter(zip(gps.time, gps.x, gps.y, strict=True)), []
+    fix = next(fixes, None)
+    for t, *sample in zip(imu.time, imu.ax, imu.ay, imu.gz, strict=True):
+        while fix and fix[0] <= t:
+            filter.update(fix[0], fix[1:])
+            fix = next(fixes, None)
+        filter.predict(t, sample)
+        if t >= turned_at:
+            filter._rows_of(filter._numbers)[THETA] += 2.5
+            turned_at = math.inf
+        if t >= held_at:
+            assert filter._monitor and filter._together
+            filter._monitor.lost = filter._together.lost = filter._holds = True
+            held_at = math.inf
+        found.append((t, np.median(filter.lanes()[0][GYRO_BIAS, len(FIXED) :])))
+    return filter, np.array(found)
+
+
+def test_a_gyro_with_a_bias_that_it_knows_is_no_reason_to_start_anew():
+    filter, found = biases()
+    assert not filter.restarts  # nor has the tuning by itself, whose start sees the bias
+    assert not filter.bank_restarts
+    assert abs(found[-1, 1] - BIAS) < 0.02
+
+
+def test_what_it_knows_of_biases_outlives_a_new_start():
+    filter, found = biases(turned_at=30.0)
+    began = filter.bank_restarts[0]
+    after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
+    assert abs(after - BIAS).max() < 0.05
+
+
+def test_what_it_knows_of_biases_outlives_being_held_at_a_fix():
+    filter, found = biases(held_at=30.005)
+    began = filter.bank_restarts[0]
+    assert 0.05 < began - 30.0 < 3.0
+    after = found[(found[:, 0] >= began) & (found[:, 0] < began + 0.5), 1]
+    assert abs(after - BIAS).max() < 0.05
+
+
+def test_a_fix_beyond_all_bounds_is_one_fix():
+    p = parameters("planar8", gate=6.0)
+    alone, among = made(LiveFilter, p), made(LiveFilterBank, p)
+    for filter in (alone, among):
+        for k, t in enumerate(feed(filter, events())):
+            if k == 1500:
+                filter.update(t, (1e160, 0.0))
+    assert not alone.state.failed
+    assert not among.state.failed
+    assert among.n_searches >= 2
+
+
+def test_a_copy_is_another_swarm():
+    p, stream = parameters("planar8", **ALL), events()
+    filter = made(LiveFilterBank, p)
+    for _ in feed(filter, stream[:2000]):
+        pass
+    copy = deepcopy(filter)
+    for _ in feed(copy, stream[2000:]):
+        pass
+    for _ in feed(filter, stream[2000:]):
+        pass
+    assert everything(copy) == everything(filter) == everything(fed(LiveFilterBank, p))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_child_goes_on():
+    p, stream = parameters("planar8", **ALL), events()
+    filter = made(LiveFilterBank, p)
+    cut = next(k for k, e in enumerate(stream) if e[0] > start().time + 20.5)  # a search is under way
+    for _ in feed(filter, stream[:cut]):
+        pass
+    with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
+        child = pool.submit(resumed, pickle.dumps(filter), stream[cut:]).result(timeout=120)
+    for _ in feed(filter, stream[cut:]):
+        pass
+    assert child == everything(filter) + filter.state.mean.tobytes()
+
+
+def test_a_drive_with_a_long_silence_has_no_stale_estimate():
+    imu = drive().imu
+    heard = (imu.time < 20.0) | (imu.time > 32.5)
+    silent = replace(drive(), imu=imu.select(heard))
+    p = parameters("planar8", lateral_noise=0.05)
+    run, of_one = run_bank(prepared(silent, start()), p), run_filter(silent, p, initial=start())
+    apart = np.hypot(*(run.mean[:, :2] - of_one.mean[:, :2]).T)
+    assert apart.max() < 5.0
+
+
+def test_what_it_settles_on_starts_as_the_tuning_does():
+    found = fed(LiveFilterBank, parameters("planar8", **ALL))
+    assert found.settled.bias_std == found.parameters.bias_std
+    assert found.settled.process_noise != found.parameters.process_noise
+
+
+def test_what_all_variances_have_in_common_is_said_once():
+    spread = Spread(parameters("planar8", **ALL))
+    by = dict.fromkeys(spread.names, 0.0)
+
+    def said(**of: float) -> tuple[str, ...]:
+        return spread.warnings(np.array([*(by | of).values()]))
+
+    assert said() == ()
+    (common,) = said(scale=1.0)
+    assert common.startswith("all variances together are 10 times")
+    (receiver,) = said(r=0.4, scale=0.4)
+    assert receiver == "R is 6.3 times the tuning's: another receiver?"
+    assert [s for s in said(r=1.0, scale=-1.0) if s.startswith("R is")] == []
+    (axle,) = said(rear_axle=1.2)
+    assert axle == "the rear axle lies 1.2 m farther back than in the tuning"
+
+
+def test_one_lane_that_fails_counts_nothing_and_goes_on_from_the_best():
+    p, filter = parameters("planar8", **ALL), None
+    filter = made(LiveFilterBank, p)
+    for k, _ in enumerate(feed(filter, events())):
+        if k == 1000:
+            filter._rows_of(filter._numbers)[:, [2, 9]] = np.nan
+            assert not filter.state.failed  # before the next fix
+        if k == 1100:  # fixes have come since
+            assert (filter.weights[[2, 9]] == 0.0).all()
+            assert not filter.state.failed
+    assert (filter.weights[[2, 9]] > 0.0).all()  # after the next search
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="takes minutes uncompiled")
+def test_memory_stays_flat():
+    filter = LiveFilterBank(parameters("planar8", **ALL), start(), nominal_interval=0.01)
+    t0 = start().time
+
+    def run(first: int, last: int) -> None:
+        for k in range(first, last):
+            t = t0 + 0.01 * (k + 1)
+            if k % 20 == 10:
+                filter.update(t - (0.2 if k % 100 == 10 else 0.004), (0.05 * k, 0.01 * (k % 7)), (5.0, 0.0))
+            filter.predict(t, (0.01 * math.sin(k), 0.0, 0.0))
+
+    run(0, 12_000)
+    tracemalloc.start()
+    run(12_000, 14_000)
+    before = tracemalloc.get_traced_memory()[0]
+    run(14_000, 20_000)
+    growth = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert growth < 2_000_000  # a search that is under way holds its steps
+    assert not filter.state.failed

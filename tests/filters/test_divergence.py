@@ -1,0 +1,463 @@
+"""Lost and found: what is planted is noticed, named and mended; a sound filter is left alone."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sigmaswarm
+from exported import tuned
+from sigmaswarm.drives.alignment import MAX_DURATION, Alignments, InitialState, initial_state
+from sigmaswarm.drives.drive import Drive, Gps, Imu, Truth
+from sigmaswarm.drives.prepared import prepared
+from sigmaswarm.drives.reader import read_drive
+from sigmaswarm.filters.divergence import Check, DivergenceMonitor, check_times
+from sigmaswarm.filters.live import LiveFilter
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.score import score_estimate
+from support import DRIVES, make_drive, needs_shared
+
+SET = FilterParameters(
+    0.67, 1.2, 2.5, (5e-11, 5e-11, 2e-3, 2e-3, 3.4e-7, 6e-5, 3.4e-13, 1.5e-12), (0.95, 0.95), "planar8",
+    nominal_interval=0.01, bias_std=(0.98, 0.0074), lateral_noise=1e-3, rear_axle=0.1, standstill_noise=6.4e-3,
+    gate=13.1,
+)  # fmt: skip
+"""Tuned on two KITTI drives by innovation-nll."""
+TRUSTING = replace(SET, gate=None)
+TILTED = replace(
+    tuned("tilted12", "ekf", 0.01, everything=False), lateral_noise=0.01, standstill_noise=6.4e-3, gate=13.1
+)
+REAL = ["colorado-1", "kitti-09-30-0033", "kitti-09-30-0018"]
+Planted = tuple[Drive, InitialState]
+
+
+@cache
+def drive_of(name: str) -> Drive:
+    if name == "simulated":
+        return sigmaswarm.simulate("urban", run=1, gps="white-1m", duration=180)
+    return read_drive(DRIVES / name)
+
+
+def turned(drive: Drive) -> Planted:
+    """The start's heading and velocity turned by 120 degrees."""
+    start, angle = initial_state(drive), np.radians(120.0)
+    turn = np.eye(5)
+    turn[2:4, 2:4] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    mean = turn @ start.mean + np.array([0, 0, 0, 0, angle])
+    return drive, InitialState(mean, turn @ start.covariance @ turn.T, start.time)
+
+
+def aside(drive: Drive) -> Planted:
+    """60 s of fixes 200 m off, then right again."""
+    start, gps = initial_state(drive), drive.gps
+    off = (gps.time >= start.time + 20) & (gps.time < start.time + 80)
+    return replace(drive, gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off)), start
+
+
+def silent(drive: Drive) -> Planted:
+    """The IMU silent for 20 s, in which the car turns more than in any other."""
+    start, imu = initial_state(drive), drive.imu
+    heading = np.append(0.0, np.cumsum(imu.gz[1:] * np.diff(imu.time)))
+    tried = np.arange(start.time + 15, imu.time[-1] - 60, 1.0)
+    change = np.abs(np.interp(tried + 20, imu.time, heading) - np.interp(tried, imu.time, heading))
+    begin = tried[int(np.argmax(change))]
+    return replace(drive, imu=imu.select((imu.time <= begin) | (imu.time >= begin + 20))), start
+
+
+PLANTS: dict[str, Callable[[Drive], Planted]] = {"turned": turned, "aside": aside, "silent": silent}
+
+
+def rmse(truth: Truth, time: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
+    off = (x - np.interp(time, truth.time, truth.x)) ** 2 + (y - np.interp(time, truth.time, truth.y)) ** 2
+    return float(np.sqrt(np.mean(off)))
+
+
+def after(drive: Drive, estimate: Estimate, restart: float) -> tuple[float, float]:
+    """RMSE of the estimate and of the fixes in the 10 s after a restart, m."""
+    assert drive.truth is not None
+    part, gps = (estimate.time >= restart) & (estimate.time <= restart + 10), drive.gps
+    fixes = (gps.time >= restart) & (gps.time <= restart + 10)
+    own = rmse(drive.truth, estimate.time[part], estimate.mean[part, 0], estimate.mean[part, 1])
+    return own, rmse(drive.truth, gps.time[fixes], gps.x[fixes], gps.y[fixes])
+
+
+def check_planted(name: str, plant: str, p: FilterParameters) -> None:
+    drive, start = PLANTS[plant](drive_of(name))
+    estimate = run_filter(drive, p, initial=start)
+    lost = run_filter(drive, p, initial=start, recover=False)
+    silence = float(estimate.time[np.argmax(np.diff(estimate.time)) + 1])
+    if plant == "silent" and not estimate.restarts:  # it knows of the gap, and need not be lost
+        own, raw = after(drive, estimate, silence + MAX_DURATION)
+        assert own <= raw
+        return
+    assert estimate.restarts, "it is lost, and does not notice"
+    assert estimate.failure is None
+    for restart in estimate.restarts:
+        own, raw = after(drive, estimate, restart)
+        assert own <= raw * (1.001 if raw > 100 else 1.0), restart  # beside what is planted, 0.1% is noise
+    assert lost.restarts == ()
+    before = estimate.time < estimate.restarts[0]
+    np.testing.assert_array_equal(estimate.mean[before], lost.mean[before])
+    last = estimate.time > estimate.time[-1] - 10
+    own = rmse(drive.truth, estimate.time[last], estimate.mean[last, 0], estimate.mean[last, 1])  # pyright: ignore
+    assert own < 2.0
+
+
+@pytest.mark.parametrize("plant", ["turned", "silent"])
+@pytest.mark.parametrize("p", [SET, TRUSTING], ids=["gate", "trusting"])
+def test_what_is_planted_in_a_simulated_drive_is_found(plant: str, p: FilterParameters):
+    check_planted("simulated", plant, p)
+
+
+def test_what_is_planted_is_found_by_a_tilted_filter():
+    check_planted("simulated", "turned", TILTED)
+
+
+@needs_shared
+@pytest.mark.filterwarnings("ignore::sigmaswarm.DriveWarning")
+@pytest.mark.parametrize(
+    ("name", "plant"),
+    [("colorado-1", "turned"), ("kitti-09-30-0033", "turned"), ("kitti-09-30-0018", "turned"),
+     ("colorado-1", "aside"), ("kitti-09-30-0018", "aside"), ("kitti-09-30-0018", "silent")],
+)  # fmt: skip
+def test_what_is_planted_in_a_recording_is_found(name: str, plant: str):
+    check_planted(name, plant, SET)
+
+
+@pytest.mark.parametrize("gps", ["white-1m", "ublox-m8", "f9p-rtk", "carla", "gnss-ins-sim"])
+@pytest.mark.parametrize("maneuver", ["urban", "turns", "cruise", "brake", "outages"])
+def test_no_sound_filter_starts_anew_on_a_simulated_drive(maneuver: str, gps: str):
+    drive = sigmaswarm.simulate(maneuver, run=2, gps=gps)
+    for p in (SET, TRUSTING):
+        estimate = run_filter(drive, p)
+        assert estimate.restarts == ()
+        assert estimate.lost is not None
+        assert not estimate.lost.any()
+
+
+@needs_shared
+@pytest.mark.filterwarnings("ignore::sigmaswarm.DriveWarning")
+@pytest.mark.parametrize(
+    "name", [*REAL, "kitti-09-26-0022", "kitti-09-26-0101", "kitti-09-30-0034", "comma2k19", "dresden"]
+)
+def test_no_sound_filter_starts_anew_on_a_recording(name: str):
+    for p in (SET, TRUSTING):
+        assert run_filter(drive_of(name), p).restarts == ()
+
+
+def test_a_gyro_that_is_far_off_is_no_reason_to_start_anew_for_a_filter_that_knows_it():
+    """The alignment takes such a bias only for certain where fixes contradict it far beyond their noise."""
+    drive = sigmaswarm.simulate("urban", duration=200.0, gps="white-1m", seed=5)
+    off = replace(drive, imu=replace(drive.imu, gz=drive.imu.gz + 0.3))
+    noise = (1e-6, 1e-6, 1e-4, 1e-4, 1e-7, 1e-8, 1e-8, 1e-10)
+    p = FilterParameters(0.5, 2.0, 1.0, noise, (1.0, 1.0), "planar8", bias_std=(0.5, 0.3), lateral_noise=0.05)
+    found = run_filter(off, p)
+    assert not found.restarts
+    assert np.degrees(score_estimate(off, found).heading_rmse) < 2.0
+
+
+@pytest.mark.parametrize("samples", [1, 333, 10_000])
+def test_looking_changes_no_bit(samples: int):
+    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.run import replay_of
+
+    replay = replay_of(make_drive(duration=40.0, seed=3))
+    plain = Recording(replay, SET)
+    watched = Recording(replay, SET, recover=True, samples=samples)
+    a, b = plain.whole(), watched.whole()
+    np.testing.assert_array_equal(a.mean, b.mean)
+    np.testing.assert_array_equal(a.covariance, b.covariance)
+    np.testing.assert_array_equal(plain.sums.nis, watched.sums.nis)
+    np.testing.assert_array_equal(plain.innovations.innovation, watched.innovations.innovation)
+
+
+def test_a_restart_does_not_depend_on_the_pieces():
+    from sigmaswarm.filters.recording import Recording
+    from sigmaswarm.filters.run import replay_of
+
+    replay = replay_of(*turned(drive_of("simulated")))
+    runs = [Recording(replay, SET, recover=True, samples=n) for n in (77, 10_000)]
+    a, b = (run.whole() for run in runs)
+    assert runs[0].restarts == runs[1].restarts != []
+    np.testing.assert_array_equal(a.mean, b.mean)
+
+
+def test_no_tuning_starts_anew():
+    drive, start = turned(drive_of("simulated"))
+    scored = Replayer([prepared(drive, start)], outages=False).scores([SET])
+    lost = score_estimate(drive, run_filter(drive, SET, initial=start, recover=False))
+    found = score_estimate(drive, run_filter(drive, SET, initial=start))
+    assert scored.position_rmse[0, 0] == pytest.approx(lost.position_rmse, rel=1e-9)
+    assert lost.position_rmse > 1.2 * found.position_rmse
+
+
+def stops_and_goes() -> tuple[Drive, InitialState]:
+    """A car that drives, stands from 40 to 80 s, and drives on; its fixes are 200 m aside from 45 s on."""
+    rng = np.random.default_rng(0)
+    time = np.arange(14001) / 100
+    accelerates = 2.0 * (time < 5) - 2.0 * ((time > 35) & (time < 40)) + 2.0 * ((time > 80) & (time < 85))
+    speed = np.append(0.0, np.cumsum((accelerates[1:] + accelerates[:-1]) / 2) / 100).clip(0)
+    rate = 0.02 * speed * np.sin(time / 7) / 10
+    theta = 0.4 + np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2) / 100)
+    v = speed * np.exp(1j * theta)
+    p = np.append(0.0, np.cumsum((v[1:] + v[:-1]) / 2) / 100)
+    noise = rng.standard_normal((3, len(time)))
+    imu = Imu(time, accelerates + 0.02 * noise[0], speed * rate + 0.02 * noise[1], rate + 1e-3 * noise[2])
+    fix_time = np.arange(0.05, 140, 0.2)
+    fix = np.interp(fix_time, time, p) + 200.0j * (fix_time > 45)
+    fix = fix + rng.standard_normal((len(fix_time), 2)) @ [1.0, 1j]
+    drive = Drive(
+        "stops", imu, Gps(fix_time, fix.real, fix.imag), Truth(time, p.real, p.imag, v.real, v.imag, theta)
+    )
+    return drive, initial_state(drive)
+
+
+def test_while_it_can_not_align_the_estimate_is_the_last_fix_and_is_marked():
+    drive, start = stops_and_goes()
+    p = replace(SET, gate=9.2)
+    estimate = run_filter(drive, p, initial=start)
+    assert estimate.lost is not None
+    (restart,) = estimate.restarts
+    lost = estimate.time[estimate.lost]
+    assert 55 < lost[0] < 58, "10 s after the fixes moved"
+    assert 83 < restart < 92, "4 s and 20 m after the car drove off"
+    assert lost[-1] < restart
+    assert estimate.lost.sum() == np.count_nonzero((estimate.time >= lost[0]) & (estimate.time < restart))
+    for t in lost[::100]:
+        row, last = np.searchsorted(estimate.time, t), np.searchsorted(drive.gps.time, t, side="right") - 1
+        np.testing.assert_allclose(
+            estimate.mean[row, :2], [drive.gps.x[last], drive.gps.y[last]], rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(estimate.covariance[row, :2, :2], np.diag(p.measurement_noise), rtol=1e-9)
+    own, raw = after(drive, estimate, restart)
+    assert own <= raw * 1.001
+
+
+def live(
+    drive: Drive, start: InitialState, late: float = 0.0, p: FilterParameters = SET
+) -> tuple[LiveFilter, np.ndarray, np.ndarray]:
+    """The filter, its means after each sample and where it was lost; fixes come ``late`` s after their time."""
+    lever = [*drive.lever_arm, drive.antenna_height]
+    filter = LiveFilter(p, start, nominal_interval=drive.nominal_interval, lever_arm=lever)
+    gps, imu = drive.gps, drive.imu
+    axes = [getattr(imu, axis) for axis in MODELS[p.model].imu]
+    events = sorted(
+        [(t + late, 0, i) for i, t in enumerate(gps.time)] + [(t, 1, i) for i, t in enumerate(imu.time)]
+    )
+    means, lost = [], []
+    for _, is_imu, i in events:
+        if not is_imu:
+            filter.update(gps.time[i], (gps.x[i], gps.y[i]))
+            continue
+        filter.predict(imu.time[i], [axis[i] for axis in axes])
+        if imu.time[i] > start.time:
+            means.append(filter.state.mean)
+            lost.append(filter.state.lost)
+    return filter, np.array(means), np.array(lost)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.05])
+def test_the_rough_heading_of_a_stream_is_that_of_an_alignment(bias: float):
+    drive = make_drive(duration=60.0, seed=3, gps_rate=5.0, jitter=0.2)
+    gps, imu, start = drive.gps, drive.imu, initial_state(drive)
+    filter = LiveFilter(SET, start, nominal_interval=drive.nominal_interval, lever_arm=list(drive.lever_arm))
+    alignments, fix, seen = Alignments(drive), 0, []
+    for k, t in enumerate(imu.time):
+        while fix < len(gps) and gps.time[fix] <= t:
+            filter.update(gps.time[fix], (gps.x[fix], gps.y[fix]))
+            fix += 1
+        filter.predict(t, (imu.ax[k], imu.ay[k], imu.gz[k] + bias))
+        last = int(np.searchsorted(alignments.time, t, side="right")) - 1
+        if k % 37 or last < 0:
+            continue
+        since = imu.time[(imu.time >= alignments.time[last]) & (imu.time <= t)]
+        turn = np.diff(since, prepend=alignments.time[last]) @ imu.gz[k + 1 - len(since) : k + 1]
+        expected = alignments.course[last] + turn
+        heading = filter._calls.heading(filter._memory.handle, bias)
+        assert np.isnan(heading) == np.isnan(expected)
+        if np.isfinite(expected):
+            seen.append(wrap_angle(float(heading - expected)))
+    assert len(seen) > 50
+    assert np.max(np.abs(seen)) < 1e-9
+
+
+LIVE = {plant: (plant, SET) for plant in PLANTS} | {"turned-tilted12": ("turned", TILTED)}
+
+
+@pytest.mark.parametrize(("plant", "p"), LIVE.values(), ids=LIVE)
+def test_live_is_the_run(plant: str, p: FilterParameters):
+    drive, start = PLANTS[plant](drive_of("simulated"))
+    run = run_filter(drive, p, initial=start)
+    filter, means, lost = live(drive, start, p=p)
+    assert filter.restarts == list(run.restarts)
+    gap = np.flatnonzero(np.diff(run.time) > 10)  # where one sample waits for the next to say the same
+    there = ~np.isin(np.arange(len(run.time)), gap + 1)
+    np.testing.assert_allclose(means[there], run.mean[there], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(lost, run.lost)
+
+
+def test_live_is_the_run_while_nothing_can_be_aligned():
+    drive, start = stops_and_goes()
+    run = run_filter(drive, SET, initial=start)
+    filter, means, lost = live(drive, start)
+    assert filter.restarts == list(run.restarts) != []
+    np.testing.assert_allclose(means, run.mean, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(lost, run.lost)
+    assert lost.any()
+
+
+@pytest.mark.parametrize("late", [0.1, 0.5])
+def test_fixes_that_come_late_are_looked_at(late: float):
+    drive, start = turned(drive_of("simulated"))
+    (at,) = run_filter(drive, SET, initial=start).restarts
+    filter, means, _ = live(drive, start, late)
+    (restart,) = filter.restarts
+    assert at < restart < at + late + 1.1
+    time = drive.imu.time[drive.imu.time > start.time]
+    part = (time > restart) & (time < restart + 10)
+    fixes = (drive.gps.time > restart) & (drive.gps.time < restart + 10)
+    assert drive.truth is not None
+    own = rmse(drive.truth, time[part], means[part, 0], means[part, 1])
+    assert own <= rmse(drive.truth, drive.gps.time[fixes], drive.gps.x[fixes], drive.gps.y[fixes])
+
+
+def test_a_fix_from_before_a_restart_comes_too_late():
+    drive, start = turned(drive_of("simulated"))
+    filter = LiveFilter(SET, start, nominal_interval=drive.nominal_interval, lever_arm=drive.lever_arm)
+    gps, imu = drive.gps, drive.imu
+    fix = 0
+    for i, t in enumerate(imu.time):
+        while fix < len(gps) and gps.time[fix] <= t:
+            filter.update(gps.time[fix], (gps.x[fix], gps.y[fix]))
+            fix += 1
+        filter.predict(t, (imu.ax[i], imu.ay[i], imu.gz[i]))
+        if filter.restarts:
+            break
+    state = filter.state
+    assert not filter.update(filter.restarts[0] - 0.05, (gps.x[fix], gps.y[fix]))
+    assert filter.too_late == 1
+    np.testing.assert_array_equal(filter.state.mean, state.mean)
+
+
+def seen(time: float, *, heading: float = 0.0, off: float = 0.0, aligns: bool = True) -> Check:
+    """A filter that says it drives east at 10 m/s; the fixes say something else."""
+    alignment = InitialState(np.array([0, 0, 10, 0, heading]), 1e-4 * np.eye(5), time)
+    return Check(
+        time=time, mean=np.array([0.0, off, 10.0, 0.0, 0.0]), covariance=1e-4 * np.eye(5), fix_time=time,
+        fix=np.zeros(2), fix_variance=np.ones(2), lever=np.zeros(2), latency=0.0,
+        since=lambda: np.zeros((1, 4)), heading=lambda: heading if aligns else np.nan,
+        align=lambda: alignment if aligns else None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [{"heading": 0.36}, {"off": 20.5}])
+def test_it_is_lost_after_ten_seconds_of_contradiction_without_a_break(wrong: dict):
+    monitor = DivergenceMonitor()
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(0.0, 10.0))
+    assert monitor.take(seen(10.0)) is None  # they agree again
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(11.0, 21.0))
+    found = monitor.take(seen(21.0, **wrong))
+    assert found is not None
+    assert monitor.restarts == [21.0] == [found.time]
+    assert all(monitor.take(seen(t, **wrong)) is None for t in np.arange(22.0, 32.0))  # it counts anew
+
+
+@pytest.mark.parametrize("right", [{"heading": 0.34}, {"off": 19.5}, {}])
+def test_less_is_no_loss(right: dict):
+    monitor = DivergenceMonitor()
+    assert all(monitor.take(seen(t, **right)) is None for t in np.arange(0.0, 100.0))
+    assert monitor.restarts == []
+    assert not monitor.lost
+
+
+def test_what_the_filter_allows_for_is_no_contradiction():
+    monitor = DivergenceMonitor()
+    wide = np.diag([16.0, 25.0, 1.0, 1.0, 0.04])  # 5 m, 0.2 rad
+    for t in np.arange(0.0, 100.0):
+        assert monitor.take(replace(seen(t, heading=0.9, off=24.0), covariance=wide)) is None
+    assert monitor.restarts == []
+
+
+def test_looks_without_alignment_are_no_break_and_no_news():
+    monitor = DivergenceMonitor()
+    for t in np.arange(0.0, 60.0):
+        assert monitor.take(seen(t, heading=1.0, aligns=t < 5)) is None
+    assert monitor.take(seen(60.0, heading=1.0)) is not None
+
+
+def test_few_looks_are_not_enough():
+    monitor = DivergenceMonitor()
+    assert [monitor.take(seen(t, off=50.0)) for t in (0.0, 5.0, 10.0, 15.0)] == [None] * 4
+    assert monitor.take(seen(20.0, off=50.0)) is not None
+
+
+def test_without_alignment_it_is_lost_until_there_is_one():
+    monitor = DivergenceMonitor()
+    for t in np.arange(0.0, 30.0):
+        assert monitor.take(seen(t, off=50.0, aligns=False)) is None
+        assert monitor.lost == (t >= 10.0)
+    assert monitor.take(seen(30.0, aligns=True)) is not None
+    assert not monitor.lost
+
+
+def test_a_filter_that_failed_is_not_looked_at():
+    monitor = DivergenceMonitor()
+    broken = [replace(seen(t, off=50.0), mean=np.full(5, np.nan)) for t in np.arange(0.0, 30.0)]
+    assert [monitor.take(one) for one in broken] == [None] * 30
+    assert not monitor.lost
+
+
+RUNS = st.tuples(st.integers(1, 12), st.floats(0.3, 4.0), st.sampled_from("tfn"), st.sampled_from("tf"))
+"""So many looks, s apart, that say of the heading and of the position what contradicts; n: nothing."""
+
+
+@given(st.lists(RUNS, max_size=8), st.data())
+def test_looking_back_finds_what_looking_at_each_moment_finds(
+    runs: list[tuple[int, float, str, str]], data: st.DataObject
+):
+    said = [look for n, *look in runs for _ in range(n)]
+    times = np.cumsum([wait for wait, _, _ in said]).tolist()
+    each = [
+        seen(t, heading=0.4 if turned == "t" else 0.0, off=25.0 if far == "t" else 0.0, aligns=turned != "n")
+        for t, (_, turned, far) in zip(times, said, strict=True)
+    ]
+    one_by_one, back, at = DivergenceMonitor(), DivergenceMonitor(), 0
+    while at < len(each):
+        end = at + 1 if back.lost else data.draw(st.integers(at + 1, len(each)))
+        first, start = back.take_all(times[at:end], lambda k, at=at: each[at + k])
+        end = end if first is None else at + first + 1
+        found = [one_by_one.take(one) for one in each[at:end]]
+        assert (back.lost, back.restarts) == (one_by_one.lost, one_by_one.restarts)
+        assert [one is not None for one in found] == [False] * (end - at - 1) + [start is not None]
+        at = end
+
+
+def test_hardly_any_look_at_a_sound_filter_is_taken():
+    times, asked = np.arange(0.0, 100.0).tolist(), list[int]()
+
+    def at(k: int) -> Check:
+        asked.append(k)
+        return seen(times[k])
+
+    assert DivergenceMonitor().take_all(times, at) == (None, None)
+    assert len(set(asked)) <= 11
+
+
+def test_the_looks_are_once_a_second_after_fixes_and_at_samples():
+    line = prepared(make_drive(duration=30.0, seed=0, gps_rate=5.0, jitter=0.2)).timeline()
+    looks = check_times(line)
+    assert line.sampled[looks.step].all()
+    time = line.end[looks.step]
+    assert len(time) == pytest.approx(30 - line.start, abs=1.5)
+    assert np.all(np.diff(time) > 0.7)
+    wait = time - line.fix_time[looks.fix]
+    assert np.all((wait >= 0) & (wait < 0.02))
+    assert np.all(np.diff(looks.fix) > 0)

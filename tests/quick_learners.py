@@ -1,0 +1,52 @@
+"""Learners whose training is a line through points, done within a second."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from sigmaswarm.learned.cells import new_weights
+from sigmaswarm.learned.fitting import Lesson
+from sigmaswarm.learned.noise_gru import FEATURES
+from sigmaswarm.learned.outage_lstm import untrained
+
+
+def square(weights, batch):
+    return ((batch[0] @ weights["w"] - batch[1]) ** 2).mean()
+
+
+class Quick:
+    epochs = patience = 6
+    batch = 4
+    start: ClassVar = {"units": 3, "window": 4.0, "learning_rate": 0.1}
+    box: ClassVar = {"units": (2, 3), "window": (1, 3), "learning_rate": (-4, -2)}
+
+    def __init__(self, drives, validation, parameters, seed):
+        self.seen = [drive.name for drive in (*drives, *validation)]
+        self.seed = seed
+
+    def lesson(self, settings, seed):
+        x = np.random.default_rng(seed).normal(size=(30, 3))
+        examples = x[:20], x[:20] @ [1.0, -2.0, 0.5]
+        return Lesson(square, {"w": np.zeros(3)}, examples, examples)
+
+
+class QuickOutages(Quick):
+    """Its forecasts are random."""
+
+    def finish(self, settings, weights):
+        rng, units = np.random.default_rng(self.seed), int(settings["units"])
+        moved = rng.normal([9.0, 0.0], [3.0, 0.3], (20, 2))
+        seen = rng.normal(size=(20, 40, 4))
+        made = untrained(rng, ("ax", "gz"), settings["window"], units, seen, moved)
+        more = {"axes": ["ax", "gz"], "inflation": 1.0, "unsure": 10.0}
+        return {**made.weights, "w": weights["w"]}, more
+
+
+class QuickNoises(Quick):
+    """Its factors are random."""
+
+    def finish(self, settings, weights):
+        rng = np.random.default_rng(self.seed)
+        made = new_weights(rng, 3, FEATURES, 3, 2)
+        made["head"] = rng.normal(size=(3, 2))
+        return {**made, "w": weights["w"]}, {}

@@ -1,0 +1,93 @@
+"""What is said of a filter that loses its way on the drives that it was tuned on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sigmaswarm import SigmaswarmError, evaluate, read_drive, run_filter, simulate, split_time, tune
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.presets import baseline
+from sigmaswarm.tuning.config import TuneConfig
+from sigmaswarm.tuning.diagnostics import drifts_of, may_drift_far, said_of_drifts, said_of_lost
+from sigmaswarm.tuning.problem import car_problem
+from support import DRIVES, needs_shared
+
+CONFIG = TuneConfig(model="planar8", kind="ekf", use=("lateral", "gate"), objective="innovation-t")
+DRIVE = simulate("urban", run=1, gps="white-1m", duration=150)
+
+
+def test_a_filter_that_is_lost_where_it_was_tuned_is_not_to_be_used():
+    gps = DRIVE.gps
+    off = (gps.time >= 60) & (gps.time < 100)
+    aside = replace(DRIVE, name="aside", gps=replace(gps, x=gps.x + 120.0 * off, y=gps.y + 160.0 * off))
+    problem = car_problem([DRIVE, aside], CONFIG)
+    rng, seen = np.random.default_rng(0), set[bool]()
+    space = problem.space
+    for point in space.low + rng.random((30, len(space.low))) * (space.high - space.low):
+        p = problem.parameters(point)
+        try:
+            lost = {drive.name: run_filter(drive, p).restarts for drive in (DRIVE, aside)}
+        except SigmaswarmError:
+            continue
+        said = [warning for warning in problem.warnings(point) if "the tuned filter diverged" in warning]
+        assert bool(said) == any(lost.values())
+        assert all(
+            (f"diverged on {name} and" in said[0]) == bool(times) for name, times in lost.items() if said
+        )
+        seen.add(bool(said))
+    assert seen == {True, False}
+
+
+def test_so_is_one_that_drifts_further_than_one_that_nobody_tuned():
+    good = tune([DRIVE], model="planar8", kind="ekf", objective="innovation-t", particles=16, generations=12)
+    assert not [doubt for doubt in good.warnings if "DON'T" in doubt]
+    found = [drifts_of(PreparedDrive(DRIVE), good.parameters)]
+    assert said_of_drifts(found) == []
+    q = list(good.parameters.process_noise)
+    q[4] = 1e-2  # as if the gyro told nothing: the next fix is forecast all the same
+    bad = replace(good.parameters, process_noise=tuple(q), lateral_noise=None, standstill_noise=None)
+    (tuned, other) = drifts_of(PreparedDrive(DRIVE), bad)
+    assert tuned > found[0][0]
+    (said,) = said_of_drifts([(100.0, 20.0), (np.nan, np.nan)])
+    assert said.startswith("TO DO: DON'T USE IT; ")
+    assert "or on more drives: over 30 s without fixes the tuned filter drifts 100 m" in said
+    assert said_of_drifts([(29.0, 20.0)]) == said_of_drifts([]) == []
+    assert not may_drift_far([(20.0, 20.0), (np.nan, np.nan)])
+    assert not may_drift_far([])
+    assert may_drift_far([(25.0, 20.0)])
+    assert np.isfinite(drifts_of(PreparedDrive(DRIVE), bad, most=2)).all()
+    whole = evaluate([DRIVE], bad)
+    assert (tuned, other) == pytest.approx(
+        [whole.mean(m, "long_outage_drift_m") for m in ("tuned", "untuned")]
+    )
+
+
+def test_a_car_that_stands_has_no_drift():
+    imu, gps = DRIVE.imu, DRIVE.gps
+    still = replace(
+        DRIVE,
+        imu=replace(imu, ax=0.0 * imu.ax, ay=0.0 * imu.ay, gz=0.0 * imu.gz),
+        gps=replace(gps, x=0.0 * gps.x, y=0.0 * gps.y),
+    )
+    assert np.isnan(drifts_of(PreparedDrive(still), baseline(DRIVE))).all()
+
+
+@needs_shared
+def test_a_search_that_ended_too_early_is_noticed():
+    first = split_time(read_drive(DRIVES / "dresden"), 0.7)[0]
+    early = tune([first], objective="innovation-t", model="planar8", particles=10, generations=2, seed=2)
+    assert [r for r in early.remarks if "DON'T USE IT" in r and "over 30 s without fixes" in r]
+    for model in ("planar8", None):
+        whole = tune([first], objective="innovation-t", seed=0, **({"model": model} if model else {}))
+        assert not [r for r in whole.remarks if "DON'T" in r]
+
+
+def test_it_names_three_drives_and_counts_the_others():
+    assert said_of_lost([("one", []), ("two", [])]) == []
+    (said,) = said_of_lost([(f"drive-{i}", [10.25, 31.0][: i % 2 + 1]) for i in range(5)] + [("sound", [])])
+    assert "diverged on drive-0 and was reset once, at t = 10.2 s" in said
+    assert "it diverged on drive-1 and was reset 2 times, at t = 10.2, 31.0 s" in said
+    assert "drive-3" not in said
+    assert "and on 2 more drives" in said
+    assert "sound" not in said

@@ -1,0 +1,137 @@
+"""Process noise is inflated as far as the cost allows, and no farther."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from sigmaswarm import run_batch, simulate, tune
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.tuning.inflation import STEP, inflated
+from sigmaswarm.tuning.space import search_space
+
+DRIVE = simulate("urban", duration=60.0, gps="white-1m")
+SEARCH = {"particles": 8, "generations": 6, "objective": "truth-rmse"}
+
+
+POWERS = {
+    "planar5": np.ones(5),
+    "planar8": np.ones(8),
+    "tilted12": np.array(
+        [0.5, 0.5, 0.5, 0.5, 0, 1, 1, 1, 0, 0, 1, 1]
+    ),  # theta, roll and pitch are left alone
+}
+"""Of the factor, by state."""
+EVERY_MODEL = pytest.mark.parametrize("model", POWERS)
+
+
+def raised(p: FilterParameters, factor: float) -> FilterParameters:
+    q = np.array(p.process_noise) * factor ** POWERS[p.model]
+    return replace(p, process_noise=tuple(q.tolist()))
+
+
+def costs(*sets: FilterParameters) -> np.ndarray:
+    return run_batch([DRIVE], sets, objective=SEARCH["objective"]).costs
+
+
+@EVERY_MODEL
+@pytest.mark.parametrize("inflation", [0.2, 1.0])
+def test_the_cost_rises_by_the_inflation_and_no_more(inflation: float, model: str):
+    plain, inflated_ = (tune([DRIVE], inflation=m, model=model, **SEARCH) for m in (0.0, inflation))
+    assert plain.inflation_factor == 1.0
+    assert inflated_.inflation_factor > 1.0
+    assert plain.parameters.measurement_noise == inflated_.parameters.measurement_noise
+    share = inflation  # 60 s bear no more than 100
+    low, now = costs(plain.parameters, inflated_.parameters)
+    assert now == inflated_.cost
+    assert now <= (1 + share) * low
+    ratios = np.array(inflated_.parameters.process_noise) / np.array(plain.parameters.process_noise)
+    np.testing.assert_array_equal(ratios[POWERS[model] == 0], 1.0)
+    expected = inflated_.inflation_factor ** POWERS[model]
+    inside = np.array([d.split(":")[0] for d in map(str, inflated_.touched_bounds)])
+    if not len(inside):
+        np.testing.assert_allclose(ratios, expected, rtol=1e-9)
+        assert costs(raised(inflated_.parameters, 10**STEP))[0] > (1 + share) * low
+    assert np.all(ratios <= expected * (1 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ("planar8", "all process noises are {:.3g} times those of the lowest cost"),
+        (
+            "tilted12",
+            "the random walks of the biases are {:.3g}, the noises of position and velocity {:.3g} times those",
+        ),
+    ],
+)
+def test_it_is_kept_with_the_tuning(tmp_path, model: str, said: str):
+    options = {**SEARCH, "inflation": 0.1, "model": model, "out": tmp_path / "t"}
+    tuning = tune([DRIVE], **options)
+    assert tuning.to_dict()["result"]["inflation_factor"] == tuning.inflation_factor
+    said = said.format(tuning.inflation_factor, tuning.inflation_factor**0.5)
+    assert [remark for remark in tuning.remarks if remark.startswith(said)]
+    again = tune([DRIVE], resume=True, **options)
+    assert again.parameters == tuning.parameters
+    assert not [remark for remark in tuning.remarks if "search longer" in remark]
+
+
+def test_twice_the_data_bear_half_the_rise():
+    longer = simulate("urban", duration=120.0, gps="white-1m")
+    for drives in ([longer], [DRIVE, simulate("urban", duration=60.0, gps="white-1m", seed=1)]):
+        plain, inflated_ = (tune(drives, inflation=m, model="planar8", **SEARCH) for m in (0.0, 0.5))
+        seconds = sum(drive.duration for drive in drives)
+        share = 0.5 * 100.0 / seconds
+        assert 1 < inflated_.cost / plain.cost <= 1 + share
+        if not inflated_.touched_bounds:
+            more = raised(inflated_.parameters, 10**STEP)
+            assert (
+                run_batch(drives, [more], objective=SEARCH["objective"]).costs[0] > (1 + share) * plain.cost
+            )
+
+
+def test_a_linear_search_has_no_factor():
+    with pytest.raises(
+        InputError, match="inflation multiplies all process noise by one factor, which needs scale"
+    ):
+        tune([DRIVE], inflation=0.1, scale="linear", **SEARCH)
+
+
+LEAST = {"q_tilt": 2e-9, "q_gyro_bias_xy": 1e-12, "accel_bias_std": 0.005, "gyro_bias_std": 2e-4}
+"""At 100 Hz: 0.01 of what a second has."""
+
+
+@pytest.mark.parametrize("cost_per_decade", [0.0, 100.0])
+@pytest.mark.parametrize("model", POWERS)
+def test_of_a_tilted_model_no_less_than_a_little_is_left(model: str, cost_per_decade: float):
+    """Whether the cost bears a factor or not: what is below it at the optimum stands at it afterwards."""
+    space = search_space(model, "log10", 0.01, kind="ekf", use=("lateral",))
+
+    class Lowest:
+        """Its optimum is where all is as small as can be."""
+
+        data: ClassVar = [{"duration_s": 100.0}]
+
+        def __init__(self):
+            self.space = space
+
+        def costs(self, points, executor=None):
+            return cost_per_decade * np.sum(points - space.low, axis=1)
+
+        def rise(self, costs, cost):
+            return costs - cost
+
+    point, cost, factor = inflated(Lowest(), space.low, 0.0, 0.02, None)
+    assert cost == Lowest().costs(point[np.newaxis])[0]
+    assert (factor == 1.0) == (cost_per_decade > 0)
+    found = dict(zip(space.names, space.values(point), strict=True))
+    lowest = dict(zip(space.names, space.lowest, strict=True))
+    for name, least in LEAST.items() if model == "tilted12" else ():
+        raised = found[name] > least * (1 + 1e-9)
+        assert found[name] >= least * (1 - 1e-9)
+        assert not raised or (factor > 1.0 and name.startswith("q_"))
+    kept = [name for name in found if model != "tilted12" or name not in LEAST]
+    if factor == 1.0:
+        assert [found[name] for name in kept] == [lowest[name] for name in kept]
