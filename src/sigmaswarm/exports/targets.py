@@ -10,7 +10,7 @@ from sigmaswarm.exports.c99 import c99, replay_rows
 from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.robot_localization import robot_localization
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -93,8 +93,9 @@ def export_filter(
         texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
         texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
-    folder = make_folder(Path(folder))
-    for name, text in texts.items():
-        make_folder((folder / name).parent)
-        write_whole(folder / name, text)
+    folder = Path(folder)
+    with staged_files(folder) as new:
+        for name, text in texts.items():
+            make_folder((new / name).parent)
+            write_whole(new / name, text)
     return [folder / name for name in texts]

@@ -9,8 +9,8 @@ import numpy as np
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
-from sigmaswarm.drives.sheet import LARGEST
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
+from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
