@@ -23,12 +23,13 @@ PROMISED = [
     "read_drive",
     "write_drive",
     "FilterParameters",
-    "initial_state",
-    "InitialState",
-    "run_filter",
+    "import_log",
+    "run",
     "Estimate",
     "run_batch",
-    "BatchResult",
+    "export",
+    "report",
+    "plot",
     "tune",
     "Tuning",
     "evaluate",
@@ -42,7 +43,48 @@ def test_every_public_name_is_there():
     assert sorted(sigmaswarm.__all__) == sigmaswarm.__all__
     for name in sigmaswarm.__all__:
         assert getattr(sigmaswarm, name).__doc__, name
-    assert set(sigmaswarm.__all__) <= set(dir(sigmaswarm))
+    assert {*sigmaswarm.__all__, "__version__", "__doc__"} == set(dir(sigmaswarm))
+    nouns = [name for name in sigmaswarm.__all__ if not name.endswith(("Error", "Warning"))]
+    assert len(nouns) <= 25
+
+
+def test_one_call_for_each_job_of_the_command_line(tmp_path):
+    drive = sigmaswarm.simulate("urban", duration=40, gps="white-1m")
+    tuning = sigmaswarm.tune(drive, model="planar5", particles=4, generations=3, trials=1, seed=1)
+    plain = sigmaswarm.run(drive, tuning)
+    tuning.save(tmp_path / "tuning.toml")
+    np.testing.assert_array_equal(plain.mean, sigmaswarm.run(drive, tmp_path / "tuning.toml").mean)
+    np.testing.assert_array_equal(plain.mean, sigmaswarm.run_filter(drive, tuning.parameters).mean)
+    assert not np.array_equal(sigmaswarm.run(drive, tuning, smooth=True).mean, plain.mean)
+    with pytest.raises(sigmaswarm.InputError, match="exclude each other"):
+        sigmaswarm.run(drive, tuning, smooth=True, bank=True)
+    evaluation = sigmaswarm.evaluate(drive, tuning)
+    assert "overlap" in evaluation.to_dict() or evaluation.view
+    for result in (evaluation, tuning):
+        assert sigmaswarm.report(result, tmp_path / "page.html").startswith("<!doctype html>")
+        assert sigmaswarm.plot(result).axes
+        assert str(result).count("\n") < 15
+    assert sigmaswarm.plot(drive).axes
+    assert sigmaswarm.plot(evaluation, drive.name).axes
+    texts = sigmaswarm.export(tuning, "c99", tmp_path / "c")
+    assert {path.name for path in (tmp_path / "c").iterdir() if path.is_file()} == {
+        n for n in texts if "/" not in n
+    }
+    for call in (sigmaswarm.run, sigmaswarm.evaluate):
+        with pytest.raises(sigmaswarm.InputError, match="FilterParameters"):
+            call(drive, 3)
+
+
+def test_an_import_and_a_look_take_the_settings_of_the_command_line(tmp_path):
+    t = np.arange(0, 40, 0.02)
+    rows = [f"{a:.2f},0.0,0.0,0.0,{50 + 1e-6 * a:.8f},{8 + 2e-4 * a:.8f}" for a in t]
+    (tmp_path / "log.csv").write_text("\n".join(["time_s,ax,ay,gz,lat,lon", *rows]))
+    assert "lat" in sigmaswarm.inspect_log(tmp_path / "log.csv").recipe.to_toml()
+    drive = sigmaswarm.import_log(tmp_path / "log.csv", name="made", gps_offset_s=0.5)
+    assert drive.name == "made"
+    assert drive.frame == "wgs84"
+    with pytest.raises(sigmaswarm.InputError, match="'offset'"):
+        sigmaswarm.import_log(tmp_path / "log.csv", offset=0.5)
 
 
 @pytest.mark.parametrize("old", ["LiveSwarm", "run_swarm", "datasheet"])

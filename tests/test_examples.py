@@ -75,6 +75,26 @@ def test_what_is_checked_in_was_executed_in_order_and_is_small():
     assert "OUT = None" in parameters
 
 
+def test_two_frames_become_a_tuned_filter_and_nothing_is_written(tmp_path: Path):
+    """The notebook on data frames, executed: figures are drawn, the tuned filter is in C, no file is left."""
+    copy = Path(shutil.copy(EXAMPLES / "dataframes.ipynb", tmp_path))
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "execute.py", copy],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["dataframes.ipynb"]
+    cells = code(copy)
+    assert not any(
+        o["output_type"] == "error" or o.get("name") == "stderr" for c in cells for o in c["outputs"]
+    )
+    assert sum("image/png" in o.get("data", {}) for c in cells for o in c["outputs"]) == 2
+    assert any("ins_gps.c" in str(o) for o in cells[-1]["outputs"])
+
+
 def test_a_failing_cell_is_told_and_nothing_is_written(tmp_path: Path):
     cell = {"cell_type": "code", "id": "a", "metadata": {}, "outputs": [], "execution_count": None}
     notebook = {"nbformat": 4, "nbformat_minor": 5, "metadata": {}, "cells": [cell | {"source": "1 / 0"}]}

@@ -29,13 +29,22 @@ from typing import TYPE_CHECKING, Any
 from sigmaswarm.versions import __version__ as __version__
 
 if TYPE_CHECKING:
+    from sigmaswarm.api import evaluate, export, import_log, inspect_log, plot, report, run, split
     from sigmaswarm.doctor.diagnose import diagnose
-    from sigmaswarm.doctor.findings import Diagnosis, Finding
+    from sigmaswarm.doctor.findings import Diagnosis as Diagnosis
+    from sigmaswarm.doctor.findings import Finding as Finding
     from sigmaswarm.doctor.repairs import repair
-    from sigmaswarm.drives.alignment import InitialState, initial_state
-    from sigmaswarm.drives.drive import Drive, Gps, Imu, Odometer, Truth
+    from sigmaswarm.drives.alignment import InitialState as InitialState
+    from sigmaswarm.drives.alignment import initial_state as initial_state
+    from sigmaswarm.drives.drive import Drive
+    from sigmaswarm.drives.drive import Gps as Gps
+    from sigmaswarm.drives.drive import Imu as Imu
+    from sigmaswarm.drives.drive import Odometer as Odometer
+    from sigmaswarm.drives.drive import Truth as Truth
     from sigmaswarm.drives.reader import read_drive
-    from sigmaswarm.drives.split import clip, split_drives, split_time
+    from sigmaswarm.drives.split import clip as clip
+    from sigmaswarm.drives.split import split_drives as split_drives
+    from sigmaswarm.drives.split import split_time as split_time
     from sigmaswarm.drives.writer import write_drive
     from sigmaswarm.errors import (
         AlignmentError,
@@ -45,42 +54,92 @@ if TYPE_CHECKING:
         SigmaswarmError,
         SigmaswarmWarning,
     )
-    from sigmaswarm.experiments.compare import compare
-    from sigmaswarm.experiments.comparison import Comparison
-    from sigmaswarm.experiments.study.config import StudyConfig
-    from sigmaswarm.experiments.study.study import Study, run_study
+    from sigmaswarm.experiments.compare import compare as compare
+    from sigmaswarm.experiments.comparison import Comparison as Comparison
+    from sigmaswarm.experiments.study.config import StudyConfig as StudyConfig
+    from sigmaswarm.experiments.study.study import Study as Study
+    from sigmaswarm.experiments.study.study import run_study as run_study
     from sigmaswarm.filters.bank.live import LiveFilterBank
-    from sigmaswarm.filters.bank.run import run_bank
-    from sigmaswarm.filters.custom.log import Log
-    from sigmaswarm.filters.custom.model import Model, Tunable
-    from sigmaswarm.filters.custom.run import ModelEstimate, run_model, smooth_model
+    from sigmaswarm.filters.bank.run import run_bank as run_bank
+    from sigmaswarm.filters.custom.log import Log as Log
+    from sigmaswarm.filters.custom.model import Model
+    from sigmaswarm.filters.custom.model import Tunable as Tunable
+    from sigmaswarm.filters.custom.run import (
+        ModelEstimate as ModelEstimate,
+    )
+    from sigmaswarm.filters.custom.run import (
+        run_model as run_model,
+    )
+    from sigmaswarm.filters.custom.run import (
+        smooth_model as smooth_model,
+    )
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
-    from sigmaswarm.filters.presets import baseline, preset
-    from sigmaswarm.filters.run import Estimate, Innovations, run_filter, run_innovations, run_textbook
-    from sigmaswarm.filters.smoothing import smooth
-    from sigmaswarm.filters.textbook import ExtendedKalmanFilter, SigmaPoints, UnscentedKalmanFilter
+    from sigmaswarm.filters.presets import baseline
+    from sigmaswarm.filters.presets import preset as preset
+    from sigmaswarm.filters.run import (
+        Estimate,
+    )
+    from sigmaswarm.filters.run import (
+        Innovations as Innovations,
+    )
+    from sigmaswarm.filters.run import (
+        run_filter as run_filter,
+    )
+    from sigmaswarm.filters.run import (
+        run_innovations as run_innovations,
+    )
+    from sigmaswarm.filters.run import (
+        run_textbook as run_textbook,
+    )
+    from sigmaswarm.filters.smoothing import smooth as smooth
+    from sigmaswarm.filters.textbook import (
+        ExtendedKalmanFilter as ExtendedKalmanFilter,
+    )
+    from sigmaswarm.filters.textbook import (
+        SigmaPoints as SigmaPoints,
+    )
+    from sigmaswarm.filters.textbook import (
+        UnscentedKalmanFilter as UnscentedKalmanFilter,
+    )
     from sigmaswarm.references.reference import reference
-    from sigmaswarm.reports.compare import comparison_table
-    from sigmaswarm.reports.study import save_study, study_figures, study_tables
-    from sigmaswarm.scoring.consistency import Consistency, consistency
-    from sigmaswarm.scoring.evaluation import Evaluation, evaluate
-    from sigmaswarm.scoring.score import Score
-    from sigmaswarm.simulation.conditions import simulate_many
+    from sigmaswarm.reports.compare import comparison_table as comparison_table
+    from sigmaswarm.reports.study import (
+        save_study as save_study,
+    )
+    from sigmaswarm.reports.study import (
+        study_figures as study_figures,
+    )
+    from sigmaswarm.reports.study import (
+        study_tables as study_tables,
+    )
+    from sigmaswarm.scoring.consistency import Consistency as Consistency
+    from sigmaswarm.scoring.consistency import consistency as consistency
+    from sigmaswarm.scoring.evaluation import Evaluation
+    from sigmaswarm.scoring.score import Score as Score
+    from sigmaswarm.simulation.conditions import simulate_many as simulate_many
     from sigmaswarm.simulation.scenarios import simulate
-    from sigmaswarm.tuning.batch import BatchResult, run_batch
-    from sigmaswarm.tuning.config import TuneConfig
+    from sigmaswarm.tuning.batch import BatchResult as BatchResult
+    from sigmaswarm.tuning.batch import run_batch
+    from sigmaswarm.tuning.config import TuneConfig as TuneConfig
     from sigmaswarm.tuning.result import Tuning
     from sigmaswarm.tuning.tune import tune
 
-_HOMES = {
+_PUBLIC = {
+    "api": (
+        "evaluate",
+        "export",
+        "import_log",
+        "inspect_log",
+        "plot",
+        "report",
+        "run",
+        "split",
+    ),
     "doctor.diagnose": ("diagnose",),
-    "doctor.findings": ("Diagnosis", "Finding"),
     "doctor.repairs": ("repair",),
-    "drives.alignment": ("InitialState", "initial_state"),
-    "drives.drive": ("Drive", "Gps", "Imu", "Odometer", "Truth"),
+    "drives.drive": ("Drive",),
     "drives.reader": ("read_drive",),
-    "drives.split": ("clip", "split_drives", "split_time"),
     "drives.writer": ("write_drive",),
     "errors": (
         "AlignmentError",
@@ -90,102 +149,120 @@ _HOMES = {
         "SigmaswarmError",
         "SigmaswarmWarning",
     ),
-    "experiments.comparison": ("Comparison",),
-    "experiments.compare": ("compare",),
-    "experiments.study.config": ("StudyConfig",),
-    "experiments.study.study": ("Study", "run_study"),
-    "filters.custom.log": ("Log",),
-    "filters.custom.model": ("Model", "Tunable"),
-    "filters.custom.run": ("ModelEstimate", "run_model", "smooth_model"),
-    "filters.parameters": ("FilterParameters",),
-    "filters.presets": ("baseline", "preset"),
-    "filters.live": ("LiveFilter",),
-    "filters.textbook": ("ExtendedKalmanFilter", "SigmaPoints", "UnscentedKalmanFilter"),
-    "filters.run": ("Estimate", "Innovations", "run_filter", "run_innovations", "run_textbook"),
-    "filters.smoothing": ("smooth",),
     "filters.bank.live": ("LiveFilterBank",),
-    "filters.bank.run": ("run_bank",),
+    "filters.custom.model": ("Model",),
+    "filters.live": ("LiveFilter",),
+    "filters.parameters": ("FilterParameters",),
+    "filters.presets": ("baseline",),
+    "filters.run": ("Estimate",),
     "references.reference": ("reference",),
-    "reports.compare": ("comparison_table",),
-    "reports.study": ("save_study", "study_figures", "study_tables"),
-    "scoring.consistency": ("Consistency", "consistency"),
-    "scoring.evaluation": ("Evaluation", "evaluate"),
-    "scoring.score": ("Score",),
-    "simulation.conditions": ("simulate_many",),
+    "scoring.evaluation": ("Evaluation",),
     "simulation.scenarios": ("simulate",),
-    "tuning.batch": ("BatchResult", "run_batch"),
-    "tuning.config": ("TuneConfig",),
+    "tuning.batch": ("run_batch",),
     "tuning.result": ("Tuning",),
     "tuning.tune": ("tune",),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_ADVANCED = {
+    "doctor.findings": (
+        "Diagnosis",
+        "Finding",
+    ),
+    "drives.alignment": (
+        "InitialState",
+        "initial_state",
+    ),
+    "drives.drive": (
+        "Gps",
+        "Imu",
+        "Odometer",
+        "Truth",
+    ),
+    "drives.split": (
+        "clip",
+        "split_drives",
+        "split_time",
+    ),
+    "experiments.compare": ("compare",),
+    "experiments.comparison": ("Comparison",),
+    "experiments.study.config": ("StudyConfig",),
+    "experiments.study.study": (
+        "Study",
+        "run_study",
+    ),
+    "filters.bank.run": ("run_bank",),
+    "filters.custom.log": ("Log",),
+    "filters.custom.model": ("Tunable",),
+    "filters.custom.run": (
+        "ModelEstimate",
+        "run_model",
+        "smooth_model",
+    ),
+    "filters.presets": ("preset",),
+    "filters.run": (
+        "Innovations",
+        "run_filter",
+        "run_innovations",
+        "run_textbook",
+    ),
+    "filters.smoothing": ("smooth",),
+    "filters.textbook": (
+        "ExtendedKalmanFilter",
+        "SigmaPoints",
+        "UnscentedKalmanFilter",
+    ),
+    "reports.compare": ("comparison_table",),
+    "reports.study": (
+        "save_study",
+        "study_figures",
+        "study_tables",
+    ),
+    "scoring.consistency": (
+        "Consistency",
+        "consistency",
+    ),
+    "scoring.score": ("Score",),
+    "simulation.conditions": ("simulate_many",),
+    "tuning.batch": ("BatchResult",),
+    "tuning.config": ("TuneConfig",),
+}
+"""Types of results, parts of the functions above, experiments and the filters of textbooks: not in ``dir``."""
+
+_HOME_OF = {
+    name: module for homes in (_PUBLIC, _ADVANCED) for module, names in homes.items() for name in names
+}
 _RENAMED = {"LiveSwarm": "LiveFilterBank", "run_swarm": "run_bank", "datasheet": "baseline"}
 """Names of 0.3.0, kept for one release."""
 
 __all__ = [
     "AlignmentError",
-    "BatchResult",
-    "Comparison",
-    "Consistency",
-    "Diagnosis",
     "Drive",
     "DriveError",
     "DriveWarning",
     "Estimate",
     "Evaluation",
-    "ExtendedKalmanFilter",
     "FilterParameters",
-    "Finding",
-    "Gps",
-    "Imu",
-    "InitialState",
-    "Innovations",
     "InputError",
     "LiveFilter",
     "LiveFilterBank",
-    "Log",
     "Model",
-    "ModelEstimate",
-    "Odometer",
-    "Score",
-    "SigmaPoints",
     "SigmaswarmError",
     "SigmaswarmWarning",
-    "Study",
-    "StudyConfig",
-    "Truth",
-    "Tunable",
-    "TuneConfig",
     "Tuning",
-    "UnscentedKalmanFilter",
     "baseline",
-    "clip",
-    "compare",
-    "comparison_table",
-    "consistency",
     "diagnose",
     "evaluate",
-    "initial_state",
-    "preset",
+    "export",
+    "import_log",
+    "inspect_log",
+    "plot",
     "read_drive",
     "reference",
     "repair",
-    "run_bank",
+    "report",
+    "run",
     "run_batch",
-    "run_filter",
-    "run_innovations",
-    "run_model",
-    "run_study",
-    "run_textbook",
-    "save_study",
     "simulate",
-    "simulate_many",
-    "smooth",
-    "smooth_model",
-    "split_drives",
-    "split_time",
-    "study_figures",
-    "study_tables",
+    "split",
     "tune",
     "write_drive",
 ]
@@ -204,4 +281,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, "__version__", "__doc__"])

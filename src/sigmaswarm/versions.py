@@ -1,6 +1,8 @@
 """The library's version, and the versions that a result depends on."""
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
+SAME_RESULTS = {"0.3.0", "0.4.0"}
+"""Versions that compute the same bits: what one of them began, the other continues."""
 
 
 def versions() -> dict[str, str]:
@@ -17,4 +19,13 @@ def versions() -> dict[str, str]:
         "numpy": np.__version__,
         "numba": numba.__version__,
         "scipy": scipy.__version__,
+    }
+
+
+def same_results(one: dict[str, str], other: dict[str, str]) -> bool:
+    """Check that the software of two results computes the same bits."""
+    ours = {one.get("sigmaswarm"), other.get("sigmaswarm")}
+    drop = {"sigmaswarm"} if ours <= SAME_RESULTS else set[str]()
+    return {k: v for k, v in one.items() if k not in drop} == {
+        k: v for k, v in other.items() if k not in drop
     }

@@ -1,8 +1,8 @@
 """The targets that a tuned filter can be handed over to: one function each, from parameters to texts of files."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
@@ -27,25 +27,22 @@ WITH_TILTS: frozenset[Target] = frozenset({"c99"})
 """Those that know models with tilts."""
 
 
-def export_filter(
+def export_texts(
     parameters: FilterParameters,
     target: Target,
-    folder: str | Path,
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
     lanes: int = 1,
     seed: int = 0,
-) -> list[Path]:
-    """Write a filter for a target.
+) -> dict[str, str]:
+    """Return the files of a filter for a target: their texts by name.
 
     Parameters
     ----------
     parameters : FilterParameters
         With ``nominal_interval``, as every tuning has it.
     target : {"filterpy", "c99", "robot_localization"}
-    folder : str or Path
-        Made if missing; files of the same names are replaced.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
@@ -58,8 +55,7 @@ def export_filter(
 
     Returns
     -------
-    list of Path
-        What was written.
+    dict of str to str
 
     Raises
     ------
@@ -93,9 +89,21 @@ def export_filter(
         texts = TARGETS[target](parameters, parameters.nominal_interval, as_recorded)
     if replay is not None:
         texts["replay.csv"] = replay_rows(replay, parameters.model, as_recorded=as_recorded)
+    return texts
+
+
+def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
+    """Write the files of an export into a folder, made if missing; files of the same names are replaced."""
     folder = Path(folder)
     with staged_files(folder) as new:
         for name, text in texts.items():
             make_folder((new / name).parent)
             write_whole(new / name, text)
     return [folder / name for name in texts]
+
+
+def export_filter(
+    parameters: FilterParameters, target: Target, folder: str | Path, **options: Any
+) -> list[Path]:
+    """Write the files of a filter for a target; parameters as of `export_texts` and `write_texts`."""
+    return write_texts(export_texts(parameters, target, **options), folder)

@@ -7,6 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
+from sigmaswarm.errors import InputError
 from sigmaswarm.files import staged_files, write_whole
 from sigmaswarm.learned.folder import Learned
 from sigmaswarm.reports.figures import figure_of, new_figure, save
@@ -16,6 +17,7 @@ from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
+from sigmaswarm.wording import names_shown
 
 
 def save_evaluation(
@@ -68,6 +70,14 @@ def save_evaluation_figures(evaluation: Evaluation, folder: Path) -> list[Path]:
         }
         written += [save(f, folder / f"{stem}-{kind}.png") for kind, f in figures.items() if f]
     return written
+
+
+def track_figure(evaluation: Evaluation, drive: str) -> Figure:
+    """Draw the tracks of all methods on one drive."""
+    found = evaluation.drives.get(drive)
+    if found is None or found.picture is None:
+        raise InputError(f"no track of {drive!r}; there are {names_shown(evaluation.drives)}")
+    return tracks(found.picture, LABELS | dict(evaluation.names))
 
 
 def tracks(picture: Picture, labels: Mapping[str, str]) -> Figure:

@@ -42,12 +42,17 @@ def save_tuning_figures(tuning: Tuning, track: Picture, folder: Path) -> list[Pa
 
     ``track`` is of a training drive: `scoring.tracks.picture_of`.
     """
-    History.of(tuning.trials).save(folder / HISTORY_FILE)
+    save_history(tuning, folder)
     labels = LABELS | method_names(tuning.parameters.kind, tuning.parameters.model)
     return [
         save(convergence(tuning), folder / "convergence.png"),
         save(tracks(track, labels), folder / "training-track.png"),
     ]
+
+
+def save_history(tuning: Tuning, folder: Path) -> None:
+    """Write convergence.csv into the folder of a tuning."""
+    History.of(tuning.trials).save(folder / HISTORY_FILE)
 
 
 def convergence(tuning: Tuning) -> Figure:

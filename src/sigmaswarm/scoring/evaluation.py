@@ -126,6 +126,8 @@ class Evaluation:
         s without fixes, beside windows of 30 s, and what placed the outages.
     against : FilterParameters or None
         The other filter that was compared with.
+    parameters : FilterParameters or None
+        The filter that was evaluated.
     """
 
     drives: Mapping[str, Evaluated]
@@ -133,6 +135,7 @@ class Evaluation:
     outage_length: float = OUTAGE_LENGTH
     outage_seed: int = 0
     against: FilterParameters | None = None
+    parameters: FilterParameters | None = None
 
     @property
     def scores(self) -> Mapping[str, Mapping[str, Score]]:
@@ -361,7 +364,7 @@ def evaluate(
         found[name] = replace(each if name == drive else each.called(name), seen=known)
     other = None if against is None else (against.kind, against.model)
     names = method_names(parameters.kind, parameters.model, also=(*own, *also), against=other)
-    return Evaluation(found, names, outage_length, outage_seed, against)
+    return Evaluation(found, names, outage_length, outage_seed, against, parameters)
 
 
 def _one(

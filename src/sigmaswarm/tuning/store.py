@@ -20,6 +20,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
 from sigmaswarm.records import ARRAYS, Vector, load_record, read_content
 from sigmaswarm.tuning.config import RENAMED
+from sigmaswarm.versions import same_results
 
 
 class CountsRecord(BaseModel, extra="forbid"):
@@ -151,10 +152,10 @@ class ResultFolder:
             read_content(config_file, "not written by a tuning; choose another --out", infinite=True)
         )
         wanted = json.loads(json.dumps(config))
-        if saved.get("versions") != wanted.get("versions"):
+        made, now = saved.pop("versions", {}), wanted.pop("versions", {})
+        if not (isinstance(made, dict) and same_results(made, now)):
             raise InputError(
-                f"{config_file}: was started with {_short('versions', saved)}, and this is another; go on with that "
-                "one, or choose another --out"
+                f"{config_file}: was started with other versions, {made}; go on with those, or choose another --out"
             )
         for key in sorted(saved.keys() | wanted.keys()):
             if saved.get(key) != wanted.get(key):

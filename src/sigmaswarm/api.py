@@ -1,0 +1,324 @@
+"""The public functions that join several parts of the package, one for each job of the command line."""
+
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.drives.split import split_time
+from sigmaswarm.errors import InputError, SigmaswarmWarning
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import Estimate, run_filter
+from sigmaswarm.tuning.result import Tuning
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sigmaswarm.exports.targets import Target
+    from sigmaswarm.importing.look import Look
+    from sigmaswarm.scoring.evaluation import Evaluation
+
+Filter = FilterParameters | Tuning[Any] | str | Path
+"""Parameters, a tuning, or the file or folder of one."""
+
+
+def filter_of(given: Filter) -> FilterParameters:
+    """Return the parameters of a filter that is given in any form."""
+    if isinstance(given, str | Path):
+        return FilterParameters.load(given)
+    parameters = given.parameters if isinstance(given, Tuning) else given
+    if not isinstance(parameters, FilterParameters):
+        raise InputError(f"got a {type(parameters).__name__}; give FilterParameters, a Tuning or its path")
+    return parameters
+
+
+def import_log(log: str | Path, *, name: str | None = None, **settings: Any) -> Drive:
+    """Make a drive of a log of another format, as `sigmaswarm import` does.
+
+    Parameters
+    ----------
+    log : str or Path
+        A file or folder; it holds the IMU.
+    name : str, optional
+        Of the drive; by default that of the log.
+    **settings
+        ``gps``, ``truth``, ``odometer``: further logs. ``format``, ``maps`` ("ax=acc_x*g"), ``time``, ``recipe`` (a
+        file) and settings of a recipe, such as ``mount``, ``gps_offset_s``, ``origin``, ``gps_lever_arm_m``.
+
+    Returns
+    -------
+    Drive
+        Without its folder; `write_drive` makes one.
+
+    Raises
+    ------
+    InputError
+        The log can't be read; one line gives the file, the place and the remedy.
+
+    Warns
+    -----
+    SigmaswarmWarning
+        Each assumption that was made.
+    """
+    from sigmaswarm.importing.convert import import_drive
+
+    request = _request(log, settings)
+    imported = import_drive(request, name or Path(log).resolve().stem)
+    for note in imported.notes:
+        warnings.warn(SigmaswarmWarning(f"{log}: {note}"), stacklevel=2)
+    return imported.drive
+
+
+def inspect_log(log: str | Path, **settings: Any) -> "Look":
+    """Return the tables of a log, the recipe that `import_log` would use, and its assumptions; as ``import --show``.
+
+    Parameters
+    ----------
+    log, **settings
+        As of `import_log`.
+    """
+    from sigmaswarm.importing.look import look
+
+    return look(_request(log, settings))
+
+
+def _request(log: str | Path, settings: dict[str, Any]) -> Any:
+    from dataclasses import fields, replace
+
+    from sigmaswarm.importing.convert import Request
+    from sigmaswarm.importing.recipe import Recipe
+    from sigmaswarm.wording import names_shown
+
+    recipe = settings.pop("recipe", None)
+    recipe = recipe if isinstance(recipe, Recipe) else Recipe.load(Path(recipe)) if recipe else Recipe()
+    if "format" in settings:
+        settings["form"] = settings.pop("format")
+    own = {f.name for f in fields(Request)} - {"source", "recipe"}
+    if unknown := [key for key in settings if key not in own | {f.name for f in fields(Recipe)}]:
+        raise InputError(
+            f"no setting of an import is called {unknown[0]!r}; there are {names_shown(sorted(own))}"
+        )
+    logs = {key: Path(settings[key]) for key in ("gps", "truth", "odometer") if settings.get(key)}
+    given: dict[str, Any] = {key: value for key, value in settings.items() if key in own} | logs
+    changed: dict[str, Any] = {key: value for key, value in settings.items() if key not in own}
+    return Request(source=Path(log), recipe=replace(recipe, **changed), **given)
+
+
+def split(drive: Drive, train_fraction: float = 0.7, *, at: float | None = None) -> tuple[Drive, Drive]:
+    """Split a drive in time into a part to tune on and a part to test on; parameters as of ``split_time``."""
+    return split_time(drive, train_fraction, at=at)
+
+
+def run(
+    drive: Drive | PreparedDrive,
+    parameters: Filter,
+    *,
+    smooth: bool = False,
+    bank: bool = False,
+    initial: InitialState | None = None,
+    recover: bool = True,
+    as_recorded: bool = False,
+) -> Estimate:
+    """Run a filter over a drive; its truth, if any, is not used.
+
+    Parameters
+    ----------
+    drive : Drive
+    parameters : FilterParameters, Tuning, or the path of a tuning
+    smooth : bool
+        Smooth the estimates: each uses all fixes, later ones too.
+    bank : bool
+        Run a bank of sixteen filters with different parameters; their mixture is the estimate.
+    initial : InitialState, optional
+        Where to start; by default the first moment at which the drive shows position, speed and heading.
+    recover : bool
+        Reset the filter where it diverges.
+    as_recorded : bool
+        Run without preprocessing: use stale fixes, and step over gaps of the IMU as over other intervals.
+
+    Returns
+    -------
+    Estimate
+        Times (n,), means (n, n_states) and covariances (n, n_states, n_states) at the IMU's samples.
+
+    Raises
+    ------
+    AlignmentError
+        The drive never moves far enough to start a filter.
+    InputError
+        ``smooth`` and ``bank`` are both given.
+    """
+    chosen = filter_of(parameters)
+    options: dict[str, Any] = {"initial": initial, "recover": recover, "as_recorded": as_recorded}
+    if smooth and bank:
+        raise InputError("smooth and bank exclude each other: a filter bank is not smoothed; leave one out")
+    if smooth:
+        from sigmaswarm.filters.smoothing import smooth as run_smoother
+
+        return run_smoother(drive, chosen, **options)
+    if bank:
+        from sigmaswarm.filters.bank.run import run_bank
+
+        return run_bank(drive, chosen, **options)
+    return run_filter(drive, chosen, **options)
+
+
+def evaluate(
+    drives: Sequence[Drive] | Drive, parameters: Filter, *, against: Filter | None = None, **options: Any
+) -> "Evaluation":
+    """Compare a filter with the baseline, raw GPS and IMU only on drives that its tuning never saw.
+
+    Parameters
+    ----------
+    drives : Drive or sequence of Drive
+        Without truth only the drift over outages and the consistency are scored, against the fixes.
+    parameters : FilterParameters, Tuning, or the path of a tuning
+        A `Tuning` also states which drives it saw: the evaluation warns where they overlap.
+    against : the same, optional
+        A second filter, of any model.
+    **options
+        ``outage_length`` (s), ``outage_seed``, ``as_recorded``, ``smooth``, ``swarm`` (a filter bank), ``seen``,
+        ``cluster``.
+
+    Returns
+    -------
+    Evaluation
+        Scores by drive and method; ``print`` shows them, ``to_frame()`` and ``save(folder)`` keep them.
+
+    Raises
+    ------
+    InputError
+        There are no drives, or ``parameters`` is no filter.
+    AlignmentError
+        A drive never moves far enough to start a filter.
+    """
+    from sigmaswarm.scoring import evaluation
+
+    if isinstance(drives, FilterParameters | Tuning):
+        raise InputError("evaluate takes the drives first: evaluate(drives, parameters)")
+    if isinstance(parameters, Tuning):
+        options = {"seen": parameters.seen or None} | options
+    other = None if against is None else filter_of(against)
+    return evaluation.evaluate(drives, filter_of(parameters), against=other, **options)
+
+
+def export(
+    parameters: Filter, to: "Target", folder: str | Path | None = None, **options: Any
+) -> dict[str, str]:
+    """Write a filter for use elsewhere: ``c99``, ``filterpy`` or ``robot_localization``.
+
+    Parameters
+    ----------
+    parameters : FilterParameters, Tuning, or the path of a tuning
+    to : str
+    folder : str or Path, optional
+        Where to write the files; by default nothing is written.
+    **options
+        ``replay`` (a Drive), ``as_recorded``, ``lanes``, ``seed``: see ``sigmaswarm export --help``.
+
+    Returns
+    -------
+    dict of str to str
+        The text of each file by its name.
+
+    Raises
+    ------
+    InputError
+        The target is unknown or does not support the model.
+    """
+    from sigmaswarm.exports.targets import export_texts, write_texts
+
+    texts = export_texts(filter_of(parameters), to, **options)
+    if folder is not None:
+        write_texts(texts, folder)
+    return texts
+
+
+def report(results: Any, out: str | Path | None = None) -> str:
+    """Make one HTML page of results.
+
+    Parameters
+    ----------
+    results : Evaluation, Tuning, or the folder of an evaluation, a tuning or a study
+    out : str or Path, optional
+        NAME.html to write; by default nothing is written.
+
+    Returns
+    -------
+    str
+        The page, which needs no network and no other file.
+
+    Raises
+    ------
+    InputError
+        ``results`` has no page, or a file in the folder is missing or damaged.
+    """
+    from sigmaswarm.files import write_whole
+    from sigmaswarm.reports.page import page
+    from sigmaswarm.reports.pages.folders import read_report
+    from sigmaswarm.reports.tuning import save_history
+    from sigmaswarm.scoring.evaluation import Evaluation
+
+    if isinstance(results, str | Path):
+        text = page(read_report(Path(results)))
+    elif isinstance(results, Evaluation | Tuning):
+        with tempfile.TemporaryDirectory() as folder:
+            kept = Path(folder)
+            if isinstance(results, Evaluation):
+                results.save(kept)
+                if results.parameters is not None:
+                    results.parameters.save(kept / "tuning.toml")
+            else:
+                results.save(kept / "tuning.toml")
+                save_history(results, kept)
+            text = page(read_report(kept))
+    else:
+        raise InputError(
+            f"a {type(results).__name__} has no page; give an Evaluation, a Tuning or a folder of results"
+        )
+    if out is not None:
+        write_whole(Path(out), text)
+    return text
+
+
+def plot(what: Any, drive: str | None = None) -> "Figure":
+    """Draw a drive, an evaluation, a tuning or a comparison of optimizers.
+
+    Parameters
+    ----------
+    what : Drive, Evaluation, Tuning or Comparison
+    drive : str, optional
+        Of an evaluation: the drive whose track to draw; by default the scores of all methods are compared.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        ``savefig`` writes it.
+
+    Raises
+    ------
+    InputError
+        There is no figure of ``what``, or no track of ``drive``.
+    """
+    from sigmaswarm.experiments.comparison import Comparison
+    from sigmaswarm.reports.compare import comparison_figure
+    from sigmaswarm.reports.drive import drive_figure
+    from sigmaswarm.reports.evaluation import comparison, track_figure
+    from sigmaswarm.reports.tuning import convergence
+    from sigmaswarm.scoring.evaluation import Evaluation
+
+    if isinstance(what, Drive):
+        return drive_figure(what)
+    if isinstance(what, Evaluation):
+        return comparison(what) if drive is None else track_figure(what, drive)
+    if isinstance(what, Tuning):
+        return convergence(what)
+    if isinstance(what, Comparison):
+        return comparison_figure(what)
+    raise InputError(
+        f"a {type(what).__name__} has no figure; give a Drive, an Evaluation, a Tuning or a Comparison"
+    )
