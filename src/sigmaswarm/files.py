@@ -212,8 +212,10 @@ def _exchange(hidden: Path, folder: Path) -> None:
                 make_folder((old / name).parent)
                 (folder / name).rename(old / name)
             (new / name).rename(folder / name)
-    except BaseException:
+    except BaseException as error:
         _restore(hidden, folder)
+        if isinstance(error, OSError):
+            raise _unwritable(folder, error) from None
         raise
 
 

@@ -92,5 +92,5 @@ def read_content(
         said = " ".join(str(error).split())[:160]
         raise InputError(f"{path}: not readable: {said or type(error).__name__}; {remedy}") from None
     if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no keys; {remedy}")
+        raise InputError(f"{path}: the file: should be a table of keys; {remedy}")
     return cast("dict[str, Any]", content)

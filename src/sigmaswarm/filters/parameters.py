@@ -302,7 +302,3 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
             SigmaswarmWarning,
             stacklevel=3,
         )
-
-
-def _one_line(error: object) -> str:
-    return " ".join(str(error).split())
