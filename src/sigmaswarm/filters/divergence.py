@@ -264,12 +264,17 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
+_ABSURD = 1e12
+"""m, m/s2 or rad/s: squares of larger numbers spoil a fit, and LAPACK writes about them to the terminal."""
+
+
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align by the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy; fixes (m, 3) s, m, m.
 
     ``gyro_bias``: known bias about the up axis, rad/s.
     """
-    columns = samples[np.isfinite(samples).all(axis=1)].T
+    columns = samples[(np.abs(samples[:, 1:]) < _ABSURD).all(axis=1)].T
+    fixes = fixes[(np.abs(fixes[:, 1:]) < _ABSURD).all(axis=1)]
     columns[3] -= gyro_bias
     imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
     if not len(imu):
