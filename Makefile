@@ -5,7 +5,7 @@
 # make check     the checks beside the tests: style, types, layers
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
 # make parity    how closely the filters agree, over a whole drive
-# make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30
+# make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30; then read 6000 odd tables
 # make docs      build the site into docs/_build: open docs/_build/html/index.html
 # make pictures  make the site's pictures anew: the demo's, and those of measured figures
 # make dist      build wheel and sdist into dist/
@@ -54,6 +54,7 @@ parity: $(VENV)/test-installed
 
 fuzz: $(VENV)/test-installed
 	cd tests && ../$(BIN)/python -m fuzzing --minutes $(MINUTES) --found ../fuzz-found
+	$(BIN)/python -m pytest -q -m long tests/importing/test_odd_tables.py
 
 docs: $(DOCS)/installed
 	$(DOCS)/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs auto --conf-dir docs . docs/_build/html

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.doctor.findings import Diagnosis as Diagnosis
     from sigmaswarm.doctor.findings import Finding as Finding
-    from sigmaswarm.doctor.repairs import repair
     from sigmaswarm.drives.alignment import InitialState as InitialState
     from sigmaswarm.drives.alignment import initial_state as initial_state
     from sigmaswarm.drives.drive import Drive
@@ -117,6 +116,7 @@ if TYPE_CHECKING:
     from sigmaswarm.scoring.consistency import consistency as consistency
     from sigmaswarm.scoring.evaluation import Evaluation
     from sigmaswarm.scoring.score import Score as Score
+    from sigmaswarm.scoring.verified_repair import repair
     from sigmaswarm.simulation.conditions import simulate_many as simulate_many
     from sigmaswarm.simulation.scenarios import simulate
     from sigmaswarm.tuning.batch import BatchResult as BatchResult
@@ -137,7 +137,6 @@ _PUBLIC = {
         "split",
     ),
     "doctor.diagnose": ("diagnose",),
-    "doctor.repairs": ("repair",),
     "drives.drive": ("Drive",),
     "drives.reader": ("read_drive",),
     "drives.writer": ("write_drive",),
@@ -157,6 +156,7 @@ _PUBLIC = {
     "filters.run": ("Estimate",),
     "references.reference": ("reference",),
     "scoring.evaluation": ("Evaluation",),
+    "scoring.verified_repair": ("repair",),
     "simulation.scenarios": ("simulate",),
     "tuning.batch": ("run_batch",),
     "tuning.result": ("Tuning",),

@@ -18,7 +18,7 @@ from sigmaswarm import read_drive, write_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import read_arrays
 from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.guess import _split  # pyright: ignore[reportPrivateUsage]
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.limits import LONGEST_LINE
 from support import make_drive
@@ -171,7 +171,7 @@ def test_members_of_npz_are_counted_before_they_are_read(tmp_path: Path):
 )
 def test_long_names_take_no_time(name: str):
     with limited(1):
-        _split(name)
+        read_name(name)
 
 
 def test_a_socket_is_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -9,7 +9,8 @@ import pytest
 
 import sigmaswarm
 from doctor.faults import FAULTS, MORE, codes_of
-from sigmaswarm import Drive
+from sigmaswarm import Diagnosis, Drive, Finding
+from sigmaswarm.doctor.findings import Repair
 from support import DRIVES, needs_shared
 
 MENDABLE = [fault for fault in [*FAULTS, *MORE] if fault != "gaps"]
@@ -126,3 +127,27 @@ def test_the_log_as_it_came_ends_up_about_like_the_mended_one():
     for column, limit in (("ax", 0.35), ("ay", 0.5), ("gz", 0.02)):
         off = getattr(mended.imu, column) - getattr(good.imu, column)  # the same samples, moved in time there
         assert np.sqrt(np.mean(off**2)) < limit
+
+
+@pytest.mark.parametrize(
+    ("code", "repair"),
+    [
+        ("clock-offset", Repair("shift-fixes", (-1.5,))),
+        ("gyro-sign", Repair("gyro", (2.0, -1.0))),
+        ("mounting", Repair("rotate", (0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0))),
+    ],
+)
+def test_a_repair_that_makes_forecasts_worse_is_withheld(code: str, repair: Repair):
+    good = drive_of("simulated")
+    wrong = Finding(code, "serious", "a false finding", "imu.csv", (0.0, 1.0), 0.999, "do not", repair)
+    with pytest.warns(sigmaswarm.SigmaswarmWarning, match=f"the repair of {code} is withheld"):
+        kept = sigmaswarm.repair(good, Diagnosis(good.name, (wrong,)))
+    np.testing.assert_array_equal(kept.imu.gz, good.imu.gz)
+    np.testing.assert_array_equal(kept.gps.time, good.gps.time)
+    assert kept.metadata["withheld"] == [code]
+    # A right repair beside it is applied.
+    sick = FAULTS["g"][0](good)
+    found = sigmaswarm.diagnose(sick)
+    with pytest.warns(sigmaswarm.SigmaswarmWarning, match="withheld"):
+        mended = sigmaswarm.repair(sick, replace(found, findings=(*found.findings, wrong)))
+    np.testing.assert_allclose(mended.imu.ax, good.imu.ax, atol=1e-9)

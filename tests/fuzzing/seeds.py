@@ -14,6 +14,7 @@ from importing import test_datasets as sets
 from importing import test_phones as phones
 from importing.bags import ROS1, messages, write_mcap, write_ros
 from importing.logs import EPOCH, ORIGIN, a_drive
+from importing.test_matlab_and_ardupilot import dataflash, write_mat
 from importing.test_px4 import write_ulog
 from importing.test_receivers import GPS, nmea, ubx
 from sigmaswarm import read_drive, write_drive
@@ -141,6 +142,8 @@ SEEDS: dict[str, Seed] = {
     ),
     "px4": Seed(_in("f.ulg", write_ulog), "ulog", "px4"),
     "px4-old": Seed(_in("f.ulg", lambda p: write_ulog(p, True)), "ulog", "px4"),
+    "ardupilot": Seed(_bytes("log.bin", dataflash), "bytes", "ardupilot"),
+    "matlab": Seed(_in("log.mat", write_mat), "bytes", "matlab"),
     "sensor-logger-ios": Seed(_in("export", _phone("ios")), "text", "sensor-logger"),
     "sensor-logger-android": Seed(_in("export", _phone("android")), "text", "sensor-logger"),
     "sensor-logger-zip": Seed(_zipped(_phone("ios")), "zip", "sensor-logger"),

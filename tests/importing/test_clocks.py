@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.importing.clocks import GPS_EPOCH, LEAP_SECONDS, gps_to_unix, time_expression
+from sigmaswarm.importing.clocks import time_expression
+from sigmaswarm.importing.dates import GPS_EPOCH, LEAP_SECONDS, gps_to_unix
 
 
 def seconds(*date: int) -> float:

@@ -9,6 +9,7 @@ import pytest
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from importing.test_datasets import imu_csv
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.recipe import Recipe
 
 pyubx2 = pytest.importorskip("pyubx2", reason="pyubx2 is not installed")
 pynmeagps = pytest.importorskip("pynmeagps", reason="pynmeagps is not installed")
@@ -156,17 +157,77 @@ def test_nmea_damaged(tmp_path: Path):
     [
         ("log.ubx", b"", "is empty"),
         ("log.ubx", b"no ubx here", "no UBX messages"),
-        ("log.ubx", ubx(0)[:50], "no usable row"),
+        ("log.ubx", ubx(0)[:50], "holds no whole message"),
         ("log.ubx", b"".join(ubx(i, fixType=0) for i in range(20)), "no usable row"),
         ("log.nmea", b"", "is empty"),
         ("log.nmea", b"\xff\x00\n" * 9, "no whole NMEA sentence"),
-        ("log.nmea", b"".join(line for i in range(20) for line in nmea(i)[:2]), "states the date"),
+        ("log.nmea", b"".join(line for i in range(20) for line in nmea(i)[:2]), "--gps-offset"),
     ],
 )
 def test_broken(tmp_path: Path, name: str, content: bytes, said: str):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=said):
         imported(imu_csv(tmp_path), gps=tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("taken", "begin"), [((0,), EPOCH), ((0, 1), EPOCH), ((0,), EPOCH - EPOCH % 86400 - 6)]
+)
+def test_nmea_without_a_date_counts_from_midnight(tmp_path: Path, taken: tuple[int, ...], begin: int):
+    lines = [nmea(i, begin)[k] for i in range(len(GPS)) for k in taken]
+    (tmp_path / "rtk.nmea").write_bytes(b"".join(lines))
+    table = imu_csv(tmp_path)
+    got = imported(table, gps=tmp_path / "rtk.nmea", maps=[f"imu.t=t - {EPOCH} + {begin % 86400}"])
+    np.testing.assert_allclose(got.drive.gps.time, GPS.time + begin % 86400, atol=0.006)
+    assert any("times count from midnight UTC; --gps-offset" in note for note in got.notes)
+    midnight = EPOCH - begin % 86400
+    moved = imported(table, gps=tmp_path / "rtk.nmea", recipe=Recipe(gps_offset_s=midnight))
+    np.testing.assert_allclose(moved.drive.gps.time, GPS.time, atol=0.006)
+
+
+def ubx6(i: int, *, velocity: bool, week: bool) -> bytes:
+    """The messages of one fix of a u-blox 6: NAV-POSLLH, NAV-SOL, NAV-VELNED."""
+    leaps = 18
+    tow = round((GPS.time[i] + EPOCH + leaps - 315964800) * 1e3)
+    at = {"iTOW": tow % 604_800_000}
+    place = {
+        "lat": GPS.lat[i],
+        "lon": GPS.lon[i],
+        "height": round(GPS.alt[i] * 1e3),
+        "hAcc": round(GPS.std_x[i] * 1e3),
+    }
+    messages = [pyubx2.UBXMessage("NAV", "NAV-POSLLH", pyubx2.GET, **at, **place)]
+    if week:
+        messages.append(
+            pyubx2.UBXMessage("NAV", "NAV-SOL", pyubx2.GET, **at, week=tow // 604_800_000, gpsFix=3)
+        )
+    if velocity:
+        motion = {"velN": round(NORTH[i] * 1e2), "velE": round(EAST[i] * 1e2)}
+        messages.append(pyubx2.UBXMessage("NAV", "NAV-VELNED", pyubx2.GET, **at, **motion))
+    return b"".join(m.serialize() for m in messages)
+
+
+@pytest.mark.parametrize(("velocity", "week"), [(True, True), (False, True), (True, False)])
+def test_ublox_6(tmp_path: Path, velocity: bool, week: bool):
+    (tmp_path / "neo.ubx").write_bytes(
+        b"".join(ubx6(i, velocity=velocity, week=week) for i in range(len(GPS)))
+    )
+    ahead = 0 if week else (EPOCH + 18 - 315964800) // 604_800 * 604_800 + 315964800 - 18
+    got = imported(imu_csv(tmp_path), gps=tmp_path / "neo.ubx", recipe=Recipe(gps_offset_s=ahead)).drive.gps
+    np.testing.assert_allclose(got.time, GPS.time, atol=1e-3)
+    np.testing.assert_allclose(got.lat, GPS.lat, atol=1e-7)
+    assert (got.speed is not None) == velocity
+    if velocity:
+        np.testing.assert_allclose(got.speed * np.exp(1j * got.course), EAST + 1j * NORTH, atol=2e-2)
+
+
+def test_ubx_without_fixes_names_what_it_holds_and_the_way(tmp_path: Path):
+    clock = pyubx2.UBXMessage("NAV", "NAV-CLOCK", pyubx2.GET, iTOW=0, clkB=1).serialize()
+    raw = pyubx2.UBXMessage("RXM", "RXM-RAWX", pyubx2.GET, numMeas=0).serialize()
+    for stream, said in ((clock, "holds NAV-CLOCK, .* send NAV-PVT"), (raw, "holds RXM-RAWX, .* RTKLIB")):
+        (tmp_path / "log.ubx").write_bytes(stream)
+        with pytest.raises(InputError, match=said):
+            imported(imu_csv(tmp_path), gps=tmp_path / "log.ubx")
 
 
 def test_a_receivers_log_alone_has_no_imu(tmp_path: Path):

@@ -55,7 +55,10 @@ def doctor(
             folder = fix / drive.name
             copy = sigmaswarm.repair(drive, diagnosis)
             sigmaswarm.write_drive(copy, folder)
-            mended = list(dict.fromkeys(f.code for f in diagnosis.findings if f.repair))
+            withheld = set(copy.metadata.get("withheld", ()))
+            mended = list(
+                dict.fromkeys(f.code for f in diagnosis.findings if f.repair and f.code not in withheld)
+            )
             diagnosis = sigmaswarm.diagnose(copy)
             told["copy"] = {"path": str(folder), "mended": mended, **diagnosis.to_dict()}
             if not json:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sigmaswarm.importing.look import Look
     from sigmaswarm.importing.recipe import Recipe
 
-MOST_UNREAD = 12
+MOST_UNREAD = 100
 """Names of unused columns shown per table."""
 
 _Values = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
@@ -46,6 +46,8 @@ def import_(
         str | None, MORE, Parameter(name=("--odometer-topic", "--odometer-table"))
     ] = None,
     receive_times: Annotated[bool, MORE] = False,
+    part: int | None = None,
+    msg: Annotated[list[Path] | None, MORE] = None,
     mount: _Values = None,
     gps_offset: Annotated[float | None, MORE] = None,
     truth_offset: Annotated[float | None, MORE] = None,
@@ -81,8 +83,8 @@ def import_(
     show
         Show tables or topics, rates, ranges and the planned import; write nothing.
     format
-        Format if the detected one is wrong: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, sensor-logger,
-        phyphox, gnss-logger, csv.
+        Format if the detected one is wrong: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot,
+        matlab, sensor-logger, phyphox, gnss-logger, csv.
     gps
         Separate log of the fixes.
     truth
@@ -109,6 +111,10 @@ def import_(
         Topic or table of the wheel speed, m/s forward.
     receive_times
         Use the times at which messages were received, not their headers' stamps.
+    part
+        Recording to read, from 1, if a clock starts anew within a table.
+    msg
+        Definitions of ROS messages, .msg files or a package's folder, for bags without them.
     mount
         Orientation of the IMU: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
     gps_offset
@@ -171,6 +177,8 @@ def import_(
         time=time,
         choice=Choice({k: v for k, v in topics.items() if v}, receive_times),
         limits=_limits(rows=max_rows, columns=max_columns, unpacked_mb=max_unpacked_mb),
+        part=part,
+        definitions=msg or (),
     )
     if show:
         _show(request, save_recipe, json)

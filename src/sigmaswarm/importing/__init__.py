@@ -1,6 +1,13 @@
 """Reading the logs that people have, as drives.
 
-A log is a `Source`: named tables of columns, whatever the file format. A `Recipe` says which expressions over which
-table's columns make a drive's columns; each reader guesses one, the user may change it or give another. Batch by
-batch the expressions are evaluated, so that only the drive's own columns are ever held in memory.
+A log is a `Source`: named tables of columns, whatever the file format. The way of a table:
+
+bytes -> table        `readers/` decode a format; of text, `readers/dialect.py` finds separator, header and units
+table -> columns      `names.py` reads names, `units.py` units, `quantities.py` makes expressions in SI units
+columns -> roles      `guess.py` finds IMU, fixes, truth and odometer; `times.py` finds the time of each
+expressions -> rows   `gather.py` evaluates them by batches (`expressions.py`, `dates.py`); a drive's columns stay
+rows -> time line     `timeline.py` unwraps, chooses a recording, spreads and sorts; `joining.py` joins a role's tables
+time line -> drive    `places.py` checks positions, `mounting.py` turns the IMU, `assemble.py` makes the drive
+
+A `Recipe` holds the expressions; the user may change it with `--map`. `convert.py` runs all steps, `look.py` shows all.
 """

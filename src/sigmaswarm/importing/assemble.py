@@ -9,11 +9,12 @@ import numpy as np
 from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.errors import InputError
-from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
 from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Columns
-from sigmaswarm.importing.joining import Say, Values, join
+from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount, rotate
+from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level, require_degrees
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Role
 
@@ -21,29 +22,35 @@ SEED = 0
 """Of the noise of fixes that are made of the truth."""
 MOST_FIXES = 10_000_000
 """That are made of the truth."""
+REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
+"""The columns without which a role makes no drive."""
 LONGEST_OFFSET = 4e9
 """s: 126 years, beyond which times in ns leave 64 bits."""
-MOVING = 1.0
-"""m/s; slower than this, the course says nothing about the heading."""
 
 
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
-def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Recipe, say: Say) -> Drive:
+def assemble(
+    name: str,
+    gathered: Mapping[Role, Sequence[Columns]],
+    recipe: Recipe,
+    say: Say,
+    recording: int | None = None,
+) -> Drive:
     """Make a drive of what was gathered; ``say`` takes a sentence on whatever was assumed or left out.
+
+    Parameters
+    ----------
+    recording : which one, from 1, where a clock starts anew within a table
 
     Raises
     ------
     InputError
         Something that a drive needs is missing or can't be right.
     """
-    required: dict[Role, tuple[str, ...]] = {
-        "imu": ("ax", "ay", "gz"),
-        "gps": (),
-        "truth": (),
-        "odometer": ("speed",),
-    }
     joined: dict[Role, tuple[Nanoseconds, Values]] = {
-        role: join(parts, role, required[role], say) for role, parts in gathered.items() if parts
+        role: join(parts, role, REQUIRED.get(role, ()), say, recording)
+        for role, parts in gathered.items()
+        if parts
     }
     seconds, zero = _seconds(joined, recipe)
     imu = joined["imu"][1]
@@ -53,14 +60,38 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
     gps: Values = {}
     if "gps" in joined:
         gps, origin = placed_fixes(joined["gps"][1], origin, say)
+        if "course" in gps:
+            course, rows = course_of(seconds["gps"], gps["x"], gps["y"])
+            gps["course"] = fitting_angle(gps["course"], course, rows, "gps: the course", say)
     truth = None
     if "truth" in joined:
         values, origin = _placed_truth(joined["truth"][1], origin, gps)
+        if "lat" in gps and "lat" not in values and recipe.origin is None and origin is not None:
+            say(_assumed_origin(seconds, values, gps, origin))
         truth = Truth(seconds["truth"], **_motion(seconds["truth"], values, gps, say))
     if recipe.gps_from_truth:
         if truth is None:
             raise InputError(f"{name}: fixes can't be made of the truth, since there is none")
         seconds["gps"], gps = _made_fixes(truth, *recipe.gps_from_truth)
+    drive = Drive(
+        name=name,
+        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
+        gps=Gps(seconds["gps"], **gps),
+        truth=truth,
+        frame="wgs84" if "lat" in gps else "enu",
+        origin=origin,
+        metadata=_metadata(recipe, zero),
+        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
+        if "odometer" in joined
+        else None,
+    )
+    if shortage := shortage_of(drive):
+        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
+    return drive
+
+
+def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
+    """What drive.toml keeps of a recipe, and of the second with which the times begin."""
     metadata: dict[str, Any] = {}
     if zero:
         metadata["time_origin_s"] = zero
@@ -69,21 +100,7 @@ def assemble(name: str, gathered: Mapping[Role, Sequence[Columns]], recipe: Reci
         metadata["gps"] = f"synthetic from truth, {rate:g} Hz, white noise {noise:g} m per axis, seed {SEED}"
     if recipe.gps_lever_arm_m:
         metadata["gps_lever_arm_m"] = list(recipe.gps_lever_arm_m)
-    drive = Drive(
-        name=name,
-        imu=Imu(seconds["imu"], **{k: v for k, v in imu.items() if k in {f.name for f in fields(Imu)}}),
-        gps=Gps(seconds["gps"], **gps),
-        truth=truth,
-        frame="wgs84" if "lat" in gps else "enu",
-        origin=origin,
-        metadata=metadata,
-        odometer=Odometer(seconds["odometer"], joined["odometer"][1]["speed"])
-        if "odometer" in joined
-        else None,
-    )
-    if shortage := shortage_of(drive):
-        raise InputError(f"{name}: {_with_offset(shortage, drive)}")
-    return drive
+    return metadata
 
 
 def _with_offset(shortage: str, drive: Drive) -> str:
@@ -138,11 +155,8 @@ def placed_fixes(
         if origin is None:
             height = 0.0 if altitude is None else float(altitude[0])
             origin = float(values["lat"][0]), float(values["lon"][0]), height
-        enu = geodetic_to_enu(
-            values["lat"], values["lon"], origin[2] if altitude is None else altitude, origin
-        )
-        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
-        _require_degrees(values)
+        require_degrees(values, "gps")
+        values = level(values, origin[2] if altitude is None else altitude, origin)
     elif not {"x", "y"} <= set(values):
         raise InputError(
             "the gps: nothing gives a position; map lat and lon (deg), or x and y (m east, north)"
@@ -151,16 +165,6 @@ def placed_fixes(
         if lone in values and mate not in values:
             values[mate] = values[lone]
     return values, origin
-
-
-def _require_degrees(values: Values) -> None:
-    for name, most in (("lat", 90.0), ("lon", 180.0)):
-        wrong = np.abs(values[name]) > most
-        if wrong.any():
-            value = values[name][wrong][0]
-            raise InputError(
-                f"the gps: {name} = {value:g} is no degrees; map it, for example --map {name}={name}*1e-7"
-            )
 
 
 def _placed_truth(
@@ -180,15 +184,35 @@ def _placed_truth(
             )
         if origin is None:
             raise InputError("the truth is in degrees and the fixes are not; give --origin lat,lon,alt")
-        level = "lat" in gps and "alt" not in gps
-        altitude = origin[2] if level else values.get("alt", origin[2])
-        enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
-        values = {**values, "x": enu[:, 0], "y": enu[:, 1]}
+        require_degrees(values, "truth")
+        flat = "lat" in gps and "alt" not in gps
+        values = level(values, origin[2] if flat else values.get("alt", origin[2]), origin)
     if not {"x", "y"} <= set(values) or len(values["x"]) < 2:
         raise InputError(
             "the truth: nothing gives a position; map truth.x and truth.y, or truth.lat and truth.lon"
         )
     return values, origin
+
+
+def _assumed_origin(
+    seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: tuple[float, float, float]
+) -> str:
+    """The sentence on truth in metres beside fixes in degrees: its origin, and how far the fixes are from it."""
+    said = "truth is in metres: its origin is taken to be the first fix"
+    time = seconds["gps"]
+    inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])
+    if np.count_nonzero(inside) < 3:
+        return f"{said}; state it with --origin lat,lon,alt"
+    known = [np.interp(time[inside], seconds["truth"], truth[n]) for n in ("x", "y")]
+    error = np.array([gps["x"][inside], gps["y"][inside]]) - np.array(known)
+    mean, spread = error.mean(axis=1), error.std(axis=1) / np.sqrt(error.shape[1])
+    lat, lon, _ = enu_to_geodetic(np.array([[mean[0], mean[1], 0.0]]), origin)[0]
+    state = (
+        f"state it with --origin, as --origin {lat:.8f},{lon:.8f},{origin[2]:.3f}, which fits the fixes best"
+    )
+    if np.all(np.abs(mean) < 5 * spread):
+        return f"{said}; {state}"
+    return f"{said}; but the fixes lie {mean[0]:.2f} m east and {mean[1]:.2f} m north of the truth on average: {state}"
 
 
 def _made_fixes(truth: Truth, rate: float, noise: float) -> tuple[Array, Values]:
@@ -224,6 +248,9 @@ def _motion(time: Array, values: Values, gps: Values, say: Say) -> Values:
     if "theta" not in values:
         say("truth: heading taken from the course, held while the vehicle is slower than 1 m/s")
         values["theta"] = _held_course(values["vx"], values["vy"])
+    else:
+        course, rows = course_of(time, values["x"], values["y"])
+        values["theta"] = fitting_angle(values["theta"], course, rows, "truth: the heading", say)
     if not gps:
         return {name: values[name] for name in ("x", "y", "vx", "vy", "theta")}
     apart = np.hypot(

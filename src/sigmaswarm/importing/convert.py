@@ -15,10 +15,11 @@ from sigmaswarm.importing.assemble import assemble
 from sigmaswarm.importing.expressions import compile_expression
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
-from sigmaswarm.importing.guess import SAMPLE, time_of, wrong_unit
+from sigmaswarm.importing.guess import SAMPLE, time_of
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.recipe import COLUMNS, Recipe, with_maps
+from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import FILES, ROLES, Choice, Guess, Part, Progress, Role, Source
+from sigmaswarm.importing.times import wrong_unit
 from sigmaswarm.wording import names_shown
 
 
@@ -36,6 +37,8 @@ class Request:
     time : expression of the time, in every table of the source
     choice : tables and times
     limits : how much is read
+    part : which recording, from 1, where a clock starts anew within a table
+    definitions : files or folders of ROS messages' definitions, .msg, for bags without them
     """
 
     source: Path
@@ -48,6 +51,8 @@ class Request:
     time: str | None = None
     choice: Choice = field(default_factory=Choice)
     limits: Limits = field(default_factory=Limits)
+    part: int | None = None
+    definitions: Sequence[Path] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,9 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         sources = open_logs(request, stack)
         guesses = {path: guess_of(source, request) for path, source in sources.items()}
         recipe = complete_recipe(request, guesses)
-        _require_sensors(recipe, request, sources)
+        for fault in faults_left(request, recipe, guesses):
+            raise InputError(fault)
+        _require_sensors(recipe, request, sources, guesses)
         for guess in guesses.values():
             notes += guess.said(mounted=bool(recipe.mount))
         gathered = _gather_all(request, sources, recipe, progress)
@@ -91,13 +98,30 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         for guess in guesses.values():
             metadata |= guess.metadata
     progress(1.0)
-    drive = assemble(name, gathered, recipe, notes.append)
+    drive = assemble(name, gathered, recipe, notes.append, request.part)
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
 
 
-def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, Source]) -> None:
+def faults_left(request: Request, recipe: Recipe, guesses: Mapping[Path, Guess]) -> list[str]:
+    """What forbids to read columns as guessed, of those that the user has not mapped or left out."""
+    said = {entry.partition("=")[0].strip() for entry in request.maps}
+    left: list[str] = []
+    for path, guess in guesses.items():
+        for fault in guess.faults:
+            parts = recipe.roles.get(fault.role, ())
+            used = home_of(fault.role, request) == path and fault.role not in request.recipe.roles
+            mapped = {fault.column, f"{fault.role}.{fault.column}"} & said
+            if used and parts and not mapped and not any(fault.column in part.columns for part in parts):
+                where = path if path.name == fault.table else path / fault.table
+                left.append(f"{where}, {fault.sentence}")
+    return list(dict.fromkeys(left))
+
+
+def _require_sensors(
+    recipe: Recipe, request: Request, sources: Mapping[Path, Source], guesses: Mapping[Path, Guess]
+) -> None:
     """Refuse logs in which no IMU or no fixes were found, before they are read."""
     wanted: tuple[tuple[Role, str, str], ...] = (
         ("imu", "IMU samples", "name the log that holds them as SOURCE"),
@@ -107,6 +131,10 @@ def _require_sensors(recipe: Recipe, request: Request, sources: Mapping[Path, So
         if not recipe.roles.get(role) and not (role == "gps" and recipe.gps_from_truth):
             path = home_of(role, request)
             there = names_shown(sources[path].tables)
+            said = (*sources[path].remarks, *guesses[path].notes)
+            if why := [s for s in said if "has no header" in s or "can't be decoded" in s]:
+                there = there or "what can be decoded"
+                raise InputError(f"{path}: no {what} found in {there}; {why[0]}; or {remedy}")
             raise InputError(
                 f"{path}: no {what} found in {there}; {remedy}, or say what is what with --map (--show proposes it)"
             )
@@ -128,7 +156,12 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
     paths = dict.fromkeys(home_of(role, request) for role in ROLES)
     return {
         path: stack.enter_context(
-            open_log(path, request.form if path == request.source else None, request.limits)
+            open_log(
+                path,
+                request.form if path == request.source else None,
+                request.limits,
+                request.definitions,
+            )
         )
         for path in paths
     }
@@ -136,7 +169,7 @@ def open_logs(request: Request, stack: ExitStack) -> dict[Path, Source]:
 
 def guess_of(source: Source, request: Request) -> Guess:
     """The reader's guess; a log that is named for a role and has one table holds it, whatever its name."""
-    choice = request.choice
+    choice = replace(request.choice, mapped=mapped_roles(request.maps))
     for role, path in (("truth", request.truth), ("odometer", request.odometer)):
         if source.path == path and len(source.tables) == 1:
             choice = replace(choice, tables={**choice.tables, role: next(iter(source.tables))})

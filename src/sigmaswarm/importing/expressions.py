@@ -19,6 +19,7 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.dates import as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
@@ -40,6 +41,12 @@ def _least(a: pl.Expr, b: pl.Expr) -> pl.Expr:
 
 def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     return pl.when(a >= b).then(a).when(b > a).then(b)
+
+
+def _ddmm(a: pl.Expr) -> pl.Expr:
+    """Degrees of a place in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
+    whole = (a.abs() / 100).floor()
+    return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -94,6 +101,8 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
     "degrees": (1, pl.Expr.degrees),
     "atan2": (2, pl.arctan2),
     "hypot": (2, _hypot),
+    "ddmm": (1, _ddmm),
+    "gps_time": (2, gps_time),
     "min": (2, _least),
     "max": (2, _most),
     "where": (3, _where),
@@ -217,8 +226,8 @@ def _build(node: ast.AST, about: _Context) -> pl.Expr:
             for other in rest:
                 first = _OPERATORS[type(op)](first, other)
             return first
-        case ast.Call(func=ast.Name(id="utc"), args=[inner], keywords=[]):
-            return _utc(inner, about)
+        case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
+            return _utc(args, about)
         case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
             wanted, function = _FUNCTIONS[f]
             if len(args) != wanted:
@@ -271,17 +280,28 @@ def _require_column(name: str, about: _Context) -> None:
     about.used.add(name)
 
 
-def _utc(inner: ast.expr, about: _Context) -> pl.Expr:
-    """Seconds since 1970 of a column that holds dates, as text (ISO 8601) or as such; without a zone they are UTC."""
-    name = _column_name(inner)
-    if name is None:
-        raise InputError(f"utc(...) in {quoted(about.text)} takes the name of a column; mend the expression")
-    _require_column(name, about)
-    said = pl.col(name).cast(pl.String).str.replace("T", " ").str.replace(r"(Z| ?UTC)$", "")
-    zone = said.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
-    ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
-    ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
-    moment = said.str.replace(r"(\d\d:.*)[+-]\d\d:?\d\d$", "${1}").str.to_datetime(
-        time_unit="ns", strict=False
-    )
-    return moment.dt.timestamp("ns") / 1e9 - ahead
+def _utc(args: list[ast.expr], about: _Context) -> pl.Expr:
+    """Seconds since 1970 of dates in a column, or a day and a time of day in two, and how they are written."""
+    form = ""
+    match args[-1]:
+        case ast.Constant(value=str(text)):
+            form, args = text, args[:-1]
+        case _:
+            pass
+    names = [name for arg in args if (name := _column_name(arg)) is not None]
+    if len(names) < len(args) or not names:
+        raise InputError(
+            f"utc(...) in {quoted(about.text)} takes the name of a column, or of two, and how dates are written, as "
+            "utc(date, '%d.%m.%Y %H:%M:%S'); mend the expression"
+        )
+    for name in names:
+        _require_column(name, about)
+    return parse_dates(as_text(names), form)
+
+
+def terms_of(text: str) -> list[str]:
+    """The two terms of a sum; the text itself where it is no sum."""
+    tree = parse(text)
+    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
+        return [ast.unparse(tree.left), ast.unparse(tree.right)]
+    return [text]

@@ -15,7 +15,8 @@ from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
 from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, with_only_table
 from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import check_part, gather
-from sigmaswarm.importing.joining import Say, Values, join
+from sigmaswarm.importing.joining import join
+from sigmaswarm.importing.places import Say, Values
 from sigmaswarm.wording import names_shown
 
 CLOCK = "time_origin_s"

@@ -1,10 +1,11 @@
 """The formats that can be read: one file and one line each, in the order in which they are looked for."""
 
 import difflib
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
@@ -18,9 +19,11 @@ READERS: dict[str, tuple[str, str]] = {
     "nclt": ("nclt", "a session of NCLT"),
     "comma2k19": ("comma2k19", "a segment of comma2k19"),
     "rtklib": ("rtklib", "a solution of RTKLIB, .pos: fixes or truth"),
-    "ubx": ("ubx", "u-blox UBX with NAV-PVT: fixes"),
+    "ubx": ("ubx", "u-blox UBX with NAV-PVT, or NAV-POSLLH: fixes"),
     "nmea": ("nmea", "NMEA 0183 sentences: fixes"),
     "px4": ("px4", "a flight log of PX4, .ulg"),
+    "ardupilot": ("ardupilot", "a dataflash log of ArduPilot, .bin"),
+    "matlab": ("matlab", "a MATLAB file, .mat"),
     "sensor-logger": ("sensor_logger", "Sensor Logger's export, a folder or .zip"),
     "phyphox": ("phyphox", "phyphox's export as CSV, a folder or .zip"),
     "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
@@ -30,10 +33,52 @@ READERS: dict[str, tuple[str, str]] = {
 
 
 _TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
+NOT_READ: tuple[tuple[tuple[str, ...], bytes, str], ...] = (
+    ((".xlsx", ".xls", ".ods"), b"", "a spreadsheet; save it as CSV"),
+    (
+        (".tlog",),
+        b"",
+        "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
+    ),
+    (
+        (".bbl", ".bfl"),
+        b"H Product:Blackbox",
+        "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
+    ),
+    ((".mf4", ".mdf"), b"MDF  ", "a measurement file of ASAM; export it as CSV, as with asammdf"),
+    ((".sbf",), b"", "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools"),
+    (
+        (".rtcm", ".rtcm3", ".obs", ".rnx"),
+        b"",
+        "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
+    ),
+    (
+        (".gpx", ".kml", ".kmz", ".fit"),
+        b"",
+        "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
+    ),
+    ((".json", ".jsonl", ".ndjson"), b"", "JSON; write it as CSV, as with pandas.read_json(...).to_csv"),
+    (
+        (".npy", ".npz", ".pkl"),
+        b"",
+        "arrays of Python; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    ),
+    ((".h5", ".hdf5"), b"\x89HDF", "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv"),
+    ((".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"), b"\x1f\x8b", "packed; unpack it"),
+    ((".db", ".sqlite"), b"", "a database; export its tables as CSV (a ROS 2 bag is called .db3)"),
+    (
+        (".pcap", ".pcapng"),
+        b"",
+        "packets of a network; decode them with the sensor's own program, and export CSV",
+    ),
+)
+"""Endings and first bytes of formats that are not read: what they are, and the way to one that is."""
 
 
 class Reader(Protocol):
     """What a module in ``readers/`` has."""
+
+    __name__: str
 
     def recognizes(self, path: Path) -> bool:
         """Whether a file or folder looks like the format, by its name or first bytes; needs no library."""
@@ -45,9 +90,16 @@ class Reader(Protocol):
 
 
 def open_log(
-    path: Path, form: str | None = None, limits: Limits | None = None
+    path: Path,
+    form: str | None = None,
+    limits: Limits | None = None,
+    definitions: Sequence[Path] = (),
 ) -> AbstractContextManager[Source]:
     """Open a log of a format that is named, or found out by looking.
+
+    Parameters
+    ----------
+    definitions : files or folders of ROS messages' definitions, .msg, for bags that bring none along
 
     Raises
     ------
@@ -62,7 +114,10 @@ def open_log(
     form = form or format_of(path)
     for text in _texts(path, form):
         require_text(text)
-    return _reader(form).open_log(path, limits or Limits())
+    reader = _reader(form)
+    if definitions and reader.__name__.endswith(".ros"):
+        return cast("Any", reader).open_log(path, limits or Limits(), definitions)
+    return reader.open_log(path, limits or Limits())
 
 
 def _texts(path: Path, form: str) -> list[Path]:
@@ -80,6 +135,9 @@ def format_of(path: Path) -> str:
     for name in READERS:
         if _reader(name).recognizes(path):
             return name
+    for endings, magic, what in NOT_READ:
+        if path.suffix.lower() in endings or (magic and first_bytes(path, 64).startswith(magic)):
+            raise InputError(f"{path}: is not read, since it is {what}")
     raise InputError(
         f"{path}: is of no format that is known here; name it with --format: {', '.join(READERS)}"
     )

@@ -1,18 +1,18 @@
 """The parts of a role joined into one table: times in order, rows complete; what is left out is said."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, Nanoseconds
 from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
 from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.timeline import in_order, require_likely
 from sigmaswarm.wording import shown
-
-Say = Callable[[str], None]
-Values = dict[str, Array]
 
 LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
@@ -23,10 +23,15 @@ SPARSE = 0.1
 
 
 def join(
-    parts: Sequence[Columns], role: Role, required: Sequence[str], say: Say
+    parts: Sequence[Columns], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
-    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours."""
-    first, *others = [_in_order(part, role, say) for part in parts]
+    """One table of a role's parts: at the first part's times, the others interpolated between their neighbours.
+
+    Parameters
+    ----------
+    recording : which one, from 1, where a clock starts anew within a table
+    """
+    first, *others = [_in_order(part, role, recording, say) for part in parts]
     time, values = first
     for other_time, other in others:
         if not len(other_time):
@@ -71,7 +76,7 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
     return np.where(wraps, angle - np.copysign(turn, angle), angle)
 
 
-def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]:
+def _in_order(part: Columns, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
     """A part's rows with their times strictly increasing."""
     table = shown(part.part.table)
     if part.unkept:
@@ -86,17 +91,34 @@ def _in_order(part: Columns, role: Role, say: Say) -> tuple[Nanoseconds, Values]
         if part.timeless:
             why = "no time within 292 years of 1970; say its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")
-    if np.any(np.diff(time) < 0):
-        say(
-            f"{role}: {int(np.count_nonzero(np.diff(time) < 0))} rows of {table} came out of order; sorted by time"
-        )
-        order = np.argsort(time, kind="stable")
-        time, values = time[order], {k: v[order] for k, v in values.items()}
-    new = np.diff(time, prepend=time[0] - 1) > 0
-    if not new.all():
-        say(f"{role}: {int(np.count_nonzero(~new))} rows of {table} with the time of the row before left out")
-        time, values = time[new], {k: v[new] for k, v in values.items()}
-    return time, values
+    where = f"{role}: {table}"
+    for name, (value, count) in part.placeholders.items():
+        say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
+    filled = np.any([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+    if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
+        say(f"{role}: {empty} rows with an empty cell left out")
+    if role == "gps":
+        filled &= ~_repeats(time, values)
+    if filled.any():
+        time, values = time[filled], {k: v[filled] for k, v in values.items()}
+    line = in_order(time, role, where, number)
+    for note in line.notes:
+        say(note)
+    require_likely(line.time, role, where, part.part.columns["t"])
+    values = {k: v[line.rows] for k, v in values.items()}
+    if role not in ("gps", "truth"):
+        return line.time, values
+    good = good_places(line.time, values, role, say)
+    return line.time[good], with_longitudes({k: v[good] for k, v in values.items()}, role, say)
+
+
+def _repeats(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
+    """The rows (n,) that repeat the row before, its time and its place."""
+    same = np.diff(time) == 0
+    for name in ("lat", "lon", "x", "y"):
+        if name in values:
+            same &= np.diff(values[name]) == 0
+    return np.concatenate([[False], same])
 
 
 def _complete_rows(

@@ -11,11 +11,20 @@ import polars as pl
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.clocks import SECOND, time_expression
-from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, home_of, import_drive, open_logs
-from sigmaswarm.importing.guess import numbers_of, time_of
+from sigmaswarm.importing.convert import (
+    Request,
+    complete_recipe,
+    faults_left,
+    guess_of,
+    home_of,
+    import_drive,
+    open_logs,
+)
+from sigmaswarm.importing.guess import time_of
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import ROLES, Role, Source
+from sigmaswarm.importing.times import numbers_of
 
 SAMPLE = 5000
 """Rows of a table by which ranges are told."""
@@ -50,7 +59,7 @@ class Look:
     """What is in the logs of a request, the recipe that would be used, and what that assumes.
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
-    by table, of those that are read, the columns that neither would read.
+    by table, the columns that neither would read.
     """
 
     tables: tuple[Glance, ...]
@@ -64,12 +73,11 @@ class Look:
         """See above."""
         parts = [part for role in self.recipe.roles.values() for part in role]
         said = "\n".join([self.proposal, *(text for part in parts for text in part.columns.values())])
-        read = {part.table for part in parts}
         unread: dict[str, tuple[str, ...]] = {}
         for glance in self.tables:
             names = [r.column for r in glance.ranges]
             left = tuple(c for c in names if not re.search(rf"(?<![\w.]){re.escape(c)}(?![\w.])", said))
-            if left and (glance.table in read or len(left) < len(names)):
+            if left:
                 unread[glance.table] = left
         return unread
 
@@ -82,6 +90,7 @@ def look(request: Request) -> Look:
         guesses = {path: guess_of(source, request) for path, source in sources.items()}
         try:
             recipe = complete_recipe(request, guesses)
+            notes += faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
         times = {
@@ -102,6 +111,8 @@ def look(request: Request) -> Look:
             }
             for path, source in sources.items()
         }
+    for source in sources.values():
+        notes += source.remarks
     for guess in guesses.values():
         notes += guess.said(mounted=bool(recipe.mount))
     proposal, evidence = _proposal(request, recipe, columns)

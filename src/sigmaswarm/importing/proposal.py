@@ -80,8 +80,10 @@ UNITS: tuple[tuple[tuple[str, ...], str], ...] = (
 )
 """The last words of a name that are a unit, and what makes it the drive's."""
 
-CORRECTED = {"gyro", "tilt-rates", "accelerometer"}
+CORRECTED = {"rotate", "gyro", "tilt-rates", "accelerometer"}
 """Repairs that are done to a proposal's expressions; the others are of the drive."""
+EXCHANGED = 0.2
+"""A rotation whose elements are this near to whole numbers exchanges axes or turns their signs."""
 DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "gravity-size"}
 """Warnings that deny that signs, axes and units agree."""
 
@@ -227,15 +229,22 @@ def _serious(diagnosis: Diagnosis) -> list[str]:
 def _corrected(proposal: Proposal, diagnosis: Diagnosis) -> Proposal:
     """With the expressions turned, exchanged and scaled as the doctor's repairs say."""
     imu = dict(proposal.columns.get("imu", {}))
-    for finding in diagnosis.findings:
-        if finding.repair is not None:
-            imu |= dict(_mended(imu, finding.repair))
+    repairs = [finding.repair for finding in diagnosis.findings if finding.repair is not None]
+    for repair in sorted(repairs, key=lambda r: r.action != "rotate"):  # as `doctor.repairs` orders them
+        imu |= dict(_mended(imu, repair))
     return Proposal(proposal.tables, {**proposal.columns, "imu": imu} if imu else proposal.columns)
 
 
 def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]:
     """The expressions that a repair changes, as `doctor.repairs` changes the columns."""
     values = repair.values
+    if repair.action == "rotate":
+        matrix = np.array(values).reshape(3, 3)
+        if np.abs(matrix - np.round(matrix)).max() < EXCHANGED:
+            for letter in "ag":
+                yield from _turned(
+                    imu, tuple(f"{letter}{i}" for i in "xyz"), np.round(matrix).ravel().tolist()
+                )
     if repair.action == "gyro":
         column, factor = ("gx", "gy", "gz")[int(values[0])], values[1]
         if column == "gz":
@@ -256,11 +265,11 @@ def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]
 
 
 def _turned(
-    imu: Mapping[str, str], columns: tuple[str, str], values: Sequence[float]
+    imu: Mapping[str, str], columns: tuple[str, ...], values: Sequence[float]
 ) -> Iterator[tuple[str, str]]:
-    """Two columns by a matrix (2, 2), row by row, that turns or exchanges them."""
-    matrix = np.array(values).reshape(2, 2)
-    if np.count_nonzero(matrix) != 2:
+    """Columns (n,) by a matrix (n, n), row by row, that changes their signs or exchanges them."""
+    matrix = np.array(values).reshape(len(columns), len(columns))
+    if np.count_nonzero(matrix) != len(columns):
         return
     for row, column in zip(matrix, columns, strict=True):
         k = int(np.flatnonzero(row)[0])

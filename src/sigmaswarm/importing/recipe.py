@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self, cast
@@ -185,6 +186,16 @@ def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> G
         if role in roles and role not in said:
             roles[role] = [replace(part, columns={**part.columns, "t": time}) for part in roles[role]]
     return replace(guess, roles={role: tuple(parts) for role, parts in roles.items()})
+
+
+def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
+    """The roles whose columns are mapped, other than their time; entries that are wrong are refused later."""
+    roles: set[str] = set()
+    for text in maps:
+        with suppress(InputError):
+            role, column, _ = _entry(text)
+            roles |= {role} if column != "t" else set()
+    return frozenset(roles)
 
 
 def _entry(text: str) -> tuple[Role, str, str]:

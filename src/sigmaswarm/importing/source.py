@@ -59,6 +59,16 @@ class Part:
 
 
 @dataclass(frozen=True)
+class Fault:
+    """What forbids to use a column as it is, in a sentence with the remedy: a unit that is not known, raw counts."""
+
+    role: Role
+    column: str
+    table: str
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Guess:
     """How a reader would make a drive of a log, and what it assumed in doing so, one sentence each.
 
@@ -70,6 +80,7 @@ class Guess:
     metadata : keys for drive.toml
     downward : a sentence where the IMU's vertical axis points down, for whoever has not said how it sits
     fixed : expression over the fixes' first table: where carrier phases are fixed; empty where the format can't say
+    faults : what forbids to use columns as they are, unless the user maps them
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
@@ -78,6 +89,7 @@ class Guess:
     metadata: Mapping[str, Any] = field(default_factory=dict[str, Any])
     downward: str = ""
     fixed: str = ""
+    faults: tuple[Fault, ...] = ()
 
     def said(self, *, mounted: bool) -> list[str]:
         """The sentences, once it is known whether the user said how the IMU sits in the vehicle."""
@@ -86,10 +98,18 @@ class Guess:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the user chose among the tables of a log; None lets the reader find out."""
+    """What the user chose among the tables of a log.
+
+    Attributes
+    ----------
+    tables : by role, the table that was named
+    receive_times : times of receipt are taken, not the stamps of headers
+    mapped : roles whose columns the user maps, so that their table may hold anything
+    """
 
     tables: Mapping[str, str] = field(default_factory=dict[str, str])
     receive_times: bool = False
+    mapped: frozenset[str] = frozenset()
 
 
 class Source(Protocol):
@@ -188,7 +208,7 @@ class Rows:
         return self.guessed
 
 
-EXTRAS = {"ros": "rosbags mcap", "logs": "pyubx2 pynmeagps pyulog"}
+EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
 """What the extras install: by these names pip finds it, wherever sigmaswarm itself comes from."""
 
 

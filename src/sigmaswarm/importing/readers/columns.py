@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
+from typing import Any, cast
 
 import polars as pl
 
@@ -13,6 +14,7 @@ from sigmaswarm.drives.table_files import BROKEN, one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
 from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Source, Table, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
@@ -22,8 +24,8 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a table file by its name, or a folder that holds one."""
-    return bool(_files(path))
+    """Whether it is a table file by its name or its first lines, or a folder that holds one by its name."""
+    return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
 def _files(path: Path) -> list[Path]:
@@ -59,7 +61,12 @@ class ColumnFiles:
         """As the format says, or by the columns' names, and units by their first rows."""
         if self.guessed is not None:
             return self.guessed
-        samples = {name: collect(rows.head(SAMPLE), self.path, name) for name, rows in self.scans.items()}
+        samples = {
+            name: collect(rows.head(SAMPLE), self.path, name).with_columns(
+                pl.col(pl.String).str.strip_chars()
+            )
+            for name, rows in self.scans.items()
+        }
         return guess_roles(samples, choice.tables)
 
 
@@ -85,25 +92,87 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     shown_as : the file's name in messages, where it was unpacked to another place
     remarks : is told of columns that have one name
     """
-    try:
-        if first_bytes(file, 4) == b"PAR1":
-            frame = pl.scan_parquet(**one_file(file))
-            limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
-        else:
-            _require_closed_quotes(file, shown_as)
-            frame = pl.scan_csv(
-                **one_file(file), separator=_separator(file), infer_schema_length=None, comment_prefix="#"
-            )
-        names = frame.collect_schema().names()
-    except (*BROKEN, OSError) as error:
-        raise broken_table(shown_as, shown_as.name, error) from None
+    if first_bytes(file, 4) == b"PAR1":
+        frame = _parquet(file, shown_as, limits)
+        names: Sequence[str] = frame.collect_schema().names()
+    else:
+        _require_closed_quotes(file, shown_as)
+        dialect = dialect_of(file, shown_as)
+        names = dialect.names
+        remarks += dialect.remarks
+        _require_two(names, shown_as)
+        limits.first_columns(iter(names), shown_as)
+        frame = _text(file, dialect, shown_as)
+    _require_two(names, shown_as)
+    limits.first_columns(iter(names), shown_as)
+    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
+    old = frame.collect_schema().names()
+    return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
+
+
+def _require_two(names: Sequence[str], shown_as: Path) -> None:
     if len(names) < 2:
         raise InputError(
             f"{shown_as}: is one column, {quoted(''.join(names))}; name the format, or separate cells by commas"
         )
-    limits.first_columns(iter(names), shown_as)
-    frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
-    return frame.rename(dict(zip(names, _plain(names, shown_as, remarks), strict=True)))
+
+
+def _parquet(file: Path, shown_as: Path, limits: Limits) -> pl.LazyFrame:
+    try:
+        frame = pl.scan_parquet(**one_file(file))
+        limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
+        frame.collect_schema()
+    except (*BROKEN, OSError) as error:
+        raise broken_table(shown_as, shown_as.name, error) from None
+    return frame
+
+
+def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
+    """The rows of a text table under the names of its dialect, as c1, c2, ...; texts of numbers have decimal dots."""
+    width = len(dialect.names) + dialect.surplus
+    columns = [f"c{k}" for k in range(1, width + 1)]
+    try:
+        if dialect.separator == BLANKS:
+            frame = _parted_by_blanks(file, dialect, columns)
+        else:
+            frame = pl.scan_csv(
+                **one_file(file),
+                separator=dialect.separator,
+                has_header=False,
+                new_columns=columns,
+                skip_lines=dialect.skip,
+                decimal_comma=bool(dialect.comma_columns) and dialect.separator != ",",
+                encoding=cast("Any", dialect.encoding),
+                infer_schema_length=None,
+                comment_prefix="#",
+            )
+        there = frame.collect_schema()
+        if dialect.surplus and frame.select(pl.col(columns[-1]).is_not_null().any()).collect().item():
+            raise pl.exceptions.ComputeError("a row has more cells than the header")
+    except pl.exceptions.NoDataError:
+        return pl.LazyFrame(schema=dict.fromkeys(columns[: len(dialect.names)], pl.String))
+    except (*BROKEN, OSError) as error:
+        if (uneven := uneven_row(file, dialect)) is not None:
+            row, cells = uneven
+            raise InputError(
+                f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or "
+                "write a header with a name for each column"
+            ) from None
+        raise broken_table(shown_as, shown_as.name, error) from None
+    missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
+    commas = [columns[k] for k in dialect.comma_columns if there.get(columns[k]) == pl.String]
+    dotted = [pl.col(c).str.strip_chars().str.replace(",", ".", literal=True) for c in commas]
+    return frame.with_columns(*missing, *dotted).select(columns[: len(dialect.names)])
+
+
+def _parted_by_blanks(file: Path, dialect: Dialect, columns: Sequence[str]) -> pl.LazyFrame:
+    """The cells of lines, which any number of blanks part, as text."""
+    lines = pl.scan_csv(
+        **one_file(file), separator="\x1f", has_header=False, new_columns=["line"], quote_char=None,
+        skip_lines=dialect.skip, infer_schema=False, comment_prefix="#",
+    )  # fmt: skip
+    cells = pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
+    return lines.select(cells.struct.rename_fields(list(columns)).alias("cells")).unnest("cells")
 
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
@@ -112,7 +181,7 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
     numbers: dict[str, Iterator[int]] = {}  # a header may repeat one name a hundred thousand times
     others: dict[str, list[str]] = {}
     for name in names:
-        bare = name.strip()
+        bare = name.strip().replace("`", "'")  # between backticks stand names in expressions
         first = re.sub(r"_duplicated_\d+$", "", bare) if bare not in plain else bare
         if first in plain:
             free = numbers.setdefault(first, count())
@@ -133,15 +202,6 @@ def _require_closed_quotes(file: Path, shown_as: Path) -> None:
         count = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
     if count % 2:
         raise InputError(f'{shown_as}: a quote (") is not closed; close or delete it')
-
-
-def _separator(file: Path) -> str:
-    """The separator that the header line has most of."""
-    lines = [
-        line for line in first_bytes(file).decode("utf-8", "replace").splitlines() if not line.startswith("#")
-    ]
-    head = lines[0] if lines else ""
-    return max(",;\t|", key=head.count)
 
 
 def _expected_rows(file: Path) -> int:

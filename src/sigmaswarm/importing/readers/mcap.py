@@ -1,4 +1,4 @@
-"""MCAP files of any profile: messages of ROS 2 (CDR), ROS 1 and JSON."""
+"""MCAP files of any profile: messages of ROS 2 (CDR), ROS 1, JSON and Protobuf."""
 
 import json
 import struct
@@ -20,6 +20,9 @@ Decode = Callable[[bytes], Any]
 LOOKED_AT = 20
 """Messages in JSON, which no definition describes, by which a topic's columns are known."""
 
+DEEPEST = 6
+MOST_ELEMENTS = 36
+"""Of a list in a message: a 6 x 6 covariance."""
 _LZ4_RATIO = 255
 """No byte of LZ4 becomes more."""
 
@@ -108,7 +111,10 @@ def _decoder(
     """The columns of a channel's messages, and what decodes them; None where nothing here does."""
     encoding = channel.message_encoding
     if encoding == "json":
-        return limits.first_columns(_json_columns(reader, channel.topic), path), _json
+        return limits.first_columns(_json_columns(reader, channel.topic, _json), path), _json
+    if encoding == "protobuf" and schema is not None:
+        decode = _protobuf(schema)
+        return limits.first_columns(_json_columns(reader, channel.topic, decode), path), decode
     if encoding not in ("cdr", "ros1") or schema is None:
         return (), None
     typesys = library("rosbags.typesys", "ros")
@@ -130,11 +136,36 @@ def _json(data: bytes) -> dict[str, Any]:
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
-def _json_columns(reader: Any, topic: str) -> Iterator[str]:
+def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
+    """What makes a message of Protobuf one as in JSON."""
+    parse = library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
+
+    def decode(data: bytes) -> dict[str, Any]:
+        return _fields(parse(data), 0)
+
+    return decode
+
+
+def _fields(message: Any, depth: int) -> dict[str, Any]:
+    """The fields of a Protobuf message; a Timestamp as a ROS stamp."""
+    if message.DESCRIPTOR.full_name == "google.protobuf.Timestamp":
+        return {"sec": message.seconds, "nanosec": message.nanos}
+    content: dict[str, Any] = {}
+    for field in message.DESCRIPTOR.fields if depth < DEEPEST else ():
+        value = getattr(message, field.name)
+        if field.message_type is None:
+            many = not isinstance(value, int | float | str | bytes)
+            content[field.name] = list(value)[:MOST_ELEMENTS] if many else value
+        elif hasattr(value, "DESCRIPTOR"):
+            content[field.name] = _fields(value, depth + 1)
+    return content
+
+
+def _json_columns(reader: Any, topic: str, decode: Callable[[bytes], dict[str, Any]]) -> Iterator[str]:
     """The paths of the numbers in a topic's first messages: lists may be empty in the very first."""
     known: set[str] = set()
     for _, _, message in islice(reader.iter_messages(topics=[topic]), LOOKED_AT):
-        content = _json(message.data)
+        content = decode(message.data)
         if not known:
             yield "received"
             known.add("received")
@@ -154,5 +185,5 @@ def _json_paths(content: dict[str, Any], before: str) -> Iterator[str]:
         elif isinstance(value, int | float):
             yield before + name
         elif isinstance(value, list):
-            first = enumerate(cast("list[Any]", value)[:36])
+            first = enumerate(cast("list[Any]", value)[:MOST_ELEMENTS])
             yield from (f"{before}{name}[{i}]" for i, v in first if isinstance(v, int | float))

@@ -5,7 +5,8 @@
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,9 +14,12 @@ import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.guess import SAMPLE, guess_roles, time_of
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.readers.fields import getter
-from sigmaswarm.importing.readers.topics import guess_topics
-from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Table
+from sigmaswarm.importing.readers.topics import guess_topics, standard
+from sigmaswarm.importing.readers.uorb import TURNED, part_of
+from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Part, Role, Table
 from sigmaswarm.wording import shown
 
 LATE = 0.1
@@ -67,10 +71,56 @@ class MessageLog:
             raise broken(self.path, error) from None
 
     def guess(self, choice: Choice) -> Guess:
-        """By message types, and topics' names."""
-        guess = guess_topics(self.tables, choice, lambda topic: next(self.messages([topic]), None), self.path)
-        notes = (*guess.notes, *(f"{u} can't be decoded and is left out" for u in self.unread))
-        return Guess(guess.roles, notes)
+        """By message types, and topics' names; of messages of an author's own, by the names of their numbers."""
+        roles = ("imu", "gps")
+        there = {
+            role: next((t for t in (n, "/" + n.lstrip("/")) if t in self.tables), "")
+            for role, n in choice.tables.items()
+        }
+        own = {
+            role: t for role, t in there.items() if t and role in roles and not standard(self.tables, t, role)
+        }
+        rest = replace(choice, tables={r: t for r, t in choice.tables.items() if r not in own})
+        guess = guess_topics(self.tables, rest, lambda topic: next(self.messages([topic]), None), self.path)
+        found, faults = dict(guess.roles), guess.faults
+        notes = list(guess.notes)
+        for role in roles:
+            if role in own or role not in found:
+                other = self._own_messages(role, own.get(role), choice)
+                found |= {r: parts for r, parts in other.roles.items() if r == role}
+                faults += tuple(f for f in other.faults if f.role == role)
+                notes += other.notes if role in other.roles else ()
+        notes += [f"{u} can't be decoded and is left out" for u in self.unread]
+        return replace(guess, roles=found, notes=tuple(dict.fromkeys(notes)), faults=faults)
+
+    def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
+        """A role's part of other messages, by PX4's types or by names; the time alone if the rest is mapped."""
+        wanted = {"lat", "lon"} if role == "gps" else {"ax", "ay", "gz"}
+        topics = [topic] if topic else list(self.tables)
+        for name in topics:
+            if (part := part_of(name, self.tables[name], role)) is not None:
+                return Guess({role: (part,)}, (TURNED,) if role == "imu" else ())
+        named = {t: {read_name(c).meaning for c in self.tables[t].columns} for t in topics}
+        samples = {t: self._sample(t) for t in topics if wanted <= named[t]}
+        if samples:
+            return guess_roles(samples, {role: topic} if topic else {})
+        if topic is None:
+            return Guess({})
+        if role not in choice.mapped:
+            raise InputError(
+                f"{self.path}: {topic} ({self.tables[topic].kind}) has nothing that gives "
+                f"{' and '.join(sorted(wanted))} by its name; choose another topic, or map it"
+            )
+        time = time_of(self._sample(topic), role)
+        return Guess({role: (Part(topic, {"t": time} if time else {}),)})
+
+    def _sample(self, topic: str) -> pl.DataFrame:
+        """The first messages of a topic."""
+        columns = list(self.tables[topic].columns)
+        collector = _Collector(topic, columns)
+        for _, received, message in islice(self.messages([topic]), SAMPLE):
+            collector.add(received, message)
+        return collector.take() if collector.rows else pl.DataFrame(schema=dict.fromkeys(columns, pl.Float64))
 
 
 @dataclass
@@ -91,7 +141,7 @@ class _Collector:
         self.rows.append(tuple(received if c == "received" else next(values) for c in self.columns))
         if "stamp" in self.columns:
             stamp = self.rows[-1][self.columns.index("stamp")]
-            if stamp is not None:
+            if stamp:  # 0 where it is not set
                 self.delays.append((received - stamp) * 1e-9)
 
     def take(self) -> pl.DataFrame:

@@ -64,6 +64,12 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
 def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
     """One row a fix."""
     day: date | None = None
+    if _first_day(path, pynmeagps) is None:
+        day = date(1970, 1, 1)
+        remarks.append(
+            f"{path.name}: no sentence (RMC, ZDA) states the date: times count from midnight UTC; "
+            "--gps-offset moves them"
+        )
     clock: time | None = None
     fix: dict[str, float] = {}
     size, undated = path.stat().st_size, 0
@@ -81,10 +87,15 @@ def _rows(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[tupl
         fix |= _values(message)
     if fix and day is not None and clock is not None:
         yield _row(day, clock, fix), 1.0
-    if undated and day is None:
-        raise InputError(f"{path}: no sentence (RMC, ZDA) states the date; have the receiver send RMC")
     if undated:
         remarks.append(f"{path.name}: {undated} fixes before the first date left out")
+
+
+def _first_day(path: Path, pynmeagps: Any) -> date | None:
+    """The first date that a sentence states; None where none does."""
+    return next(
+        (day for message, _ in _messages(path, pynmeagps, []) if (day := _day(message)) is not None), None
+    )
 
 
 def _messages(path: Path, pynmeagps: Any, remarks: list[str]) -> Iterator[tuple[Any, int]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files, unpacked
-from sigmaswarm.importing.source import Guess, Part, Role, Source
+from sigmaswarm.importing.source import Guess, Part, Role, Source, first_bytes
 
 FILES = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
 _NAMES = {
@@ -26,8 +26,11 @@ _NAMES = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether phyphox's files are in it: it writes the folder meta beside the tables."""
-    return {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path)
+    """Whether phyphox's files are in it, and begin with its "Time (s)"."""
+    begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
+    return {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path) and (
+        path.is_file() or begin.startswith("time (s)")
+    )
 
 
 @contextmanager

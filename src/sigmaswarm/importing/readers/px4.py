@@ -16,15 +16,11 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.messages import broken
+from sigmaswarm.importing.readers.uorb import IMU, TURNED, T, fix
 from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source, first_bytes, library
 
 MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = ("sensor_combined", "vehicle_gps_position", "sensor_gps", "vehicle_local_position_groundtruth")
-_T = "timestamp*1e-6"
-_IMU = {
-    **{"ax": "accelerometer_m_s2[0]", "ay": "-accelerometer_m_s2[1]", "az": "-accelerometer_m_s2[2]"},
-    **{"gx": "gyro_rad[0]", "gy": "-gyro_rad[1]", "gz": "-gyro_rad[2]"},
-}
 
 
 def recognizes(path: Path) -> bool:
@@ -74,29 +70,19 @@ def _require_whole_definitions(path: Path) -> None:
 def _guess(frames: dict[str, pl.DataFrame]) -> Guess:
     roles: dict[Role, tuple[Part, ...]] = {}
     origin = None
-    notes = ["PX4's axes turned from forward, right, down"]
+    notes = [TURNED]
     if "sensor_combined" in frames:
-        roles["imu"] = (Part("sensor_combined", {"t": _T, **_IMU}),)
+        roles["imu"] = (Part("sensor_combined", {"t": T, **IMU}),)
     fixes = next((t for t in ("vehicle_gps_position", "sensor_gps") if t in frames), None)
     if fixes:
-        roles["gps"] = (Part(fixes, {"t": _T, **_fix(frames[fixes].columns)}),)
+        roles["gps"] = (Part(fixes, {"t": T, **fix(frames[fixes].columns)}),)
         notes.append(f"{fixes}: the stated horizontal accuracy is split evenly between east and north")
     truth = frames.get("vehicle_local_position_groundtruth")
     if truth is not None and {"ref_lat", "ref_lon", "ref_alt"} <= set(truth.columns) and len(truth):
-        columns = {"t": _T, "x": "y", "y": "x", "vx": "vy", "vy": "vx", "theta": "pi/2 - heading"}
+        columns = {"t": T, "x": "y", "y": "x", "vx": "vy", "vy": "vx", "theta": "pi/2 - heading"}
         roles["truth"] = (Part("vehicle_local_position_groundtruth", columns),)
         origin = _place(truth.row(len(truth) - 1, named=True))
     return Guess(roles, tuple(notes), origin)
-
-
-def _fix(columns: list[str]) -> dict[str, str]:
-    """Degrees and metres, of logs since PX4 1.14 and before."""
-    if "latitude_deg" in columns:
-        place = {"lat": "latitude_deg", "lon": "longitude_deg", "alt": "altitude_ellipsoid_m"}
-    else:
-        place = {"lat": "lat*1e-7", "lon": "lon*1e-7", "alt": "alt_ellipsoid*1e-3"}
-    accuracy = {"std_x": "eph/sqrt(2)", "std_y": "eph/sqrt(2)"}
-    return {**place, **accuracy, "vx": "vel_e_m_s", "vy": "vel_n_m_s", "keep": "fix_type >= 3"}
 
 
 def _place(row: dict[str, Any]) -> tuple[float, float, float]:

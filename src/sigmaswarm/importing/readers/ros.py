@@ -1,7 +1,7 @@
 """ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags: no ROS needed."""
 
 import bz2
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,8 +30,8 @@ def bag_paths(path: Path) -> list[Path]:
 
 
 @contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Open a bag; definitions that a ROS 2 bag does not bring along are those of the latest ROS."""
+def open_log(path: Path, limits: Limits, definitions: Sequence[Path] = ()) -> Generator[Source]:
+    """Open a bag; definitions that a ROS 2 bag does not bring along are given, or those of the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
     paths = bag_paths(path)
@@ -40,15 +40,43 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
             f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
     try:
-        reader = anyreader.AnyReader(paths, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        store = typesys.get_typestore(typesys.Stores.LATEST)
+        reader = anyreader.AnyReader(paths, default_typestore=store)
         reader.open()
+        _define(reader, definitions, typesys)
         _bound_chunks(reader, limits, path)
+    except InputError:
+        raise
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
     try:
         yield _log(path, reader, limits)
     finally:
         reader.close()
+
+
+def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
+    """Add the definitions in files, .msg, to those that a bag brings along; a file's folders name its package."""
+    kinds = {c.msgtype for c in reader.connections}
+    for given in definitions:
+        files = sorted(given.rglob("*.msg")) if given.is_dir() else [given]
+        if not files or not files[0].is_file():
+            raise InputError(f"--msg {given}: there is no .msg file; name a file, or the folder of a package")
+        for file in files:
+            in_bag = [kind for kind in kinds if kind.rpartition("/")[2] == file.stem]
+            package = file.resolve().parent.parent.name if file.resolve().parent.name == "msg" else "own"
+            for kind in in_bag or [f"{package}/msg/{file.stem}"]:
+                try:
+                    types = typesys.get_types_from_msg(file.read_text("utf-8"), kind)
+                except (OSError, UnicodeDecodeError, typesys.TypesysError, RecursionError) as error:
+                    said = " ".join(str(error).split())[:160]
+                    raise InputError(
+                        f"--msg {file}: can't be read as a definition ({said}); mend it"
+                    ) from None
+                new = {k: v for k, v in types.items() if k not in reader.typestore.fielddefs or k == kind}
+                for name in new:
+                    reader.typestore.fielddefs.pop(name, None)
+                reader.typestore.register(new)
 
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
@@ -85,8 +113,16 @@ def _log(path: Path, reader: Any, limits: Limits) -> MessageLog:
     def stream(topics: Collection[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
         for connection, received, raw in reader.messages(connections=wanted) if wanted else ():
+            if not isinstance(received, int):
+                raise InputError(
+                    f"{path}: a message of {connection.topic} has {received!r} for its time; record it again"
+                )
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 
     known = {topic: table for topic, table in tables.items() if table.columns}
-    unread = tuple(f"{topic} ({tables[topic].kind})" for topic in tables if topic not in known)
+    unread = tuple(
+        f"{topic} ({tables[topic].kind}, whose definition --msg {tables[topic].kind.rpartition('/')[2]}.msg gives)"
+        for topic in tables
+        if topic not in known
+    )
     return MessageLog(path, known, stream, unread)

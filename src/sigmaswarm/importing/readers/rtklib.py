@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.clocks import GPS_EPOCH, gps_to_unix
+from sigmaswarm.importing.dates import GPS_EPOCH, gps_to_unix
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, require_distinct
 from sigmaswarm.wording import names_shown

@@ -27,6 +27,8 @@ _WHEELS = re.compile(r"wheel|vehicle|speedo|odometer|(?:^|[/_])can(?:[/_]|$)", r
 _TRUTH = re.compile(r"truth|ground|reference|(?:^|/)gt(?:/|$)", re.IGNORECASE)
 _RECEIVER = re.compile(r"gps|gnss|fix|ublox|novatel|septentrio|(?:^|/)vel$", re.IGNORECASE)
 
+_FIELDS: dict[str, tuple[Mapping[str, str], ...]] = {"imu": (_IMU,), "gps": (_FIX, _POSITION)}
+
 First = Callable[[str], tuple[str, int, Any] | None]
 """The first message of a topic."""
 
@@ -82,6 +84,17 @@ def guess_topics(tables: Mapping[str, Table], choice: Choice, first: First, path
         roles["odometer"] = (pick.part(wheels, {"speed": speed}),)
         notes.append(f"{wheels} taken as the wheels' speed, m/s forward")
     return Guess(roles, tuple(notes))
+
+
+def standard(tables: Mapping[str, Table], topic: str, role: str) -> bool:
+    """Whether a topic holds what the standard messages of a role do."""
+    columns = set(tables[topic].columns)
+    return any(
+        column.endswith(first) and {column.removesuffix(first) + p for p in paths.values()} <= columns
+        for paths in _FIELDS.get(role, ())
+        for first in [next(iter(paths.values()))]
+        for column in columns
+    )
 
 
 def _imu(columns: Collection[str], at: str) -> dict[str, str]:

@@ -1,0 +1,71 @@
+"""Dates in text and GPS time, as seconds since 1970 in UTC."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+GPS_EPOCH = 315_964_800
+"""s from 1970-01-01 to 1980-01-06, the beginning of GPS time (IS-GPS-200)."""
+WEEK = 604_800
+"""s."""
+EXCEL_EPOCH, MATLAB_EPOCH = 25569, 719_529
+"""1970-01-01 in days of spreadsheets and of MATLAB's datenum."""
+
+_LEAP_DAYS = (
+    *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
+    *("1992-07-01", "1993-07-01", "1994-07-01", "1996-01-01", "1997-07-01", "1999-01-01", "2006-01-01"),
+    *("2009-01-01", "2012-07-01", "2015-07-01", "2017-01-01"),
+)
+"""Days that began with a leap second just past (IERS Bulletin C); none has been announced since."""
+LEAP_SECONDS = np.array(_LEAP_DAYS, dtype="datetime64[s]").astype(np.int64)
+_STEPS = LEAP_SECONDS + np.arange(1, len(LEAP_SECONDS) + 1)
+"""When, in GPS time as s since 1970, each of them has passed."""
+
+
+def gps_to_unix(seconds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """UTC, s since 1970, of GPS time given as s since 1970 without leap seconds (a calendar date in GPS time).
+
+    Parameters
+    ----------
+    seconds : ndarray, shape (n,)
+    """
+    return seconds - np.searchsorted(_STEPS, seconds, side="right")
+
+
+def gps_time(week: pl.Expr, seconds: pl.Expr) -> pl.Expr:
+    """UTC, s since 1970, of a GPS week and the seconds in it."""
+    time = week * WEEK + seconds + GPS_EPOCH
+    return time - pl.sum_horizontal((time >= int(step)).cast(pl.Float64) for step in _STEPS)
+
+
+def as_text(columns: Sequence[str]) -> pl.Expr:
+    """The columns' cells as one text, parted by a space: a day in one, the time of day in another."""
+    cells = [pl.col(name).cast(pl.String).str.strip_chars() for name in columns]
+    return cells[0] if len(cells) == 1 else pl.concat_str(cells, separator=" ")
+
+
+def parse_dates(text: pl.Expr, form: str = "") -> pl.Expr:
+    """Seconds since 1970 of dates in text, null where there is none; without a zone they are UTC.
+
+    Parameters
+    ----------
+    form : as strftime has it; ISO 8601 without one, and a form without a day counts from midnight
+    """
+    plain = (
+        text.str.replace("T(\\d)", " ${1}")
+        .str.replace(r"(\d),(\d+)", "${1}.${2}")
+        .str.replace(r"(Z| ?UTC)$", "")
+    )
+    zone = plain.str.extract_groups(r" .*([+-])(\d\d):?(\d\d)$")
+    ahead = zone.struct[1].cast(pl.Float64) * 3600 + zone.struct[2].cast(pl.Float64) * 60
+    ahead = pl.when(zone.struct[0] == "-").then(-ahead).otherwise(ahead).fill_null(0.0)
+    plain = plain.str.replace(r"(\d\d:.*)[+-]\d\d:?\d\d$", "${1}")
+    if form and "%d" not in form and "%j" not in form:
+        return plain.str.to_time(form, strict=False).cast(pl.Int64) / 1e9
+    if form:
+        moment = plain.str.to_datetime(form, time_unit="ns", strict=False)
+    else:
+        moment = plain.str.to_datetime(time_unit="ns", strict=False)
+    return moment.dt.timestamp("ns") / 1e9 - ahead

@@ -1,0 +1,167 @@
+"""What a column is called: its plain name, the unit behind it, and what a drive has by that name."""
+
+import re
+from dataclasses import dataclass
+
+from sigmaswarm.importing.units import COUNTS, Unit, parse_unit
+
+LONGEST_NAME = 200
+"""Characters of a name that can mean something."""
+
+TIME = (
+    "t|ts|time|timestamp|time_?stamp|stamp|secs?|seconds|seconds_elapsed|date_?time|utime|epoch|unix_?time|utc|"
+    "millis(?:econds)?|micros(?:econds)?|nanos(?:econds)?|ms|us|ns|interval|"
+    "(?:time|secs?|seconds|millis(?:econds)?|micros(?:econds)?)_since_\\w{1,20}|since_start|loggingtime|logging_time"
+)
+CLOCK = (
+    "received|boot|up_?time|ticks?|elapsed|i?tow|tod|sod|sow|(?:time|sec|secs|seconds)_of_(?:the_)?(?:day|week)|"
+    "(?:boot|sys(?:tem)?|device|sensor|host|log(?:ger)?|gps|gnss|rx|recv|local|mono(?:tonic)?|elapsed)_?(?:time|clock|stamp)"
+)
+"""Names of times that are taken where a table has none of the usual ones."""
+STAMP = "(?:.*_)?header_(?:time_?)?stamp"
+"""The time of a ROS message's header, in tables made of bags."""
+_OWN_UNITS = {"millis": "ms", "milliseconds": "ms", "ms": "ms", "micros": "us", "microseconds": "us", "us": "us",
+              "nanos": "ns", "nanoseconds": "ns", "ns": "ns"}  # fmt: skip
+"""Names of times that are a unit."""
+SECONDS = ("s", "sec", "secs", "second", "seconds")
+PARTS_OF_SECONDS = {
+    **dict.fromkeys(
+        ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds", "nanos"), 1e-9
+    ),
+    **dict.fromkeys(("us", "usec", "usecs", "microsec", "microseconds", "micros"), 1e-6),
+    **dict.fromkeys(("msec", "msecs", "millisec", "milliseconds", "millis"), 1e-3),
+}
+WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
+TIME_OF_WEEK = (
+    "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
+    "week_(?:secs?|seconds|time))"
+)
+
+_ACCELERATION = (
+    "a|acc|accel|acceleration|accelerometer|lin(?:ear)?_?acc(?:el|eleration)?|specific_force|"
+    "f|f_?b|a_rs_s|linear"
+)
+_RATE = (
+    "g|w|gyr|gyro|gyroscope|omega|ang(?:ular)?_?vel(?:ocity)?|ang(?:ular)?_?rate|rot|rotation_?rate|rate|"
+    "w_?b|w_rs_s|angular"
+)
+_STD = "(?:std|stdev|std_?dev|sigma|sd)"  # as receivers of survey grade have them, in m for degrees, too
+NAMES: tuple[tuple[str, str], ...] = (
+    ("t", TIME),
+    *((f"a{i}", f"(?:{_ACCELERATION})_?{i}") for i in "xyz"),
+    *((f"g{i}", f"(?:{_RATE})_?{i}") for i in "xyz"),
+    ("gz", "yaw_?rate"),
+    ("lat", "lat|latitude"),
+    ("lon", "lon|lng|long|longitude"),
+    ("ns", "n_s|ns_indicator|(?:lat|latitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ns|n_s)|north_south"),
+    ("ew", "e_w|ew_indicator|(?:lon|lng|longitude)_(?:dir(?:ection)?|hemi(?:sphere)?|ref|ew|e_w)|east_west"),
+    ("alt", "alt|altitude|height|elevation|ele"),
+    ("x", "x|east|easting|e|pos(?:ition)?_?x"),
+    ("y", "y|north|northing|n|pos(?:ition)?_?y"),
+    ("z", "z"),
+    ("q", "w|qw|q_w"),
+    ("vx", "vx|ve|v_?east|east_?vel(?:ocity)?|vel(?:ocity)?_?e(?:ast)?"),
+    ("vy", "vy|vn|v_?north|north_?vel(?:ocity)?|vel(?:ocity)?_?n(?:orth)?"),
+    ("std_x", f"std_?x|sigma_?x|std_?e(?:ast)?|sd_?e|std_?lon|(?:lon(?:gitude)?|east(?:ing)?)_?{_STD}"),
+    ("std_y", f"std_?y|sigma_?y|std_?n(?:orth)?|sd_?n|std_?lat|(?:lat(?:itude)?|north(?:ing)?)_?{_STD}"),
+    (
+        "wheel_speed",
+        "(?:wheels?|vehicle|car|can|odo(?:meter)?)_?(?:speed|velocity)|speed_?(?:can|wheels?)|odometer",
+    ),
+    ("speed", "speed|(?:ground_?)?speed|velocity|vel|v"),
+    ("course", "course"),
+    ("bearing", "bearing|track|heading|cog"),
+    ("theta", "theta|yaw"),
+)
+"""What a drive has, and the plain names that mean it, as regular expressions."""
+TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
+_PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix)_(?=...)")
+"""What tables made of messages, and loggers, put before a name."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """A column's name: as it stands, in plain small letters without its unit, and the unit."""
+
+    column: str
+    plain: str
+    unit: Unit | None = None
+
+    @property
+    def meaning(self) -> str | None:
+        """What a drive has by this name; None where it has nothing. Roll, pitch and yaw per second are rates."""
+        if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
+            return TURNS[self.plain]
+        return meaning_of_plain(self.plain)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words of the whole name, a unit behind it among them."""
+        return tuple(plain_words(self.column))
+
+    def is_one(self, pattern: str) -> bool:
+        """Whether the plain name fits a regular expression."""
+        return re.fullmatch(pattern, self.plain) is not None
+
+
+def plain_words(text: str) -> list[str]:
+    """The words of a name in small letters, without what stands in brackets."""
+    return re.findall(r"[a-z0-9]+", text[:LONGEST_NAME].lower())
+
+
+def meaning_of_plain(plain: str) -> str | None:
+    """What a drive has by a plain name, also behind a logger's prefix and before ".data" of a message."""
+    bare = re.sub(r"_(?:data|value)$", "", plain)
+    for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
+        for what, pattern in NAMES:
+            if re.fullmatch(pattern, name):
+                return what
+        if name == plain and re.fullmatch(CLOCK, plain):
+            return None
+    return None
+
+
+def read_name(column: str) -> Name:
+    """Split a column's name from its unit: "Acceleration x (m/s^2)", "gyro_z_dps", "time since start in ms"."""
+    text = column.strip()
+    if len(text) > LONGEST_NAME:
+        return Name(column, "")
+    if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
+        return _element(column, element[1], "xyz"[int(element[2])])
+    if text and text[-1] in ")]":
+        begin = text.rfind("(" if text[-1] == ")" else "[")
+        if begin > 0:
+            return Name(column, "_".join(plain_words(text[:begin])), parse_unit(text[begin + 1 : -1]))
+    words = plain_words(text)
+    plain = "_".join(words)
+    if len(words) > 2 and words[-2] == "in":
+        return Name(column, "_".join(words[:-2]), parse_unit(words[-1]))
+    if plain in _OWN_UNITS:
+        return Name(column, plain, parse_unit(_OWN_UNITS[plain]))
+    if meaning_of_plain(plain) is not None:
+        return Name(column, plain)
+    for count in (3, 2, 1):
+        unit = _unit_of(words[-count:]) if len(words) > count else None
+        rest = "_".join(words[:-count])
+        counts = words[-1:] != ["raw"] and bool(set(words[-1:]) & set(COUNTS))
+        timed = re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
+        if unit is not None and (unit.known or counts) and (meaning_of_plain(rest) or timed):
+            return Name(column, rest, unit)
+    return Name(column, plain)
+
+
+def _element(column: str, text: str, axis: str) -> Name:
+    """The name of an element of an array, accelerometer_m_s2[0]: its axis stands behind, its unit in front."""
+    words = plain_words(text)
+    for count in (3, 2, 1):
+        unit = _unit_of(words[-count:]) if len(words) > count else None
+        plain = "_".join([*words[:-count], axis])
+        if unit is not None and unit.known and meaning_of_plain(plain):
+            return Name(column, plain, unit)
+    return Name(column, "_".join([*words, axis]))
+
+
+def _unit_of(words: list[str]) -> Unit | None:
+    """The unit that the last words of a name state: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
+    first, *rest = words
+    return parse_unit(first if not rest else f"{first}/{rest[0]}{''.join(rest[1:])}")

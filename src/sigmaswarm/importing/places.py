@@ -1,0 +1,108 @@
+"""Positions and headings: rows that are no fix, longitudes beyond 180 degrees, headings of another convention."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.geodesy import geodetic_to_enu, wrap_angle
+
+Say = Callable[[str], None]
+Values = dict[str, Array]
+
+FARTHEST = 100_000.0
+"""m from the median of all fixes, beyond what the fastest car drives in the time."""
+FASTEST = 150.0
+"""m/s."""
+FIT = 0.35
+"""rad: a heading that agrees with the course within this, by its median, is in that convention."""
+MOVING = 1.0
+"""m/s; slower than this, the course says nothing about the heading."""
+
+
+def good_places(time: NDArray[np.int64], values: Values, role: str, say: Say) -> NDArray[np.bool_]:
+    """Which rows (n,) hold a place: not 0, 0, within the range of degrees, and not far from all others."""
+    if "lat" not in values or "lon" not in values:
+        return np.ones(len(time), bool)
+    lat, lon = values["lat"], values["lon"]
+    zero = (lat == 0) & (lon == 0)
+    if zero.any() and not zero.all():
+        say(f"{role}: {int(zero.sum())} rows at latitude 0, longitude 0 left out, since they are no fix")
+    good = ~zero if not zero.all() else np.ones(len(time), bool)
+    outside = good & ((np.abs(lat) > 90) | (np.abs(lon) > 360))
+    if outside.any() and outside.sum() < 0.5 * good.sum():
+        say(f"{role}: {int(outside.sum())} rows whose latitude or longitude can't be left out")
+        good &= ~outside
+    if not good.any() or np.abs(lat[good]).max() > 90:
+        return good
+    center = np.median(lat[good]), np.median(lon[good])
+    north = np.radians(lat - center[0]) * 6_371_000
+    east = np.asarray(wrap_angle(np.radians(lon - center[1]))) * 6_371_000 * np.cos(np.radians(center[0]))
+    away = np.hypot(north, east)
+    span = float(time[good][-1] - time[good][0]) * 1e-9
+    far = good & (away > FARTHEST + FASTEST * span)
+    if far.any() and far.sum() < 0.1 * good.sum():
+        first = ", the first among them" if far[np.argmax(good)] else ""
+        say(f"{role}: {int(far.sum())} rows {away[far].max() / 1e3:.0f} km from the others left out{first}")
+        good &= ~far
+    return good
+
+
+def with_longitudes(values: Values, role: str, say: Say) -> Values:
+    """Longitudes of 0 to 360 degrees as -180 to 180."""
+    if "lon" not in values or not (np.abs(values["lon"]) > 180).any() or (np.abs(values["lon"]) > 360).any():
+        return values
+    say(f"{role}: longitudes beyond 180 degrees taken as 0 to 360")
+    return {**values, "lon": np.mod(values["lon"] + 180, 360) - 180}
+
+
+def require_degrees(values: Values, role: str) -> None:
+    """Refuse latitudes and longitudes that are no degrees."""
+    for name, most in (("lat", 90.0), ("lon", 180.0)):
+        wrong = np.abs(values[name]) > most
+        if wrong.any():
+            value = values[name][wrong][0]
+            raise InputError(
+                f"the {role}: {name} = {value:g} is no degrees; map it, for example --map {name}={name}*1e-7"
+            )
+
+
+def course_of(time: Array, x: Array, y: Array) -> tuple[Array, NDArray[np.int64]]:
+    """The course (m,), rad, between places at least some metres apart, and at which rows it is the mean course."""
+    if len(time) < 10:
+        return np.zeros(0), np.zeros(0, np.int64)
+    step = float(np.median(np.hypot(np.diff(x), np.diff(y))))
+    apart = int(np.clip(np.ceil(6.0 / max(step, 1e-3)), 1, len(time) // 4))
+    dx, dy, dt = x[apart:] - x[:-apart], y[apart:] - y[:-apart], time[apart:] - time[:-apart]
+    moving = np.hypot(dx, dy) > np.maximum(MOVING * dt, 3.0)
+    return np.arctan2(dy, dx)[moving], (np.arange(len(dx)) + apart // 2)[moving]
+
+
+def fitting_angle(angle: Array, course: Array, rows: NDArray[np.int64], what: str, say: Say) -> Array:
+    """A heading (n,) counter-clockwise from east in rad; one in another convention, by its course, is converted."""
+    if len(rows) < 5:
+        return angle
+    conventions = (
+        ("", angle),
+        ("clockwise from north", np.pi / 2 - angle),
+        ("degrees", np.radians(angle)),
+        ("degrees clockwise from north", np.pi / 2 - np.radians(angle)),
+    )
+    errors = [float(np.median(np.abs(wrap_angle(a[rows] - course)))) for _, a in conventions]
+    best = int(np.argmin(errors))
+    if errors[0] <= FIT or errors[best] > FIT:
+        if errors[0] > FIT and "truth" in what:
+            say(
+                f"{what} differs from its course by {np.degrees(errors[0]):.0f} deg (median); check it, or map it"
+            )
+        return angle
+    say(f"{what} runs {conventions[best][0] or 'otherwise'}, as its course shows: converted")
+    return np.asarray(wrap_angle(conventions[best][1]))
+
+
+def level(values: Values, altitude: Array | float, origin: tuple[float, float, float]) -> Values:
+    """The values with x and y, m, of latitude and longitude about an origin."""
+    enu = geodetic_to_enu(values["lat"], values["lon"], altitude, origin)
+    return {**values, "x": enu[:, 0], "y": enu[:, 1]}

@@ -1,0 +1,298 @@
+"""The dialect of a text table, by its first lines: separator, header, units, decimal commas, lines above the header."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.names import read_name
+from sigmaswarm.importing.source import first_bytes
+from sigmaswarm.importing.units import COUNTS, parse_unit
+
+HEAD = 4_000_000
+"""Bytes in which a header is looked for."""
+SAMPLE = 200_000
+"""Bytes of rows by which a dialect is known."""
+MOST_LINES = 300
+SEPARATORS = (";", "\t", "|", ",")
+"""In the order in which they are preferred where two fit as well: commas may be decimal."""
+BLANKS = " "
+"""The separator of cells that any number of blanks part."""
+COMMENTS = "#%!"
+_NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
+"""A date and a time of day without marks between their parts."""
+_EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text table is written.
+
+    Attributes
+    ----------
+    names : of the columns, with the unit of a units row in brackets
+    skip : lines above the first row of values
+    comma_columns : places of the columns whose numbers have decimal commas
+    surplus : whether each row ends in a separator, behind which an empty column stands
+    remarks : what was noticed, one sentence each
+    """
+
+    separator: str
+    names: tuple[str, ...]
+    skip: int
+    encoding: str = "utf8"
+    comma_columns: tuple[int, ...] = ()
+    surplus: bool = False
+    remarks: tuple[str, ...] = field(default=())
+
+
+def dialect_of(file: Path, shown_as: Path) -> Dialect:
+    """The dialect of a file; InputError where header and rows disagree.
+
+    Parameters
+    ----------
+    shown_as : the file's name in messages
+    """
+    lines, encoding = _lines(file, shown_as)
+    stated = re.fullmatch(r'"?sep=(.)"?', lines[0].strip(" \r")) if lines else None
+    begin = 1 if stated else 0
+    rows = [i for i in _some(lines, begin) if lines[i].strip() and lines[i].lstrip()[:1] not in COMMENTS]
+    separator = (stated[1] if stated else "") or _separator([lines[i] for i in rows])
+    cells = {i: split(lines[i], separator) for i in rows}
+    numeric = _numeric_columns([cells[i] for i in rows[-40:]])
+    first = next((i for i in rows if _is_data(cells[i], numeric)), None)
+    if first is None:  # nothing but texts: the first line is the header
+        first = rows[0] + 1 if rows else 0
+        return Dialect(
+            separator, tuple(_titles(lines[first - 1], separator)) if rows else (), first, encoding
+        )
+    data = [cells[i] for i in rows if i >= first]
+    names, remarks, surplus = _header(lines, begin, first, data, separator, shown_as)
+    commas = tuple(
+        k for k in numeric if any("," in row[k] for row in data if k < len(row)) and _plain(data, k)
+    )
+    if commas:
+        remarks.append(f"{shown_as.name}: numbers with decimal commas")
+    return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
+
+
+def is_table(file: Path) -> bool:
+    """Whether the first lines of a file of any name are rows of at least three cells, most of them numbers."""
+    head = first_bytes(file, 65536)
+    if b"\0" in head:
+        return False
+    lines = [line for line in head.decode("utf-8", "replace").split("\n")[:-1] if line.strip()][-20:]
+    cells = [split(line, _separator(lines)) for line in lines]
+    return len(lines) > 5 and all(len(c) > 2 and sum(map(is_value, c)) > 0.5 * len(c) for c in cells)
+
+
+def _plain(data: Sequence[Sequence[str]], k: int) -> bool:
+    """Whether a column holds numbers and no texts with commas, as dates."""
+    filled = [row[k].strip() for row in data if k < len(row) and row[k].strip().lower() not in _EMPTY]
+    return sum(_NUMBER.fullmatch(c) is not None for c in filled[:100]) >= 0.9 * len(filled[:100])
+
+
+def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
+    """The first lines of a file, and polars' name for its encoding."""
+    head = first_bytes(file, HEAD)
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(
+            f"{shown_as}: is text in UTF-16; save it as UTF-8, as: iconv -f UTF-16 -t UTF-8 {shown_as.name} > new.csv"
+        )
+    cut = head if len(head) < HEAD else head[: head.rfind(b"\n") + 1]
+    try:
+        return cut.decode("utf-8-sig").split("\n"), "utf8"
+    except UnicodeDecodeError:
+        return cut.decode("latin-1").split("\n"), "utf8-lossy"
+
+
+def _some(lines: Sequence[str], begin: int) -> list[int]:
+    """The places of the first lines, until they are many characters."""
+    size, places = 0, list[int]()
+    for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
+        size += len(line)
+        places.append(i)
+        if size > SAMPLE and len(places) > 3:
+            break
+    return places
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The cells of a line."""
+    line = line.rstrip("\r")
+    if separator == BLANKS:
+        return line.split()
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except (csv.Error, StopIteration):  # an endless cell
+        return line.split(separator)
+
+
+def is_value(cell: str) -> bool:
+    """Whether a cell is a number or begins as a date or a time of day does."""
+    cell = cell.strip()
+    if len(cell) > 40 or not cell:
+        return False
+    dated = cell[0].isdigit() and any(mark in cell for mark in ":-/")
+    return dated or _NUMBER.fullmatch(cell) is not None or _DIGITS.fullmatch(cell) is not None
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """The separator that makes most rows of as many values; that of the first line where none makes any."""
+    best, most = "", 0.0
+    for separator in (*SEPARATORS, BLANKS):
+        if separator == BLANKS and best:
+            break
+        profile = [(len(c), sum(map(is_value, c))) for c in (split(line, separator) for line in lines[-40:])]
+        widths = Counter(n for n, values in profile if n > 1 and values)
+        if not widths:
+            continue
+        width = widths.most_common(1)[0][0]
+        score = float(sum(values for n, values in profile if n == width))
+        if score > most:
+            best, most = separator, score
+    return best or max(",;\t|", key=(lines[0] if lines else "").count)
+
+
+def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
+    """The places of columns that hold values in most of the rows in which they hold anything."""
+    width = max((len(row) for row in rows), default=0)
+    filled, values = [0] * width, [0] * width
+    for row in rows:
+        for k, cell in enumerate(row):
+            if cell.strip().lower() not in _EMPTY:
+                filled[k] += 1
+                values[k] += is_value(cell)
+    return [k for k in range(width) if values[k] and values[k] >= 0.5 * filled[k]]
+
+
+def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
+    """Whether at least half of the filled cells of the columns of numbers are values."""
+    if len(cells) < 2 or len(numeric) < 1:
+        return False
+    filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]
+    return (
+        bool(filled) and len(cells) > 0.5 * max(numeric) and sum(map(is_value, filled)) >= 0.5 * len(filled)
+    )
+
+
+def _header(
+    lines: Sequence[str],
+    begin: int,
+    first: int,
+    data: Sequence[Sequence[str]],
+    separator: str,
+    shown_as: Path,
+) -> tuple[list[str], list[str], bool]:
+    """The columns' names, remarks, and whether the rows end in a separator."""
+    above = [i for i in range(begin, first) if lines[i].strip()]
+    width = Counter(map(len, data)).most_common(1)[0][0]
+    most = max(map(len, data))
+    open_end = all(not row[-1].strip() for row in data if len(row) == width)
+    titles, place = [], len(above)
+    for place in range(len(above) - 1, max(len(above) - 4, -1), -1):
+        titles = _fitting(lines[above[place]], separator, width, most, open_end)
+        if titles:
+            break
+    if not titles:
+        if (
+            above
+            and lines[above[-1]].lstrip()[:1] not in COMMENTS
+            and len(cells := _titles(lines[above[-1]], separator)) > 1
+        ):
+            raise InputError(
+                f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(cells)}; give the header "
+                f"{width} names"
+            )
+        return [f"c{k}" for k in range(1, most + 1)], [_no_header(shown_as, most)], False
+    if not (
+        upper := _fitting(lines[above[place - 1]], separator, width, most, open_end) if place > 0 else []
+    ):
+        if _are_units(titles):
+            names = [_with_unit(f"c{k}", u) for k, u in enumerate(titles, 1)]
+            return names, [_no_header(shown_as, len(names))], width == len(titles) + 1 and open_end
+    elif _are_units(titles, upper):
+        titles = [_with_unit(n, u) for n, u in zip(upper, titles, strict=False)] + upper[len(titles) :]
+    if len(titles) == width and open_end and not titles[-1].strip():
+        titles = titles[:-1]
+    if titles == [str(k) for k in range(len(titles))] or (
+        not titles[0] and titles[1:] == [str(k) for k in range(len(titles) - 1)]
+    ):
+        titles = [f"c{k}" for k in range(1, len(titles) + 1)]
+    return [t or f"c{k}" for k, t in enumerate(titles, 1)], [], width == len(titles) + 1 and open_end
+
+
+def _no_header(shown_as: Path, count: int) -> str:
+    return (
+        f"{shown_as.name}: has no header; its columns are called c1 to c{count}: write a header line, as "
+        "t,ax,ay,az,gx,gy,gz, or map them with --map"
+    )
+
+
+def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
+    """A line's cells, if they can be names of the rows' columns: by the rows' separator, or else by another."""
+    for other in (separator, *(s for s in (*SEPARATORS, BLANKS) if s != separator)):
+        cells = _titles(line, other)
+        if len(cells) == width + 1 and not cells[-1].strip():
+            cells = cells[:-1]
+        fits = (
+            len(cells) == width
+            or (len(cells) == width - 1 and open_end)
+            or (len(cells) >= most > 1 and other == separator)
+        )
+        if fits and len(cells) > 1:
+            return cells
+    return []
+
+
+def _titles(line: str, separator: str) -> list[str]:
+    """The cells of a header; of "name"|"unit"|... between other separators, the name with its unit."""
+    cells = [c.strip() for c in split(_uncommented(line), separator)]
+    if separator != "|" and len(cells) > 1 and all("|" in c for c in cells):
+        parts = [[p.strip(' "') for p in c.split("|")] for c in cells]
+        return [_with_unit(p[0], p[1]) for p in parts]
+    return [c.strip('" ') for c in cells]
+
+
+def _uncommented(line: str) -> str:
+    """A line without what makes it a comment; a leading tab is a separator."""
+    line = line.strip("\r")
+    bare = line.lstrip(" " + COMMENTS + "/")
+    return bare if line.lstrip(" ")[:1] in (*COMMENTS, "/") else line
+
+
+def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
+    """Whether a line's cells are units rather than names, and more so than the line above them."""
+    units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
+    known = [u for u in units if u is not None and (u.known or u.text.lower() in COUNTS)]
+    return bool(known) and _meanings(cells) <= _meanings(above)
+
+
+def _meanings(cells: Sequence[str]) -> int:
+    """How many of the cells are names of what a drive has."""
+    return sum(read_name(c).meaning is not None for c in cells[:100])
+
+
+def _with_unit(name: str, unit: str) -> str:
+    unit = unit.strip("[]() ")
+    return f"{name} [{unit}]" if unit else name
+
+
+def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
+    """The line of the first row with more cells than names, and how many it has; None where there is none."""
+    most = len(dialect.names) + dialect.surplus
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        for number, line in enumerate(lines, 1):
+            if (
+                number > dialect.skip
+                and line[:1] != "#"
+                and len(cells := split(line.rstrip("\n"), dialect.separator)) > most
+            ):
+                return number, len(cells)
+    return None

@@ -1,0 +1,170 @@
+"""Make a time line of a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.clocks import SECOND, Nanoseconds
+from sigmaswarm.importing.dates import WEEK
+from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP
+
+WRAPS: tuple[tuple[int, str], ...] = (
+    (2**32 * 1000, "a counter of microseconds, 2^32"),
+    (2**32 * 1_000_000, "a counter of milliseconds, 2^32"),
+    (2**16 * 1_000_000, "a counter of milliseconds, 2^16"),
+    (2**32, "a counter of nanoseconds, 2^32"),
+    (WEEK * SECOND, "the time of week"),
+    (86_400 * SECOND, "the time of day"),
+)
+"""Periods after which clocks begin anew, ns."""
+FEWEST_ROWS = 20
+"""Of a recording of its own; fewer rows out of order are sorted."""
+LEAST_FALL = 0.2
+"""s that a clock falls back by, at least, where a second recording begins; and some steps."""
+STEPS = 2
+REPEATED = 0.02
+"""The share of rows with the time of the row before, above which they are more than a few double rows."""
+UNEVEN = 0.1
+"""The share of stamps whose rows may be counted otherwise than usual."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Times (n,) ns in the order of the rows that are used: ``rows`` are their places in the table."""
+
+    time: Nanoseconds
+    rows: NDArray[np.int64]
+    notes: tuple[str, ...] = ()
+
+
+def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
+    """Times that go on where a counter began anew, and a sentence on it; empty where none did."""
+    steps = np.diff(time)
+    ahead = steps[steps > 0]
+    if not len(ahead) or not (steps < 0).any():
+        return time, ""
+    slack = max(50 * float(np.median(ahead)), 2 * SECOND)
+    for period, name in WRAPS:
+        wraps = steps < -0.5 * period
+        near = np.abs(steps + period) <= min(slack, 0.2 * period)
+        inside = int(time.max()) - int(time.min()) <= 1.001 * period
+        if wraps.any() and np.array_equal(wraps, wraps & near) and inside:
+            turns = np.concatenate([[0], np.cumsum(wraps)])
+            return time + turns * period, f"{name}, wraps {int(wraps.sum())} time(s): unwrapped"
+    return time, ""
+
+
+def recordings(time: Nanoseconds) -> list[slice]:
+    """The stretches between which a clock starts anew; one where none does."""
+    falls = np.flatnonzero(np.diff(time) < 0) + 1
+    if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
+        return [slice(0, len(time))]
+    step = float(np.median(np.abs(np.diff(time)))) / SECOND
+    least = max(LEAST_FALL, STEPS * step)
+    ends = [0]
+    for fall in falls:
+        back = (int(time[fall - 1]) - int(time[fall])) / SECOND
+        if fall - ends[-1] >= FEWEST_ROWS and len(time) - fall >= FEWEST_ROWS and back > least:
+            ends.append(int(fall))
+    parts = [slice(a, b) for a, b in zip(ends, [*ends[1:], len(time)], strict=True)]
+    spans = sorted((int(time[p].min()), int(time[p].max())) for p in parts)
+    gaps = [(begin - end) / SECOND for (_, end), (begin, _) in pairwise(spans)]
+    if all(-least < gap < least for gap in gaps):
+        return [slice(0, len(time))]  # the parts of one recording in another order
+    return parts
+
+
+def choose_part(time: Nanoseconds, part: int | None, where: str) -> tuple[slice, str]:
+    """The rows of the recording that is wanted; refused where there are several and none was chosen."""
+    parts = recordings(time)
+    if len(parts) == 1:
+        whole = f"{where}: its clock does not start anew; all its rows are taken" if part else ""
+        return slice(0, len(time)), whole
+    lengths = [f"{(int(time[p].max()) - int(time[p].min())) / SECOND:.1f} s" for p in parts]
+    said = f"{where}: the clock starts anew at row {parts[1].start + 1}: {len(parts)} recordings ({', '.join(lengths)})"
+    if part is None:
+        raise InputError(f"{said}; import each by itself: --part 1 to --part {len(parts)}")
+    if not 1 <= part <= len(parts):
+        raise InputError(f"{said}; --part {part} is none of them: give 1 to {len(parts)}")
+    return parts[part - 1], f"{said}; number {part} taken"
+
+
+def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]:
+    """Times in order, rows that share a stamp spread evenly up to the next one; refused where their count varies."""
+    new = np.flatnonzero(np.diff(time, prepend=time[0] - 1) != 0)
+    repeated = 1 - len(new) / len(time)
+    if repeated <= REPEATED or len(new) < 2:
+        return time, ""
+    counts = np.diff(new, append=len(time))
+    steps = np.diff(time[new])
+    usual, step = float(np.median(counts)), float(np.median(steps))
+    inner = counts[1:-1] if len(counts) > 3 else counts
+    odd = np.abs(inner - usual) > max(1.0, 0.05 * usual)
+    irregular = np.abs(steps - step) > 0.2 * step
+    if usual < 2 or np.mean(odd) > UNEVEN or np.mean(irregular) > UNEVEN:
+        if repeated < 0.1:
+            return time, ""
+        lost, rate = len(time) - len(new), usual * SECOND / step
+        raise InputError(
+            f"{where}: {lost} of {len(time)} rows ({repeated:.0%}) have the time of the row before, and how many "
+            f"share one varies from {counts.min()} to {counts.max()}: the times of the {role} are too coarse; name a "
+            f"finer one with --map {role}.t=..., or count rows where the rate is known, as "
+            f'--map "{role}.t=row/{rate:.6g}"'
+        )
+    group = np.repeat(np.arange(len(new)), counts)
+    place = np.arange(len(time)) - new[group]
+    size = counts.astype(np.float64)
+    length = np.append(steps, step).astype(np.float64)
+    length[np.append(irregular, False)] = step
+    if counts[0] < usual:  # the recording begins within a stamp
+        place[group == 0] += round(usual) - counts[0]
+        size[0] = usual
+    size[-1] = max(size[-1], usual)
+    fine = time + np.round(place / size[group] * length[group]).astype(np.int64)
+    return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s: spread evenly"
+
+
+def in_order(time: Nanoseconds, role: Role, where: str, part: int | None) -> Line:
+    """A table's times, strictly increasing, and the rows that they belong to."""
+    notes: list[str] = []
+    time, said = unwrap(time)
+    if said:
+        notes.append(f"{where}: {said}")
+    taken, said = choose_part(time, part, where)
+    rows = np.arange(len(time))[taken]
+    time = time[taken]
+    if said:
+        notes.append(said)
+    if backwards := int(np.count_nonzero(np.diff(time) < 0)):
+        order = np.argsort(time, kind="stable")
+        moved = int(np.count_nonzero(order != np.arange(len(order))))
+        notes.append(
+            f"{where}: {moved} rows came out of order ({backwards} falls of the time); sorted by time"
+        )
+        time, rows = time[order], rows[order]
+    time, said = spread(time, role, where)
+    if said:
+        notes.append(f"{where}: {said}")
+    new = np.diff(time, prepend=time[0] - 1) > 0
+    if not new.all():
+        notes.append(f"{where}: {int(np.count_nonzero(~new))} rows with the time of the row before left out")
+    return Line(time[new], rows[new], tuple(notes))
+
+
+def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
+    """Refuse times in another unit than seconds: steps that no sensor of a car has."""
+    step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
+    if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
+        return
+    units = [("days", 86400.0), ("h", 3600.0), ("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)]
+    likely = [(u, f) for u, f in units if SHORTEST_STEP < step * f < LONGEST_STEP[role]]
+    more = (
+        f'; were they in {likely[0][0]}, write --map "{role}.t=({text})*{likely[0][1]:g}"' if likely else ""
+    )
+    raise InputError(
+        f"{where}: {text} as seconds puts {step:.4g} s between two rows of the {role}{more or '; map its time'}"
+    )

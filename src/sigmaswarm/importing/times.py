@@ -1,0 +1,275 @@
+"""The time of a table: which column or columns hold it, and the expression that makes it seconds."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import polars as pl
+
+from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
+from sigmaswarm.importing.names import CLOCK, PARTS_OF_SECONDS, SECONDS, STAMP, TIME_OF_WEEK, WEEK, Name
+from sigmaswarm.importing.source import Role
+from sigmaswarm.importing.units import in_si
+from sigmaswarm.wording import quoted, shown
+
+LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
+"""s between samples that is still likely."""
+SHORTEST_STEP = 1e-4
+"""s: no car's sensor is faster."""
+DATE_FORMATS = (
+    "",
+    "%d-%b-%Y %H:%M:%S%.f",
+    "%d %b %Y %H:%M:%S%.f",
+    "%Y/%m/%d %H:%M:%S%.f",
+    "%d.%m.%Y %H:%M:%S%.f",
+    "%m/%d/%Y %H:%M:%S%.f",
+    "%d/%m/%Y %H:%M:%S%.f",
+    "%m/%d/%Y %I:%M:%S%.f %p",
+    "%d/%m/%Y %I:%M:%S%.f %p",
+    "%Y-%m-%d %H:%M:%S:%3f",
+    "%Y%m%d %H%M%S%.f",
+    "%Y%m%d %H:%M:%S%.f",
+    "%H:%M:%S%.f",
+)
+"""Of dates in text, in the order in which they are tried; the first is ISO 8601."""
+_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+_SCALES = {"s": "{}", "ms": "{}*1e-3", "us": "{}*1e-6", "ns": "{}*1e-9"}
+_DATES_S = (3e8, 4e9)
+"""s since 1970, from 1979 to 2096."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """The expression of a drive's column, what was assumed, and what forbids to use it."""
+
+    expression: str
+    note: str = ""
+    fault: str = ""
+
+
+def find_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """The time of a table, by its columns' names and values; None where it has none."""
+    for find in (_pair, _stamp, _week, _date_and_time, _single):
+        if (found := find(names, frame, role)) is not None:
+            return found
+    return None
+
+
+def written(column: str) -> str:
+    """A column as an expression names it."""
+    return column if re.fullmatch(r"[A-Za-z_]\w*", column) else f"`{column}`"
+
+
+def numbers_of(values: pl.Series) -> pl.Series:
+    """The numbers among a column's values; lists and bytes are none."""
+    if values.dtype.is_nested() or isinstance(values.dtype, pl.Binary | pl.Object):
+        return pl.Series([], dtype=pl.Float64)
+    if values.dtype == pl.String:
+        values = values.str.strip_chars()
+    return values.cast(pl.Float64, strict=False).drop_nulls().drop_nans()
+
+
+def step_of(values: pl.Series) -> float:
+    """The median of a time's forward steps; rows that share a stamp share a step."""
+    steps = numbers_of(values).diff().drop_nulls()
+    forward = steps.filter(steps > 0)
+    shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
+    return float(forward.median() or 0.0) * (shared if shared < 0.9 else 1.0)  # pyright: ignore[reportArgumentType]
+
+
+def _stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """The stamp of a message's header, before the time at which the message was recorded."""
+    stamps = [n for n in names if n.is_one(STAMP)]
+    if not stamps or not len(
+        numbers_of(frame[stamps[0].column]).filter(numbers_of(frame[stamps[0].column]) > 0)
+    ):
+        return None
+    return _of_column(stamps[0], frame, role)
+
+
+def _pair(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """Whole seconds in one column, the rest of a second in another of the same name before it."""
+    pairs = [
+        (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
+        for first in names
+        if first.words and first.words[-1] in SECONDS
+        for rest in names
+        if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
+    ]
+    for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
+        whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
+        if (
+            len(whole)
+            and len(part)
+            and (whole == whole.round()).all()
+            and part.is_between(0, 1 / scale - 0.5).all()
+        ):
+            text = f"{written(first.column)} + {written(rest.column)}*{scale:.0e}".replace("e-0", "e-")
+            return Found(text, f"the time is {first.column} and {rest.column} together")
+    return None
+
+
+def _week(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """GPS week and time of week."""
+    week = next((n for n in names if n.is_one(WEEK)), None)
+    tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
+    if week is None or tow is None or not len(numbers_of(frame[week.column])):
+        return None
+    if tow.unit is not None and tow.unit.dimension == "time":
+        seconds = in_si(tow.unit, written(tow.column))
+    else:
+        values = numbers_of(frame[tow.column])
+        unit = "ms" if len(values) and float(values.max() or 0) > 604_800 else "s"  # pyright: ignore[reportArgumentType]
+        seconds = _SCALES[unit].format(written(tow.column))
+    return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week made UTC")
+
+
+def _date_and_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """A day in one column of text, the time of day in another."""
+    day = next((n for n in names if n.plain in ("date", "day", "utc_date", "gps_date")), None)
+    clock = next(
+        (n for n in names if n.plain in ("time", "time_of_day", "utc_time", "gps_time", "clock")), None
+    )
+    if (
+        day is None
+        or clock is None
+        or frame.schema[clock.column] != pl.String
+        or len(numbers_of(frame[clock.column]))
+    ):
+        return None
+    return _of_text([day.column, clock.column], frame)
+
+
+def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+    """A column called as times are; or else a clock that runs."""
+    usual = next((n for n in names if n.meaning == "t" and not _unset(frame[n.column])), None)
+    if usual is None:
+        usual = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
+    return None if usual is None else _of_column(usual, frame, role)
+
+
+def _unset(values: pl.Series) -> bool:
+    """Whether a time is 0 in all rows, as stamps are that nothing sets."""
+    return len(numbers := numbers_of(values)) > 1 and bool((numbers == 0).all())
+
+
+def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
+    """The time in one column: text are dates; else the unit in the name, the size of numbers, or their steps."""
+    values, text = frame[name.column], written(name.column)
+    if values.dtype == pl.String and not len(numbers_of(values)) and values.str.len_chars().max():
+        return _of_text([name.column], frame)
+    if values.dtype.is_temporal():
+        return Found(text)
+    if name.unit is not None and name.unit.known and name.unit.dimension == "time":
+        return Found(in_si(name.unit, text))
+    if name.unit is not None:
+        return Found("", fault=unknown_unit(name, "t", "time", role))
+    return _of_numbers(values, text, role)
+
+
+def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
+    """The sentence on a unit that can't be converted."""
+    unit = name.unit.text if name.unit else ""
+    kind = (
+        f"a unit of {name.unit.dimension}, not of {dimension}"
+        if name.unit and name.unit.known
+        else "not known"
+    )
+    entry = f"{role}.{column}={written(name.column)}*1.0"
+    said = f"column {quoted(name.column)}: the unit {quoted(unit)} is {kind}"
+    return f'{said}; give the factor to SI units, as --map "{entry}"'
+
+
+def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
+    """Dates in text, by the first format that reads them all; those that two formats read otherwise are refused."""
+    texts = frame.select(as_text(columns).alias("date"))["date"].drop_nulls()
+    texts = texts.filter(texts.str.contains(r"\d"))
+    fitting = [f for f in DATE_FORMATS if len(texts) and _reads(texts, f)]
+    called = ", ".join(map(written, columns))
+    if not fitting:
+        return Found(f"utc({called})")
+    if len(fitting) > 1 and fitting[0].startswith("%m/%d") and fitting[1].startswith("%d/%m"):
+        said = f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {fitting[0]} if the month does"
+        return Found(
+            "", fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {said}"
+        )
+    form = fitting[0]
+    note = "times of day without a date" if form == "%H:%M:%S%.f" else ""
+    return Found(f"utc({called})" if not form else f"utc({called}, '{form}')", note)
+
+
+def _reads(texts: pl.Series, form: str) -> bool:
+    if not form and not texts.str.contains(r"^\d{4}-\d").all():
+        return False
+    moments = texts.to_frame("date").select(parse_dates(pl.col("date"), form).alias("t"))["t"]
+    return moments.null_count() == 0
+
+
+def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
+    """A time in numbers without a unit: by their size, if they count from 1970, else by a likely step."""
+    numbers = numbers_of(values)
+    size, step = float(numbers.abs().median() or 0.0), step_of(values)  # pyright: ignore[reportArgumentType]
+    column = text.strip("`")
+    for unit, scale in _UNITS:
+        dated = _DATES_S[0] < size * scale < _DATES_S[1]
+        if dated and (unit != "s" or step == 0 or step < LONGEST_STEP[role]):
+            return Found(_SCALES[unit].format(text), "" if unit == "s" else f"{column} taken as {unit}")
+    if 0 < step < SHORTEST_STEP / 2:
+        return _of_days(numbers, text, column, step, role)
+    for unit, scale in _UNITS:
+        if step * scale < LONGEST_STEP[role]:
+            return Found(_SCALES[unit].format(text), "" if unit == "s" else f"{column} taken as {unit}")
+    return Found(text)
+
+
+def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
+    """A time whose steps are too short for seconds: days of a spreadsheet or of MATLAB, or a share of a day."""
+    low, high = float(numbers.min()), float(numbers.max())  # pyright: ignore[reportArgumentType]
+    likely = SHORTEST_STEP < step * 86400 < 4 * LONGEST_STEP[role]
+    for begin, end, epoch, whose in ((2e4, 8e4, EXCEL_EPOCH, "1900"), (6.5e5, 8e5, MATLAB_EPOCH, "year 0")):
+        if likely and begin < low and high < end:
+            return Found(f"({text} - {epoch})*86400", f"{column} taken as days since {whose}")
+    if likely and low > 1e-3 and high < 1:
+        return Found(f"{text}*86400", f"{column} taken as shares of a day (days)")
+    said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
+    return Found(
+        "",
+        fault=f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}",
+    )
+
+
+def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
+    """What is wrong with the unit of a time, ``column`` or ``column*number``, and the cure; empty where nothing is.
+
+    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely.
+    """
+    plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
+    name = plain[1].strip("`") if plain else ""
+    if plain is None or name not in rows.columns or not rows[name].dtype.is_numeric():
+        return ""
+    try:
+        scale = float(plain[2] or 1.0) / float(plain[3] or 1.0)
+    except (ValueError, ZeroDivisionError):
+        return ""
+    step = step_of(rows[name])
+    if not step or SHORTEST_STEP < step * scale < 4 * LONGEST_STEP[role]:
+        return ""
+    for unit, factor in _likely_units(rows[name], step, role):
+        t = "--time" if role == "imu" else f"--map {role}.t="
+        return (
+            f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
+            f'{step * factor:.4g} s: write {t}{" " if role == "imu" else ""}"{plain[1]}{_factor(factor)}"'
+        )
+    return ""
+
+
+def _likely_units(values: pl.Series, step: float, role: Role) -> Iterator[tuple[str, float]]:
+    """Units in which a time's steps are a sensor's, the best first: those that make it a date of our days."""
+    size = float(numbers_of(values).abs().median() or 0.0)  # pyright: ignore[reportArgumentType]
+    units = (*_UNITS, ("days", 86400.0), ("h", 3600.0), ("min", 60.0))
+    likely = [(u, f) for u, f in units if SHORTEST_STEP < step * f < 4 * LONGEST_STEP[role]]
+    yield from sorted(likely, key=lambda u: not _DATES_S[0] < size * u[1] < _DATES_S[1])
+
+
+def _factor(factor: float) -> str:
+    return "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")

@@ -1,0 +1,115 @@
+"""Repairs of a log, verified: what makes forecasts worse is withheld."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from sigmaswarm.doctor import repairs
+from sigmaswarm.doctor.findings import Diagnosis
+from sigmaswarm.drives.drive import Drive
+from sigmaswarm.drives.sensors import stated_std, white_noise
+from sigmaswarm.errors import SigmaswarmError, SigmaswarmWarning
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.run import run_innovations
+from sigmaswarm.scoring.batch import Replayer
+
+VERIFIED = {"shift-clock", "rotate", "gyro", "accelerometer", "turn", "level", "shift-fixes"}
+"""Repairs that change the motion that a filter sees: axes, signs, units and clocks."""
+WORSE = 1.05
+"""A forecast error that is larger by more contradicts a repair."""
+DENSITIES = 0.02, 0.02, 0.4, 0.4, 0.02, 0.02, 0.02, 0.001
+"""Noise of planar8's states, unit/sqrt(s): such a filter follows the fixes within seconds, and the IMU in between."""
+LEAST_STD = 0.5
+"""m: no smaller standard deviation is assumed of the fixes."""
+
+
+def checking_filter(drive: Drive) -> FilterParameters:
+    """Return the filter whose forecasts judge repairs: planar8 with the lateral constraint, by hand."""
+    dt = drive.nominal_interval
+    std = max(*(stated_std(drive) or (0.0,)), white_noise(drive.gps.x + 1j * drive.gps.y), LEAST_STD)
+    return FilterParameters(
+        0.1,
+        2.0,
+        0.0,
+        tuple(density**2 * dt for density in DENSITIES),
+        (std**2, std**2),
+        nominal_interval=dt,
+        model="planar8",
+        kind="ekf",
+        lateral_noise=0.3**2,
+        robust_dof=4.0,
+    )
+
+
+def repair(drive: Drive, diagnosis: Diagnosis) -> Drive:
+    """Return a copy of the drive with all faults repaired that can be.
+
+    A filter runs over the log before and after. Where its forecasts of the next fix, or of fixes hidden for 3
+    to 5 s, get worse by more than 5%, the repair of axes or clocks that is to blame is withheld.
+
+    Parameters
+    ----------
+    drive : Drive
+        The one that was diagnosed.
+    diagnosis : Diagnosis
+
+    Returns
+    -------
+    Drive
+        Under the same name; ``repaired`` in its metadata lists the findings that were repaired, ``withheld`` those
+        whose repair was not applied.
+
+    Warns
+    -----
+    SigmaswarmWarning
+        A repair was withheld.
+    """
+    kept = diagnosis
+    doubtful = {f.code for f in diagnosis.findings if f.repair is not None and f.repair.action in VERIFIED}
+    before = _forecasts(drive) if doubtful else None
+    while doubtful and before is not None:
+        mended = repairs.repair(drive, kept)
+        after = _forecasts(mended)
+        if after is not None and np.all(after <= WORSE * before):
+            break
+        # Leave out the one without which the forecasts are best.
+        code = min(sorted(doubtful), key=lambda code: _error(drive, _without(kept, code)))
+        kept, doubtful = _without(kept, code), doubtful - {code}
+    mended = repairs.repair(drive, kept)
+    withheld = [f.code for f in diagnosis.findings if f.repair and f.code not in _repaired(kept)]
+    if not withheld:
+        return mended
+    what = f"{drive.name}: the repair of {', '.join(dict.fromkeys(withheld))} is withheld: with it a filter forecasts"
+    warnings.warn(SigmaswarmWarning(f"{what} the fixes worse; check the log by hand"), stacklevel=2)
+    return replace(mended, metadata={**mended.metadata, "withheld": list(dict.fromkeys(withheld))})
+
+
+def _repaired(diagnosis: Diagnosis) -> set[str]:
+    return {f.code for f in diagnosis.findings if f.repair is not None}
+
+
+def _without(diagnosis: Diagnosis, code: str) -> Diagnosis:
+    """Return the diagnosis without the repair of a finding."""
+    return replace(
+        diagnosis,
+        findings=tuple(replace(f, repair=None) if f.code == code else f for f in diagnosis.findings),
+    )
+
+
+def _error(drive: Drive, diagnosis: Diagnosis) -> float:
+    found = _forecasts(repairs.repair(drive, diagnosis))
+    return float("inf") if found is None else float(np.prod(found))
+
+
+def _forecasts(drive: Drive) -> np.ndarray | None:
+    """RMS errors of forecasts, m: of the next fix, and of fixes hidden for 3 to 5 s; None if the filter can't run."""
+    try:
+        parameters = checking_filter(drive)
+        innovation = run_innovations(drive, parameters).innovation
+        hidden = Replayer([drive], outages=False, forecasts=True).scores([parameters]).forecast_rmse[0, 0]
+    except SigmaswarmError:
+        return None
+    size = np.hypot(*innovation.T)
+    found = np.array([np.sqrt(np.mean(np.sort(size)[: max(int(0.95 * len(size)), 1)] ** 2)), hidden])
+    return found[np.isfinite(found)] if np.isfinite(found[0]) else None

@@ -1,0 +1,500 @@
+"""Dialects of tables, names and units of columns, forms of positions: read right, or refused in one line."""
+
+import re
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from importing.logs import a_drive, assert_close, imported
+from sigmaswarm.errors import InputError
+from sigmaswarm.importing.convert import Request, import_drive
+from sigmaswarm.importing.look import look
+from sigmaswarm.importing.units import parse_unit
+
+DRIVE = a_drive()
+IMU, GPS, TRUTH = DRIVE.imu, DRIVE.gps, DRIVE.truth
+AXES = ("ax", "ay", "az", "gx", "gy", "gz")
+HEAD = ["t", *AXES]
+
+
+def imu_rows(scale: dict[str, float] | None = None) -> list[list[str]]:
+    scale = scale or {}
+    columns = [IMU.time, *(getattr(IMU, a) * scale.get(a, 1.0) for a in AXES)]
+    return [[repr(float(v)) for v in row] for row in zip(*columns, strict=True)]
+
+
+def write_fixes(folder: Path, lat: Any = None, lon: Any = None, head: str = "t,lat,lon") -> None:
+    lat, lon = GPS.lat if lat is None else lat, GPS.lon if lon is None else lon
+    rows = [f"{t!r},{a},{b}" for t, a, b in zip(GPS.time.tolist(), lat, lon, strict=True)]
+    (folder / "gps.csv").write_text("\n".join([head, *rows]))
+
+
+def table(lines: Sequence[str], end: str = "\n") -> str:
+    return end.join(lines) + end
+
+
+def joined(rows: list[list[str]], separator: str = ",", form: str = "{}", end: str = "") -> list[str]:
+    return [separator.join(form.format(c) for c in row) + end for row in rows]
+
+
+ROWS = imu_rows()
+COMMA = [[c.replace(".", ",") for c in row] for row in ROWS]
+UNITS = ["s", "m/s^2", "m/s^2", "m/s^2", "rad/s", "rad/s", "rad/s"]
+DIALECTS: dict[str, str] = {
+    "header behind #": table(["#" + ",".join(HEAD), *joined(ROWS)]),
+    "header behind # and a blank": table(["# made by a logger", "# " + ",".join(HEAD), *joined(ROWS)]),
+    "header behind %": table(["%" + ",".join(HEAD), *joined(ROWS)]),
+    "units row": table([",".join(HEAD), ",".join(UNITS), *joined(ROWS)]),
+    "units row in brackets": table([";".join(HEAD), ";".join(f"[{u}]" for u in UNITS), *joined(ROWS, ";")]),
+    "units row behind #": table(["#" + ",".join(HEAD), "#" + ",".join(UNITS), *joined(ROWS)]),
+    "lines above": table(["Logger 2, firmware 1.3", "Serial: 12", "", ",".join(HEAD), *joined(ROWS)]),
+    "lines above with commas": table(["Logger,2", "rate,100", ",".join(HEAD), *joined(ROWS)]),
+    "many lines above": table([*(f"setting {k}: {k}" for k in range(40)), ",".join(HEAD), *joined(ROWS)]),
+    "sep=;": table(["sep=;", ";".join(HEAD), *joined(ROWS, ";")]),
+    "sep=,": table(["sep=,", ",".join(HEAD), *joined(ROWS)], "\r\n"),
+    "decimal commas": table([";".join(HEAD), *joined(COMMA, ";")]),
+    "decimal commas behind tabs": table(["\t".join(HEAD), *joined(COMMA, "\t")], "\r\n"),
+    "decimal commas, padded": table(["; ".join(HEAD), *joined(COMMA, ";", "{:>28}")]),
+    "decimal commas in quotes": table([",".join(HEAD), *joined(COMMA, ",", '"{}"')]),
+    "pipes above commas": table(["|".join(HEAD), *joined(ROWS)]),
+    "tabs above commas": table(["\t".join(HEAD), *joined(ROWS)]),
+    "semicolons above tabs": table([";".join(HEAD), *joined(ROWS, "\t")]),
+    "names with units between pipes": table(
+        [",".join(f'"{n}"|"{u}"|-3.0|3.0|10' for n, u in zip(HEAD, UNITS, strict=True)), *joined(ROWS)]
+    ),
+    "padded": table([",".join(f"{n:>28}" for n in HEAD), *joined(ROWS, ",", "{:>28}")]),
+    "padded behind": table([", ".join(HEAD), *joined(ROWS, ",", "{:<28}")]),
+    "parted by blanks": table(["   ".join(HEAD), *joined(ROWS, "  ", "{:>28}")]),
+    "trailing separators in rows": table([",".join(HEAD), *joined(ROWS, end=",")]),
+    "trailing separators everywhere": table([";".join(HEAD) + ";", *joined(ROWS, ";", end=";")]),
+    "trailing separator in the header": table([",".join(HEAD) + ",", *joined(ROWS)]),
+    "quotes": table([",".join(f'"{n}"' for n in HEAD), *joined(ROWS, ",", '"{}"')]),
+    "byte order mark": "﻿" + table([",".join(HEAD), *joined(ROWS)], "\r\n"),
+    "an index without a name": table(
+        [",".join(["", *HEAD]), *(f"{k},{row}" for k, row in enumerate(joined(ROWS)))]
+    ),
+    "comments among the rows": table(
+        [",".join(HEAD), *joined(ROWS[:50]), "# a marker, pressed", *joined(ROWS[50:])]
+    ),
+}
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_dialects(tmp_path: Path, dialect: str):
+    (tmp_path / "imu.csv").write_text(DIALECTS[dialect], encoding="utf-8")
+    write_fixes(tmp_path)
+    got = imported(tmp_path)
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+    assert any("decimal commas" in n for n in got.notes) == ("decimal commas" in dialect)
+
+
+@pytest.mark.parametrize("name", ["drive.log", "DATA.DAT", "imu.asc", "data"])
+def test_a_table_of_any_name_is_recognized(tmp_path: Path, name: str):
+    (tmp_path / name).write_text(DIALECTS["lines above"])
+    write_fixes(tmp_path)
+    got = imported(tmp_path / name, gps=tmp_path / "gps.csv")
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
+def test_a_column_of_another_encoding_in_the_header(tmp_path: Path):
+    head = ",".join([*HEAD, "größe"])
+    (tmp_path / "imu.csv").write_bytes(table([head, *(r + ",1" for r in joined(ROWS))]).encode("latin-1"))
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax gz", 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (joined(ROWS), "imu.csv: has no header; its columns are called c1 to c7"),
+        ([",".join(UNITS), *joined(ROWS)], "imu.csv: has no header"),
+        (["# no names", *joined(ROWS)], "imu.csv: has no header"),
+        (
+            [",".join(HEAD), *joined(ROWS[:60]), ",".join([*ROWS[60], "7"]), *joined(ROWS[61:])],
+            "row 62: has 8 cells and the header 7",
+        ),
+        ([",".join(HEAD[:5]), *joined(ROWS)], "row 2: has 7 cells and the header above it 5"),
+    ],
+)
+def test_the_first_fault_is_named_and_always_the_same(tmp_path: Path, lines: list[str], said: str):
+    (tmp_path / "imu.csv").write_text(table(lines))
+    write_fixes(tmp_path)
+    messages = set()
+    for _ in range(3):
+        with pytest.raises(InputError, match=re.escape(said)) as caught:
+            imported(tmp_path)
+        messages.add(str(caught.value))
+    assert len(messages) == 1
+
+
+def test_of_several_columns_of_text_the_first_is_named(tmp_path: Path):
+    rows = [[*row[:2], "bad", "worse", *row[4:]] for row in ROWS]
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS[:9]), *joined(rows[9:])]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match="row 10 of the data, column ay: 'bad' is not a number"):
+        imported(tmp_path)
+
+
+def test_columns_without_a_header_can_be_mapped(tmp_path: Path):
+    (tmp_path / "imu.csv").write_text(table(joined(ROWS)))
+    write_fixes(tmp_path)
+    maps = ["imu.t=c1", *(f"{a}=c{k}" for k, a in enumerate(AXES, 2))]
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+
+
+def test_a_name_of_any_length_is_read_in_a_moment(tmp_path: Path):
+    name = "a" + " " * 130_000 + "[b"
+    (tmp_path / "imu.csv").write_text(
+        table([",".join([*HEAD, name, "(" * 9999]), *(r + ",1,1" for r in joined(ROWS))])
+    )
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax gz", 1e-12)
+
+
+def test_a_name_with_backticks(tmp_path: Path):
+    head = ["t", "`acc_x`", "acc`_y", "acc_z", *AXES[3:]]
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    maps = ["ax=`'acc_x'`", "ay=`acc'_y`"]
+    got = imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", maps=maps)
+    assert_close(got.drive.imu, IMU, "time ax ay az gz", 1e-12)
+
+
+G = 9.80665
+IMU_UNITS = [
+    *(
+        ("a", u, k)
+        for u, k in [
+            ("g", G),
+            ("mg", G / 1e3),
+            ("ug", G / 1e6),
+            ("ft/s^2", 0.3048),
+            ("cm/s2", 0.01),
+            ("Gal", 0.01),
+            ("mm/s^2", 1e-3),
+            ("m s^-2", 1.0),
+            ("m/s/s", 1.0),
+            ("m·s⁻²", 1.0),
+        ]
+    ),
+    *(
+        ("g", u, k)
+        for u, k in [
+            ("deg/s", np.pi / 180),
+            ("°/s", np.pi / 180),
+            ("dps", np.pi / 180),
+            ("mdps", np.pi / 180e3),
+            ("mrad/s", 1e-3),
+            ("deg/h", np.pi / 648e3),
+            ("rpm", np.pi / 30),
+            ("rev/s", 2 * np.pi),
+            ("rad s^-1", 1.0),
+            ("deg/min", np.pi / 10800),
+        ]
+    ),
+]
+
+
+@pytest.mark.parametrize(("letter", "unit", "factor"), IMU_UNITS)
+@pytest.mark.parametrize("form", ["{} [{}]", "{} ({})"])
+def test_units_of_the_imu(tmp_path: Path, letter: str, unit: str, factor: float, form: str):
+    mine = [a for a in AXES if a[0] == letter]
+    rows = imu_rows(dict.fromkeys(mine, 1 / factor))
+    head = ["t", *(form.format(a, unit) if a in mine else a for a in AXES)]
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(rows)]), encoding="utf-8")
+    write_fixes(tmp_path)
+    assert_close(imported(tmp_path).drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("km", 1e3),
+        ("ft", 0.3048),
+        ("mm", 1e-3),
+        ("cm", 0.01),
+        ("mi", 1609.344),
+        ("nmi", 1852.0),
+        ("meters", 1.0),
+        ("in", 0.0254),
+    ],
+)
+def test_units_of_places(tmp_path: Path, unit: str, factor: float):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, GPS.x / factor, GPS.y / factor, f"t,x [{unit}],y [{unit}]")
+    assert_close(imported(tmp_path).drive.gps, GPS, "x y", 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("km/h", 1 / 3.6),
+        ("knots", 1852 / 3600),
+        ("mph", 0.44704),
+        ("cm/s", 0.01),
+        ("kts", 1852 / 3600),
+        ("ft/s", 0.3048),
+    ],
+)
+def test_units_of_speeds(tmp_path: Path, unit: str, factor: float):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    lines = (tmp_path / "gps.csv").read_text().split("\n")
+    speeds = [f"speed [{unit}]", *map(repr, (GPS.speed / factor).tolist())]
+    head = [
+        lines[0] + ",course",
+        *(f"{line},{c!r}" for line, c in zip(lines[1:], GPS.course.tolist(), strict=True)),
+    ]
+    (tmp_path / "gps.csv").write_text("\n".join(f"{a},{b}" for a, b in zip(head, speeds, strict=True)))
+    assert_close(imported(tmp_path).drive.gps, GPS, "speed", 1e-9)
+
+
+def maps_in(message: str) -> list[str]:
+    """What a message says to map."""
+    return re.findall(r'"([^"=]*=[^"]*)"', message)
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        (["t", "ax [parsec/s2]", *AXES[1:]], "the unit 'parsec/s2' is not known"),
+        (["t", *AXES[:5], "gz [m]"], "is a unit of length, not of rate"),
+        (["t", "ax", "ay", "az [foo]", *AXES[3:]], "the unit 'foo' is not known"),
+        (["t [fortnights]", *AXES], "the unit 'fortnights' is not known"),
+    ],
+)
+def test_an_unknown_unit_is_refused_and_the_remedy_helps(tmp_path: Path, head: list[str], said: str):
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match=re.escape(said)) as caught:
+        imported(tmp_path)
+    assert "imu.csv" in str(caught.value)
+    got = imported(tmp_path, maps=maps_in(str(caught.value)))
+    assert_close(got.drive.imu, IMU, "time ax ay az gx gy gz", 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("letter", "per", "unit"),
+    [
+        ("a", 16384 / G, ""),
+        ("a", 4096 / G, ""),
+        ("a", 2048 / G, " [LSB]"),
+        ("g", 131 * 180 / np.pi, ""),
+        ("g", 131 * 180 / np.pi, " (counts)"),
+    ],
+)
+def test_raw_counts_are_refused_and_the_remedy_helps(tmp_path: Path, letter: str, per: float, unit: str):
+    mine = [a for a in AXES if a[0] == letter]
+    rows = imu_rows(dict.fromkeys(mine, per))
+    whole = [
+        [str(round(float(c))) if h[0] == letter else c for h, c in zip(HEAD, row, strict=True)]
+        for row in rows
+    ]
+    head = ["t", *(a + unit if a in mine else a for a in AXES)]
+    (tmp_path / "imu.csv").write_text(table([",".join(head), *joined(whole)]))
+    write_fixes(tmp_path)
+    with pytest.raises(InputError, match=r"hold raw counts.*usual 16-bit sensors") as caught:
+        imported(tmp_path)
+    got = imported(tmp_path, maps=maps_in(str(caught.value)))
+    assert_close(got.drive.imu, IMU, "time " + " ".join(mine), 1 / per)
+
+
+def ddmm(value: float) -> str:
+    degrees = int(abs(value))
+    return f"{'-' if value < 0 else ''}{degrees * 100 + (abs(value) - degrees) * 60:.9f}"
+
+
+PLACES: dict[str, tuple[str, Callable[[float], str], Callable[[float], str]]] = {
+    "radians, named": (
+        "t,lat [rad],lon [rad]",
+        lambda a: repr(float(np.radians(a))),
+        lambda b: repr(float(np.radians(b))),
+    ),
+    "radians in the name": (
+        "t,lat_rad,lon_rad",
+        lambda a: repr(float(np.radians(a))),
+        lambda b: repr(float(np.radians(b))),
+    ),
+    "degrees, named": ("t,Latitude (deg),Longitude (deg)", repr, repr),
+    "1e-7 degrees": ("t,lat,lon", lambda a: str(round(a * 1e7)), lambda b: str(round(b * 1e7 + 3e9 - 3e9))),
+    "1e-7 degrees, named": (
+        "t,lat [degE7],lon [1e-7 deg]",
+        lambda a: str(round(a * 1e7)),
+        lambda b: str(round(b * 1e7)),
+    ),
+    "ddmm.mmmm": ("t,lat,lon", ddmm, ddmm),
+    "ddmm.mmmm, named": ("t,lat [ddmm.mmmm],lon [dddmm.mmmm]", ddmm, ddmm),
+    "0 to 360": ("t,lat,lon", repr, lambda b: repr(b % 360)),
+    "hemispheres": ("t,lat,lat_dir,lon,lon_dir", lambda a: f"{abs(a)!r},N", lambda b: f"{abs(b)!r},W"),
+    "hemispheres of ddmm": (
+        "t,lat,N/S,lon,E/W",
+        lambda a: f"{ddmm(abs(a))},N",
+        lambda b: f"{ddmm(abs(b))},W",
+    ),
+}
+
+
+@pytest.mark.parametrize("form", PLACES)
+def test_forms_of_places(tmp_path: Path, form: str):
+    head, lat, lon = PLACES[form]
+    west = (-GPS.lon - 100).tolist()
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, [lat(a) for a in GPS.lat.tolist()], [lon(b) for b in west], head)
+    got = imported(tmp_path).drive.gps
+    np.testing.assert_allclose(got.lat, GPS.lat, atol=1e-7)
+    np.testing.assert_allclose(got.lon, west, atol=1e-7)
+
+
+@pytest.mark.parametrize("scale", [np.pi / 180, 1e6])
+def test_places_that_may_be_two_things_are_refused_and_the_remedy_helps(tmp_path: Path, scale: float):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, (GPS.lat * scale).tolist(), (GPS.lon * scale).tolist())
+    with pytest.raises(InputError, match="latitude and longitude") as caught:
+        imported(tmp_path)
+    maps = [m.replace("1e-7", "1e-6") for m in maps_in(str(caught.value))[:2]]
+    assert_close(imported(tmp_path, maps=maps).drive.gps, GPS, "lat lon", 1e-9)
+
+
+@pytest.mark.parametrize("cell", ["0", "0.0", "-999", "1e10", "-9999.0", "", "n/a", "NaN"])
+@pytest.mark.parametrize("count", [1, 5])
+def test_placeholders_are_no_fixes(tmp_path: Path, cell: str, count: int):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    lat = [cell] * count + list(map(repr, GPS.lat[count:].tolist()))
+    lon = [cell] * count + list(map(repr, GPS.lon[count:].tolist()))
+    write_fixes(tmp_path, lat, lon)
+    got = imported(tmp_path)
+    assert_close(got.drive.gps, GPS.select(slice(count, None)), "time lat lon", 1e-12)
+    np.testing.assert_allclose(got.drive.origin[:2], (GPS.lat[count], GPS.lon[count]))
+    assert any("left out" in note or "no fix" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("place", [(12.0, 50.0), (0.0, 0.0001), (-48.1, 11.0)])
+def test_a_first_fix_far_from_the_rest_is_left_out(tmp_path: Path, place: tuple[float, float]):
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, [place[0], *GPS.lat[1:].tolist()], [place[1], *GPS.lon[1:].tolist()])
+    got = imported(tmp_path)
+    np.testing.assert_allclose(got.drive.origin[:2], (GPS.lat[1], GPS.lon[1]))
+    assert any("km from the others left out, the first among them" in note for note in got.notes)
+
+
+@pytest.mark.parametrize("value", ["-999", "1e10", "9999", "nan"])
+def test_placeholders_of_the_imu_are_no_samples(tmp_path: Path, value: str):
+    rows = [[*r[:3], value, *r[4:]] if k in (5, 6, 700) else r for k, r in enumerate(ROWS)]
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(rows)]))
+    write_fixes(tmp_path)
+    got = imported(tmp_path)
+    assert len(got.drive.imu) == len(IMU) - 3 and np.abs(got.drive.imu.az).max() < 20
+    assert any("3 rows with an empty cell left out" in note for note in got.notes)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("Accelerometer", "Gyroscope", "Magnetometer"),
+        ("Acceleration", "AngularVelocity", "MagneticField"),
+        ("acc", "gyr", "mag"),
+        ("phone_accel", "phone_gyro", "orientation"),
+    ],
+)
+@pytest.mark.parametrize("place", ["lat,lon", "x,y"])
+def test_x_y_z_are_of_what_the_table_is_called(tmp_path: Path, names: tuple[str, str, str], place: str):
+    for name, letter in zip(names, "agg", strict=True):
+        columns = [IMU.time, *(getattr(IMU, f"{letter}{i}") * (9 if name == names[2] else 1) for i in "xyz")]
+        rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
+        (tmp_path / f"{name}.csv").write_text(table(["Timestamp,X,Y,Z", *rows]))
+    columns = (GPS.lat, GPS.lon) if place == "lat,lon" else (GPS.x, GPS.y)
+    write_fixes(tmp_path, *columns, f"t,{place}")
+    (tmp_path / "gps.csv").rename(tmp_path / "position.csv")
+    got = imported(tmp_path).drive
+    assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-12)
+    assert_close(got.gps, GPS, place.replace(",", " "), 1e-12)
+
+
+TRUTHS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "degrees, named": ("yaw_deg", np.degrees),
+    "degrees in brackets": ("theta [deg]", np.degrees),
+    "degrees with a sign": ("yaw (°)", np.degrees),
+    "degrees, not named": ("yaw", np.degrees),
+    "from north, degrees": ("heading", lambda a: np.degrees(np.pi / 2 - a) % 360),
+    "from north, radians": ("yaw [rad]", lambda a: (np.pi / 2 - a) % (2 * np.pi)),
+    "from north, named theta": ("theta", lambda a: np.pi / 2 - a),
+}
+
+
+@pytest.mark.parametrize("form", TRUTHS)
+def test_the_heading_of_truth(tmp_path: Path, form: str):
+    name, make = TRUTHS[form]
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path, GPS.x, GPS.y, "t,x,y")
+    columns = [TRUTH.time, TRUTH.x, TRUTH.y, make(TRUTH.theta)]
+    rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
+    (tmp_path / "truth.csv").write_text(table([f"t,x,y,{name}", *rows]), encoding="utf-8")
+    got = imported(tmp_path).drive.truth
+    apart = np.angle(np.exp(1j * (got.theta - TRUTH.theta)))
+    assert np.abs(apart).max() < 1e-6
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (3.0, -2.0), (0.0, 40.0)])
+def test_truth_in_metres_beside_fixes_in_degrees(tmp_path: Path, shift: tuple[float, float]):
+    """The assumption on its origin is reported, and the origin that is named takes the offset away."""
+    (tmp_path / "imu.csv").write_text(table([",".join(HEAD), *joined(ROWS)]))
+    write_fixes(tmp_path)
+    columns = [TRUTH.time, TRUTH.x + shift[0], TRUTH.y + shift[1], TRUTH.theta]
+    rows = [",".join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
+    (tmp_path / "truth.csv").write_text(table(["t,x,y,theta", *rows]))
+    (said,) = [note for note in imported(tmp_path).notes if "its origin is taken to be the first fix" in note]
+    origin = tuple(map(float, re.search(r"--origin (\S+),", said + ",")[1].split(",")[:3]))
+    request = Request(tmp_path)
+    drive = import_drive(replace(request, recipe=replace(request.recipe, origin=origin)), "again").drive
+    for name in ("x", "y"):
+        known = np.interp(drive.gps.time, drive.truth.time, getattr(drive.truth, name))
+        assert abs(np.mean(getattr(drive.gps, name) - known)) < 0.05
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "m/s^2",
+        "m s^-2",
+        "deg/sec",
+        "Deg/Sec",
+        "rad s^-1",
+        "mm/s/s",
+        "°/s",
+        "µg",
+        "KNOTS",
+        "ft/s²",
+        "milli-g",
+        "deg/hr",
+    ],
+)
+def test_spellings_of_units(text: str):
+    unit = parse_unit(text)
+    assert unit is not None and unit.known
+
+
+@pytest.mark.parametrize("text", ["parsec", "m/foo", "rad^2", "bananas/s", "m" * 500, "V"])
+def test_what_is_no_unit_is_unknown(text: str):
+    unit = parse_unit(text)
+    assert unit is not None and not unit.known
+
+
+def test_what_is_proposed_works_as_it_is(tmp_path: Path):
+    head = ["t", "acc_fwd_g", "acc_left_g", "acc_up_g", "roll_rate_dps", "pitch_rate_dps", "yaw_rate_ccw_dps"]
+    rows = imu_rows({a: 1 / G if a[0] == "a" else 180 / np.pi for a in AXES})
+    (tmp_path / "box.csv").write_text(table([",".join(head), *joined(rows)]))
+    write_fixes(tmp_path)
+    words = shlex.split(look(Request(tmp_path)).proposal)
+    at = words.index("--map")
+    tables = dict(
+        zip((w.removeprefix("--").split("-")[0] for w in words[0:at:2]), words[1:at:2], strict=True)
+    )
+    request = Request(tmp_path, maps=words[at + 1 :])
+    got = import_drive(replace(request, choice=replace(request.choice, tables=tables)), "pasted").drive
+    assert_close(got.imu, IMU, "time ax ay az gx gy gz", 1e-9)

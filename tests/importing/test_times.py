@@ -1,0 +1,277 @@
+"""Times in two columns, counters that wrap, clocks that start anew, coarse stamps, days, dates."""
+
+import datetime
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from importing.logs import EPOCH, a_drive, assert_close, imported
+from sigmaswarm.errors import InputError
+
+DRIVE = a_drive()
+IMU, GPS = DRIVE.imu, DRIVE.gps
+Cells = Callable[[float], str]
+
+
+def write(
+    folder: Path, head: str, cells: Cells, gps_head: str | None = None, gps_cells: Cells | None = None
+) -> None:
+    """The drive's two tables with times of a form."""
+    rows = zip(IMU.time.tolist(), IMU.ax, IMU.ay, IMU.az, IMU.gz, strict=True)
+    (folder / "imu.csv").write_text(
+        "\n".join([f"{head},ax,ay,az,gz", *(f"{cells(t)},{a},{b},{c},{g}" for t, a, b, c, g in rows)])
+    )
+    rows = zip(GPS.time.tolist(), GPS.lat.tolist(), GPS.lon.tolist(), strict=True)
+    told = gps_cells or cells
+    (folder / "gps.csv").write_text(
+        "\n".join([f"{gps_head or head},lat,lon", *(f"{told(t)},{a!r},{b!r}" for t, a, b in rows)])
+    )
+
+
+def apart(folder: Path, **options) -> float:
+    """The largest error of a time, s, from the IMU's first sample on, of IMU and fixes."""
+    drive = imported(folder, **options).drive
+    assert len(drive.imu) == len(IMU)
+    imu, gps = (t - drive.imu.time[0] for t in (drive.imu.time, drive.gps.time))
+    known = GPS.time[len(GPS) - len(gps) :] - IMU.time[0]
+    return float(max(np.abs(imu - (IMU.time - IMU.time[0])).max(), np.abs(gps - known).max()))
+
+
+def split(scale: int, begin: int = EPOCH) -> Cells:
+    def cells(t: float) -> str:
+        ticks = round(t * scale) + begin * scale
+        return f"{ticks // scale},{ticks % scale}"
+
+    return cells
+
+
+def exact_week(t: float) -> str:
+    ticks = round((2311 * 604800 - 5 + t) * 1000)
+    return f"{ticks // 604800000},{ticks % 604800000 / 1000:.3f}"
+
+
+TWO_COLUMNS: dict[str, tuple[str, Cells]] = {
+    "seconds, nanoseconds": ("seconds,nanoseconds", split(10**9)),
+    "sec, nsec": ("sec,nsec", split(10**9)),
+    "since the start": ("secs,nsecs", split(10**9, 58426)),
+    "stamp.sec, stamp.nanosec": ("stamp.sec,stamp.nanosec", split(10**9)),
+    "tv_sec, tv_usec": ("tv_sec,tv_usec", split(10**6)),
+    "header before the time of receipt": (
+        "time,header.stamp.secs,header.stamp.nsecs",
+        lambda t: f"{EPOCH + t + 0.3 * (t * 7 % 1):.6f},{split(10**9)(t)}",
+    ),
+    "a header's stamp in one column": (
+        "%time,field.header.stamp",
+        lambda t: f"{EPOCH * 10**9},{round(t * 1e9) + EPOCH * 10**9}",
+    ),
+    "week and time of week, s": ("gps_week,tow", exact_week),
+    "week and time of week, ms": (
+        "week,iTOW",
+        lambda t: (
+            f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
+            f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"
+        ),
+    ),
+    "WN and TOW [ms]": (
+        "GPS WN,TOW [ms]",
+        lambda t: (
+            f"{round((2311 * 604800 - 5 + t) * 1e3) // 604800000},"
+            f"{round((2311 * 604800 - 5 + t) * 1e3) % 604800000}"
+        ),
+    ),
+    "date and time": (
+        "Date,Time",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%Y-%m-%d,%H:%M:%S.%f"),
+    ),
+    "day and time of day": (
+        "date,utc_time",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime("%d.%m.%Y,%H:%M:%S.%f"),
+    ),
+}
+
+
+@pytest.mark.parametrize("form", TWO_COLUMNS)
+def test_two_columns_are_one_time(tmp_path: Path, form: str):
+    write(tmp_path, *TWO_COLUMNS[form])
+    assert apart(tmp_path) < (1.1e-3 if "ms" in form or "week" in form else 2e-6)
+
+
+def test_week_and_time_of_week_are_utc(tmp_path: Path):
+    write(tmp_path, "week,tow", exact_week, "t", lambda t: f"{2311 * 604800 - 5 + t + 315964800 - 18:.3f}")
+    assert apart(tmp_path) < 1e-3
+
+
+NAMED: dict[str, tuple[str, Cells]] = {
+    "micros": ("micros", lambda t: str(round((t + 3) * 1e6))),
+    "millis": ("millis", lambda t: str(round((t + 3) * 1e3))),
+    "time since start in ms": ("time since start in ms", lambda t: str(round(t * 1e3))),
+    "Time since start (us)": ("Time since start (us)", lambda t: str(round(t * 1e6))),
+    "seconds_elapsed": ("seconds_elapsed", repr),
+    "time [min]": ("time [min]", lambda t: repr(t / 60)),
+    "time (h)": ("time (h)", lambda t: repr(t / 3600)),
+    "t_days": ("time_days", lambda t: repr(t / 86400)),
+}
+
+
+@pytest.mark.parametrize("form", NAMED)
+def test_names_of_times(tmp_path: Path, form: str):
+    write(tmp_path, *NAMED[form])
+    assert apart(tmp_path) < 1.1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "period"),
+    [
+        ("micros", 1e6, 2**32),
+        ("millis", 1e3, 2**32),
+        ("millis", 1e3, 2**16),
+        ("t_us", 1e6, 2**32),
+        ("tow_ms", 1e3, 604_800_000),
+        ("time_of_day", 1, 86400),
+    ],
+)
+@pytest.mark.parametrize("before", [4.0, 11.0])
+def test_counters_that_wrap_go_on(tmp_path: Path, name: str, scale: float, period: int, before: float):
+    write(tmp_path, name, lambda t: f"{(round(t * scale, 6) - before * scale) % period:.10g}")
+    assert apart(tmp_path) < 1.1e-3
+    assert any("unwrapped" in note for note in imported(tmp_path).notes)
+
+
+DAYS: dict[str, Cells] = {
+    "spreadsheet": lambda t: f"{45406.96 + t / 86400:.11f}",
+    "datenum": lambda t: f"{739367.5 + t / 86400:.12f}",
+    "share of a day": lambda t: f"{0.4 + t / 86400:.12f}",
+    "spreadsheet over midnight": lambda t: f"{45407 - 5 / 86400 + t / 86400:.11f}",
+}
+
+
+@pytest.mark.parametrize("form", DAYS)
+def test_days(tmp_path: Path, form: str):
+    write(tmp_path, "time", DAYS[form])
+    assert apart(tmp_path) < 1e-4
+    assert any("days" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("scale", [3600.0, 86400.0])
+def test_a_unit_that_can_not_be_known_is_refused_and_the_remedy_helps(tmp_path: Path, scale: float):
+    write(tmp_path, "time", lambda t: f"{t / scale:.14f}")
+    with pytest.raises(InputError, match="too short for seconds") as caught:
+        imported(tmp_path)
+    time = re.search(r'--time "([^"]+)\*86400"', str(caught.value))[1]
+    assert apart(tmp_path, time=f"{time}*{scale:g}") < 1e-4
+
+
+@pytest.mark.parametrize("time", ["t*1e-6", "t - 5 + 0*ax", "where(t > 3, t*1e-6, t*1e-6)"])
+def test_stated_times_pass_the_same_check(tmp_path: Path, time: str):
+    write(tmp_path, "t", lambda t: repr(t))
+    if "1e-6" in time:
+        with pytest.raises(InputError, match="between two rows of the imu"):
+            imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time)
+    else:
+        imported(tmp_path / "imu.csv", gps=tmp_path / "gps.csv", time=time, maps=["gps.t=t-5"])
+
+
+DATES = (
+    "%d-%b-%Y %H:%M:%S.%f",
+    "%Y/%m/%d %H:%M:%S.%f",
+    "%d.%m.%Y %H:%M:%S.%f",
+    "%d/%m/%Y %H:%M:%S.%f",
+    "%m/%d/%Y %I:%M:%S.%f %p",
+    "%Y-%m-%dT%H:%M:%S.%fZ",
+    "%Y-%m-%d %H:%M:%S.%f+02:00",
+    "%H:%M:%S.%f",
+    "%Y%m%d %H%M%S.%f",
+)
+
+
+@pytest.mark.parametrize("form", DATES)
+def test_dates(tmp_path: Path, form: str):
+    write(
+        tmp_path,
+        "Timestamp",
+        lambda t: datetime.datetime.fromtimestamp(EPOCH + t, datetime.UTC).strftime(form),
+    )
+    assert apart(tmp_path) < 2e-6
+
+
+@pytest.mark.parametrize("first", ["%d/%m", "%m/%d"])
+def test_a_date_that_may_be_two_days_is_refused_and_the_remedy_helps(tmp_path: Path, first: str):
+    begin = 1_717_459_200  # 4 June 2024
+    form = f"{first}/%Y %H:%M:%S.%f"
+    write(tmp_path, "time", lambda t: datetime.datetime.fromtimestamp(begin + t, datetime.UTC).strftime(form))
+    with pytest.raises(InputError, match="may be two days") as caught:
+        imported(tmp_path)
+    time = re.search(r'--time "([^"]+)"', str(caught.value))[1]
+    if first == "%m/%d":
+        time = time.replace("%d/%m", "%m/%d")
+    drive = imported(tmp_path, time=time).drive
+    assert drive.metadata["time_origin_s"] == begin
+
+
+@pytest.mark.parametrize(("digits", "offset"), [(0, 0.0), (0, 0.43), (1, 0.0), (1, 0.03)])
+def test_coarse_stamps_are_spread_evenly(tmp_path: Path, digits: int, offset: float):
+    """Whole seconds, or tenths: the drive has 100 samples a second, and the first stamp may lack some."""
+    scale = 10**digits
+    write(
+        tmp_path,
+        "t",
+        lambda t: f"{np.floor((t + offset) * scale + 1e-6) / scale:.{digits}f}",
+        "t",
+        lambda t: repr(t + offset),
+    )
+    got = imported(tmp_path)
+    assert len(got.drive.imu) == len(IMU)
+    assert np.abs(got.drive.imu.time - IMU.time - offset).max() < 0.011
+    assert any("spread evenly" in note for note in got.notes)
+
+
+def test_fixes_with_coarse_stamps_are_spread_evenly(tmp_path: Path):
+    write(tmp_path, "t", repr, "t", lambda t: str(int(t + 1e-6)))
+    got = imported(tmp_path)
+    np.testing.assert_allclose(np.diff(got.drive.gps.time), np.diff(GPS.time), atol=1e-6)
+    assert np.abs(got.drive.gps.time - GPS.time).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    "uneven", [lambda t: int(t + 0.9 * np.sin(1.7 * int(t)) ** 2), lambda t: int(t**1.3)]
+)
+def test_coarse_stamps_of_an_uneven_count_are_refused_and_the_remedy_helps(
+    tmp_path: Path, uneven: Callable[[float], int]
+):
+    stamps = np.maximum.accumulate([uneven(t) for t in IMU.time])
+    at = dict(zip(IMU.time.tolist(), stamps.tolist(), strict=True))
+    write(tmp_path, "t", lambda t: str(at[t]), "t", repr)
+    with pytest.raises(
+        InputError, match=r"\d+ of \d+ rows \(9\d%\) have the time of the row before.*too coarse"
+    ) as caught:
+        imported(tmp_path)
+    assert "row/" in str(caught.value)
+    assert apart(tmp_path, maps=["imu.t=row/100"]) < 1e-9
+
+
+@pytest.mark.parametrize("begins", [(0.0, 0.0), (0.0, 2.0), (0.0, 5.5), (9.0, 0.0)])
+def test_a_clock_that_starts_anew_is_two_recordings(tmp_path: Path, begins: tuple[float, float]):
+    write(tmp_path, "t", lambda t: f"{t + begins[0] if t < 7 else t - 7 + begins[1]:.6f}")
+    with pytest.raises(
+        InputError, match=r"the clock starts anew at row 701: 2 recordings .* --part 1 to --part 2"
+    ):
+        imported(tmp_path)
+    first, second = (imported(tmp_path, part=k) for k in (1, 2))
+    assert len(first.drive.imu) == 700 and len(second.drive.imu) == len(IMU) - 700
+    assert_close(first.drive.imu, IMU.select(slice(0, 700)), "ax gz", 1e-12)
+    assert_close(second.drive.imu, IMU.select(slice(700, None)), "ax gz", 1e-12)
+    assert len(first.drive.gps) + len(second.drive.gps) == len(GPS)
+    with pytest.raises(InputError, match="--part 3 is none of them"):
+        imported(tmp_path, part=3)
+
+
+def test_rows_in_another_order_are_one_recording(tmp_path: Path):
+    write(tmp_path, "t", repr)
+    lines = (tmp_path / "imu.csv").read_text().split("\n")
+    (tmp_path / "imu.csv").write_text("\n".join([lines[0], *lines[601:], *lines[1:601]]))
+    got = imported(tmp_path)
+    assert_close(got.drive.imu, IMU, "time ax gz", 1e-12)
+    assert any(f"{len(IMU)} rows came out of order" in note for note in got.notes)
