@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
+from sigmaswarm.limits import require_members, require_regular
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -44,8 +45,10 @@ def read_arrays(path: Path) -> "dict[str, NDArray[Any]]":
     """Read all arrays of an npz file; a damaged file can raise any exception."""
     import numpy as np  # heavy, and not needed to write text
 
+    require_regular(path)
     # opened here, since np.load leaves a damaged file open
     with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        require_members(path, file.zip.infolist())
         return {name: file[name] for name in file.files}
 
 
@@ -165,6 +168,64 @@ def whole_folder(path: Path, *, replace: bool = False) -> Generator[Path]:
             raise
 
 
+@contextmanager
+def staged_files(folder: Path) -> Generator[Path]:
+    """Yield a hidden folder for files that take their places in ``folder`` when the block ends, all or none.
+
+    They replace files of the same names; others stay. If the block or a replacement fails, the old files stay. The next
+    run that writes into the folder restores them if this one is killed between two replacements.
+
+    Raises
+    ------
+    InputError
+        If a file can't be written; the message names it.
+    """
+    make_folder(folder)
+    with _staging(folder / "results") as hidden:
+        new = hidden / "new"
+        try:
+            hidden.mkdir()
+            new.mkdir()
+            (hidden / "old").mkdir()
+            yield new
+            _flush(new)
+            _exchange(hidden, folder)
+        except InputError as error:  # it names a hidden file
+            raise InputError(str(error).replace(str(new), str(folder))) from None
+        except OSError as error:
+            if error.filename is None or str(error.filename).startswith(str(hidden)):
+                raise _unwritable(folder, error) from None
+            raise
+
+
+def _exchange(hidden: Path, folder: Path) -> None:
+    """Move new files to their places, and the old ones aside; undo it if one can't be moved."""
+    new, old = hidden / "new", hidden / "old"
+    files = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
+    for name in files:
+        if (place := folder / name).exists() and not place.is_file():
+            raise InputError(f"{place}: is no regular file; move it, or choose another --out")
+    try:
+        for name in files:
+            make_folder((folder / name).parent)
+            if (folder / name).exists():
+                make_folder((old / name).parent)
+                (folder / name).rename(old / name)
+            (new / name).rename(folder / name)
+    except BaseException as error:
+        _restore(hidden, folder)
+        if isinstance(error, OSError):
+            raise _unwritable(folder, error) from None
+        raise
+
+
+def _restore(hidden: Path, folder: Path) -> None:
+    """Put the files that an unfinished exchange moved aside back to their places."""
+    for file in (hidden / "old").rglob("*"):
+        if file.is_file():
+            file.replace(folder / file.relative_to(hidden / "old"))
+
+
 def _unwritable(path: Path, error: OSError) -> InputError:
     rust = re.search(r"\(os error (\d+)\)", str(error))  # polars gives the number in words
     number = int(rust[1]) if rust else error.errno
@@ -264,6 +325,8 @@ def _sweep_one(file: Path) -> None:
     for kept in (left / "old").glob("*"):  # killed between two renames: back to its place
         if not (left.parent / kept.name).exists():
             kept.rename(left.parent / kept.name)
+    if left.name.startswith(".results.") and any(f.is_file() for f in (left / "new").rglob("*")):
+        _restore(left, left.parent)  # killed within an exchange of files
     _remove(left)
     lock.release()
     file.unlink(missing_ok=True)

@@ -1,37 +1,96 @@
-"""Read a result file, TOML or JSON, into its typed record."""
+"""Read the records that sigmaswarm writes, TOML, JSON and npz files, into typed records.
+
+All records are read here, so that any damaged one gives one line that names the file and the remedy.
+"""
 
 import json
 import tomllib
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
-from pydantic import BaseModel, ValidationError
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 
 from sigmaswarm.errors import InputError, first_mistake
-from sigmaswarm.files import finite
+from sigmaswarm.files import finite, read_arrays
+from sigmaswarm.limits import MOST_JSON, read_bounded, read_toml_text
 
-M = TypeVar("M", bound=BaseModel)
+R = TypeVar("R")
+ARRAYS = ConfigDict(arbitrary_types_allowed=True, extra="forbid")
+"""Of a record of an npz file."""
+DAMAGED = "not a result of sigmaswarm, or a damaged one"
+MISSING = "repeat the command that made the folder"
 
 
-def load_record(kind: type[M], path: Path) -> M:
-    """Read a result file: JSON by its suffix, else TOML.
+def _vector(value: Any) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.ndim != 1 or array.dtype.kind not in "fiu":
+        raise ValueError("should be a vector of numbers")
+    return array
+
+
+Vector = Annotated[NDArray[Any], BeforeValidator(_vector)]
+"""Numbers (n,) in an npz file."""
+
+
+def load_record(
+    kind: type[R], path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
+) -> R:
+    """Read a record: JSON or npz by its suffix, else TOML.
+
+    Parameters
+    ----------
+    kind : type
+        A pydantic model or a dataclass.
+    path : Path
+    remedy : str
+        End of the message if the file is damaged, as "delete it to redo this trial".
+    missing : str
+        End of the message if the file is missing.
+    infinite : bool
+        If true, keep NaN and inf of a JSON file, which otherwise become None.
 
     Raises
     ------
     InputError
         If the file can't be read; the message names the file, the key and what is wrong.
     """
+    content = read_content(path, remedy, missing=missing, infinite=infinite)
     try:
-        text = path.read_text(encoding="utf-8")
-        return kind.model_validate(
-            finite(json.loads(text)) if path.suffix == ".json" else tomllib.loads(text)
-        )
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; repeat the command that made the folder") from None
+        return TypeAdapter(kind).validate_python(content)
     except ValidationError as error:
         key, _, _, message = first_mistake(error)
-        raise InputError(
-            f"{path}: {key or 'the file'}: {message}; not a result of sigmaswarm, or a damaged one"
-        ) from None
-    except (OSError, ValueError) as error:  # not UTF-8, not TOML, not JSON
-        raise InputError(f"{path}: not readable: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path}: {key or 'the file'}: {message}; {remedy}") from None
+
+
+def read_content(
+    path: Path, remedy: str = DAMAGED, *, missing: str = MISSING, infinite: bool = False
+) -> dict[str, Any]:
+    """Read the keys of a TOML, JSON or npz file.
+
+    Raises
+    ------
+    InputError
+        As `load_record`.
+    """
+    try:
+        if path.suffix == ".npz":
+            return {**read_arrays(path)}
+        if path.suffix == ".json":
+            content = json.loads(read_bounded(path, MOST_JSON))
+            content = content if infinite else finite(content)
+        else:
+            content = tomllib.loads(read_toml_text(path))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {missing}") from None
+    except InputError:
+        raise
+    except (
+        Exception
+    ) as error:  # a damaged archive raises anything, a nested text RecursionError, a number ValueError
+        said = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: not readable: {said or type(error).__name__}; {remedy}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: the file: should be a table of keys; {remedy}")
+    return cast("dict[str, Any]", content)

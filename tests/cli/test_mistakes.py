@@ -229,7 +229,7 @@ OPTIONS: dict[str, tuple[Edit, str, list[str]]] = {
     "evaluate-swapped": (nothing, "evaluate good tuning.toml", ["good: is a drive", "tuning comes first"]),
     "run-swapped": (nothing, "run good tuning.toml --out x.csv", ["good: is a drive", "tuning comes first"]),
     "tuning-without-filter": (file("p.toml", "a = 1"), "evaluate p.toml good", ["p.toml", "[filter]"]),
-    "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not a readable TOML file"]),
+    "tuning-broken": (file("p.toml", "a ="), "evaluate p.toml good", ["p.toml", "not readable"]),
     "evaluate-no-drive": (nothing, "evaluate tuning.toml", ["DRIVE"]),
     "evaluate-out-is-a-file": (file("e"), "evaluate tuning.toml good --out e", ["e:", "folder", "--out"]),
     "outage-length-zero": (nothing, "evaluate tuning.toml good --outage-length 0", ["--outage-length", "0"]),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzing.mutations import Draw, broken
+from fuzzing.mutations import Draw, broken, crossed
 from fuzzing.seeds import Seed
 from sigmaswarm import read_drive, write_drive
 from sigmaswarm.drives.drive import Drive
@@ -69,9 +69,14 @@ def break_files(draw: Draw, seed: Seed, folder: Path) -> int | None:
     touched: int | None = 0
     for file in draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True)):
         before = file.read_bytes()
-        after = broken(draw, file.name, seed.kind, before)[: 8 << 20]
+        crosses = len(files) > 1 and draw(st.integers(0, 19)) == 0
+        if crosses:
+            after = crossed(draw, before, draw(st.sampled_from(files)).read_bytes())[: 8 << 20]
+        else:
+            after = broken(draw, file.name, seed.kind, before)[: 8 << 20]
         file.write_bytes(after)
-        count = None if file.suffix == ".toml" else records_touched(seed.kind, before, after)
+        whole = crosses or file.suffix == ".toml"
+        count = None if whole else records_touched(seed.kind, before, after)
         touched = None if touched is None or count is None else touched + count
     return touched
 

@@ -1,9 +1,13 @@
 """How a sound file is broken: bytes, cells, columns and lines; checksums, chunks and zips around what is broken."""
 
+import gzip
 import io
 import re
+import sqlite3
 import struct
+import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -65,11 +69,15 @@ WORDS = (
         b"\x1b[31m",
         b"[/x]",
     ),
+    *(b"1e16", b"-1e77", b"1e155", b"1e200", b"9" * (1 << 20) + b"9"),
     *(b"24:00:00", b"99/99/9999", b"0000/00/00", b"$GNGGA,", b"../../x", b"t", b"ax", b"lat", b"t "),
 )
 NUMBERS = (0, 1, 127, 255, 32767, 65535, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1, 10**18)
 FLOATS = (float("nan"), float("inf"), 1e308, -1e308, -1.0, 1e-320)
 TOML = ("nan", "inf", "1e999", "-1", "[]", "{}", "''", '"a/b"', "true", "[1,2,3]", "9" * 5000, "[" * 3000)
+TOML += ("1e16", "-1e308", "{a={a={a=1}}}", "1979-05-27", "[[1.0],[1.0]]", '"\\u0000]]>*/"')
+KEYS = ("a" + ".a" * 5000, "[a" + ".b" * 5000 + "]", "[[origin]]", "time_origin_s", "scenario", "repaired")
+ODD_SQL = (None, "abc", b"\0\1", "", -1, 2**63 - 1, 1e308, 0)
 
 
 def _span(draw: Draw, data: bytes, most: int = 1000) -> tuple[int, int]:
@@ -205,10 +213,64 @@ def encoding(draw: Draw, data: bytes) -> bytes:
 TEXT = (cells, cells, column, lines, encoding, cut, flip, insert, delete, repeat)
 
 
+def packed(draw: Draw, data: bytes) -> bytes:
+    """Compress a file under its old name, or add a bomb."""
+    content = draw(st.sampled_from([data, data + b"0" * (64 << 20)]))
+    return gzip.compress(content, 1) if draw(st.booleans()) else zlib.compress(content, 1)
+
+
+def crossed(draw: Draw, data: bytes, other: bytes) -> bytes:
+    """Put the end of another file, or all of it, in the place of this one's."""
+    begin, end = draw(st.integers(0, len(data))), draw(st.integers(0, len(other)))
+    return draw(st.sampled_from([other, data[:begin] + other[end:], data[:begin] + other]))
+
+
+def sql(draw: Draw, data: bytes) -> bytes:
+    """Put a value of any type into a cell of an SQLite file: columns take all."""
+    with tempfile.NamedTemporaryFile(suffix=".db3") as file:
+        file.write(data)
+        file.flush()
+        base = sqlite3.connect(file.name)
+        try:
+            tables = [row[0] for row in base.execute("select name from sqlite_master where type = 'table'")]
+            table = draw(st.sampled_from(sorted(tables)))
+            columns = [row[1] for row in base.execute(f"pragma table_info({table})")]
+            column = draw(st.sampled_from(columns))
+            rows = [row[0] for row in base.execute(f"select rowid from {table}")]
+            if rows:
+                value, row = draw(st.sampled_from(ODD_SQL)), draw(st.sampled_from(rows))
+                base.execute(f"update or ignore {table} set {column} = ? where rowid = ?", (value, row))
+                base.commit()
+        finally:
+            base.close()
+        file.seek(0)
+        return file.read()
+
+
+def ulog_record(draw: Draw, data: bytes) -> bytes:
+    """Change one record of a ULog; its length is right again."""
+    records, at = [], 16
+    while at + 3 <= len(data):
+        size = struct.unpack_from("<H", data, at)[0]
+        records.append((data[at + 2 : at + 3], data[at + 3 : at + 3 + size]))
+        at += 3 + size
+    if not records:
+        return data
+    k = draw(st.integers(0, len(records) - 1))
+    kind, content = records[k]
+    kind = draw(st.sampled_from([kind, kind, b"?", b"B", b"F", b"A", b"D", b"Q"]))
+    records[k] = kind, broken_bytes(draw, content)[:60_000]
+    return data[:16] + b"".join(struct.pack("<H", len(c)) + t + c for t, c in records)
+
+
 def toml(draw: Draw, data: bytes) -> bytes:
     keys = ("name", "frame", "origin", "gps_lever_arm_m", "gps_std_m", "accel_noise_density", "other")
     key = draw(st.sampled_from(keys))
     kept = [line for line in data.decode().splitlines() if not line.startswith(key)]
+    if draw(st.sampled_from([False, False, True])):
+        key = draw(st.sampled_from(KEYS))
+        if key.startswith("["):
+            return "\n".join([*kept, key]).encode()
     return "\n".join([*kept, f"{key} = {draw(st.sampled_from(TOML))}"]).encode()
 
 
@@ -298,6 +360,12 @@ def broken(draw: Draw, name: str, kind: str, data: bytes) -> bytes:
     """A file with some faults, after its kind."""
     if name.endswith(".toml"):
         return toml(draw, data) if draw(st.booleans()) else broken_bytes(draw, data)
+    if name.endswith(".db3") and draw(st.booleans()):
+        return sql(draw, data)
+    if kind == "ulog" and draw(st.booleans()):
+        return ulog_record(draw, data)
+    if kind == "text" and draw(st.integers(0, 29)) == 0:
+        return packed(draw, data)
     if kind in ("mcap", "zip") and draw(st.booleans()):
         return (repacked_mcap if kind == "mcap" else repacked_zip)(draw, data)
     if kind not in ("text", "nmea"):

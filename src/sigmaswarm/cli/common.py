@@ -87,10 +87,11 @@ def read_datasets(
 
 def tuned_as_recorded(tuning: Path) -> bool:
     """Read from a tuning if the filter was tuned without preprocessing."""
-    import tomllib
+    from sigmaswarm.records import load_record
+    from sigmaswarm.tuning.record import FILE, TuningConfigRecord
 
-    file = tuning / "tuning.toml" if tuning.is_dir() else tuning
-    return tomllib.loads(file.read_text()).get("config", {}).get("as_recorded", False) is True
+    file = tuning / FILE if tuning.is_dir() else tuning
+    return load_record(TuningConfigRecord, file).config.get("as_recorded", False) is True
 
 
 def numbers_of(text: str, count: int, option: str, example: str) -> tuple[float, ...]:

@@ -108,9 +108,7 @@ def evaluate(
     _warn_of_training_drives(result)
     written: list[Path] = []
     if out:
-        written = save_evaluation(result, out, tuning)
-    if out and learned is not None:
-        written += learned.save(out)
+        written = save_evaluation(result, out, tuning, learned)
     if json:
         print_json(result.to_dict())
         return

@@ -151,7 +151,9 @@ class Fit:
 
     def _doubted(self, psi: Array, grid: Array) -> float:
         """``yaw_std`` with what no fit sees: a turn may be taken for bias in part."""
-        turn = float(np.ptp(psi - self.yaw_bias * grid)) / self.span
+        turn = (
+            np.float64(np.ptp(psi - self.yaw_bias * grid)) / self.span
+        )  # squares to inf where float would raise
         return float(np.sqrt(self.yaw_std**2 + YAW_STD**2 + (TURN_SHARE * turn) ** 2))
 
     @classmethod

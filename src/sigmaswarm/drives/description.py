@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from sigmaswarm.drives.table_files import CSV
+from sigmaswarm.drives.table_files import CSV, LARGEST
 from sigmaswarm.errors import DriveError
+from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
 Frame = Literal["enu", "wgs84"]
@@ -29,8 +30,9 @@ def read_description(path: Path) -> dict[str, Any]:
         raise DriveError(
             f'{path} is missing; write one with the line frame = "enu" (x, y) or frame = "wgs84" (lat, lon)'
         )
+    text = _toml_text(path)
     try:
-        about = tomllib.loads(path.read_text("utf-8-sig"))
+        about = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
         raise DriveError(
             f"{path} is not valid TOML: {shown(error, 160)}; mend that line (text needs quotes)"
@@ -43,6 +45,15 @@ def read_description(path: Path) -> dict[str, Any]:
         if key in about:
             _require_numbers(about[key], key, lengths, example, path)
     return about
+
+
+def _toml_text(path: Path) -> str:
+    try:
+        return read_toml_text(path)
+    except UnicodeDecodeError as error:
+        raise DriveError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+    except OSError as error:
+        raise DriveError(f"{path} can't be read ({error.strerror}); name another file") from None
 
 
 def require_name(name: object, where: object) -> None:
@@ -59,7 +70,7 @@ def require_name(name: object, where: object) -> None:
 def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: str, path: Path) -> None:
     """Raise `DriveError` if a key of drive.toml that filters use has an unusable value."""
     numbers = cast("list[Any]", value if isinstance(value, list) else [value])
-    plain = all(type(v) in (int, float) and abs(v) < 1e300 for v in numbers)
+    plain = all(type(v) in (int, float) and abs(v) <= LARGEST for v in numbers)
     length = len(numbers) if isinstance(value, list) else 0
     said = f"{path}: {key} = {value_shown(value)}"
     if not plain or length not in lengths or not numbers:

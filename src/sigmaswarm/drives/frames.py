@@ -12,7 +12,7 @@ from sigmaswarm.drives.checks import remarks_of, shortage_of
 from sigmaswarm.drives.description import Frame, Origin
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.drives.reader import COLUMNS, place_on_plane
-from sigmaswarm.drives.table_files import RANGES
+from sigmaswarm.drives.table_files import RANGES, leap
 from sigmaswarm.errors import DriveError, DriveWarning, SigmaswarmWarning
 from sigmaswarm.wording import names_shown, quoted, shown
 
@@ -146,6 +146,9 @@ def _checked(
         raise DriveError(
             f"{name}, row {i}: t = {time[i]:.9g} s is not after {time[i - 1]:.9g} s in row {i - 1}; {_SORT}"
         )
+    if i := leap(time):
+        what = f"t = {time[i]:.9g} s lies absurdly far after {time[i - 1]:.9g} s in row {i - 1}"
+        raise DriveError(f"{name}, row {i}: {what}; drop the row with the damaged time")
     return {"time": time, **numbers}
 
 

@@ -14,20 +14,31 @@ from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import DriveError
+from sigmaswarm.limits import MOST_CELLS, MOST_COLUMNS, require_regular, require_text
 from sigmaswarm.wording import names_shown, quoted, shown
 
+LARGEST = 1e7
+"""No sensor of a car reports as much in m, m/s, m/s2, rad or rad/s, nor in mm, mg or mdeg/s, which can be repaired."""
 _NO_STD = "leave the column out where no deviation is stated"
+_DAMAGED = "the value is damaged or in a wrong unit; delete the row or correct the unit"
 RANGES: dict[str, tuple[float, float, str]] = {
     "lat": (-90.0, 90.0, "give degrees north; perhaps lat and lon are exchanged"),
-    "alt": (-1e7, 1e7, "give metres above the ellipsoid"),
-    "x": (-1e7, 1e7, "give metres from an origin near by"),
-    "y": (-1e7, 1e7, "give metres from an origin near by"),
+    "alt": (-LARGEST, LARGEST, "give metres above the ellipsoid"),
+    "x": (-LARGEST, LARGEST, "give metres from an origin near by"),
+    "y": (-LARGEST, LARGEST, "give metres from an origin near by"),
     "lon": (-180.0, 180.0, "give degrees east; take 360 off where they run from 0 to 360"),
-    "std_x": (1e-6, np.inf, _NO_STD),
-    "std_y": (1e-6, np.inf, _NO_STD),
-    "std_theta": (1e-9, np.inf, _NO_STD),
+    "std_x": (1e-6, LARGEST, _NO_STD),
+    "std_y": (1e-6, LARGEST, _NO_STD),
+    "std_theta": (1e-9, LARGEST, _NO_STD),
+    **dict.fromkeys(
+        ("ax", "ay", "az", "gx", "gy", "gz", "speed", "course", "vx", "vy", "theta"),
+        (-LARGEST, LARGEST, _DAMAGED),
+    ),
 }
 """Lowest and highest value allowed in a column, and the remedy."""
+
+_LONGEST_LEAP = 1e12
+"""Usual intervals between two rows: 300 years at 100 Hz, in any unit of time. A clock that was set jumps by less."""
 
 CSV, PARQUET = FORMS = ".csv", ".parquet"
 """File formats of a drive's tables."""
@@ -57,6 +68,7 @@ class TableFile:
     @classmethod
     def read(cls, path: Path) -> "TableFile":
         """Read a file; the rows of a CSV file all have as many cells as its header, and blank lines don't count."""
+        require_regular(path)
         if not path.is_file():
             raise DriveError(
                 f"{path} is missing; a drive needs it, with a header line and one row per sample, or as {PARQUET[1:]}"
@@ -64,6 +76,7 @@ class TableFile:
         if path.suffix == PARQUET:
             cells = _parquet(path)
             return cls(path, cells, np.arange(1, len(cells) + 1))
+        _require_few_columns(path, require_text(path).count(b",") + 1)
         cells = _plain_numbers(path)
         return cls._text(path) if cells is None else cls(path, cells, np.arange(2, len(cells) + 2))
 
@@ -171,6 +184,9 @@ class TableFile:
             i = int(late[0]) + 1
             what = f"is not after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
             raise self._fault(i, "t", what, "sort the rows by time and delete repeated ones")
+        if i := leap(time):
+            what = f"lies absurdly far after {shown(self.cells['t'][i - 1])} in row {self.lines[i - 1]}"
+            raise self._fault(i, "t", what, "delete the row with the damaged time")
 
     def _fault(self, i: int, column: str, what: str, remedy: str) -> DriveError:
         cell = self.cells[column][i]
@@ -179,10 +195,41 @@ class TableFile:
         return DriveError(f"{where}: {quoted(value)} {what}; {remedy}")
 
 
+def _require_few_columns(path: Path, count: int) -> None:
+    if count > MOST_COLUMNS:
+        raise DriveError(
+            f"{path}: has {count} columns, more than {MOST_COLUMNS}; leave out what a drive does not need"
+        )
+
+
+def leap(time: Array) -> int:
+    """Find the first row (n,) that lies absurdly far after the one before; 0 if there is none."""
+    if len(time) < 3:
+        return 0
+    interval = np.diff(time)
+    usual = float(np.median(interval))
+    if interval.max() <= _LONGEST_LEAP * usual:
+        return 0
+    return int(np.argmax(interval > _LONGEST_LEAP * usual)) + 1
+
+
 def _parquet(path: Path) -> pl.DataFrame:
     """The columns of a Parquet file."""
     try:
-        cells = pl.read_parquet(**one_file(path), hive_partitioning=False)
+        scan = pl.scan_parquet(**one_file(path), hive_partitioning=False)
+        schema = scan.collect_schema()
+        _require_few_columns(path, len(schema))
+        rows = int(scan.select(pl.len()).collect().item())  # as the footer says
+        if rows * len(schema) > MOST_CELLS:
+            raise DriveError(
+                f"{path}: says that it has {rows} rows of {len(schema)} columns, more than {MOST_CELLS} cells; "
+                "split the drive"
+            )
+        kept = [
+            pl.col(name) if kind.is_numeric() else pl.lit(None, kind).alias(name)
+            for name, kind in schema.items()
+        ]  # others are refused or ignored, whatever they hold
+        cells = scan.select(kept).collect()
     except (*BROKEN, OSError):
         raise DriveError(f"{path} is no Parquet file that can be read; write it again") from None
     if cells.is_empty():

@@ -1,6 +1,5 @@
 """The results of a comparison of optimizers: the outcome of every tuning, and statistics of them."""
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.statistics import holm, median_interval, signed_rank
 from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.records import load_record
 from sigmaswarm.tuning.config import TuneConfig
 
 FEWEST_SEEDS = 6
@@ -107,11 +107,12 @@ class Outcome:
         InputError
             If the file can't be read.
         """
-        try:
-            table: dict[str, Any] = json.loads(file.read_text())
-            return cls(**{name: tuple(v) if isinstance(v, list) else v for name, v in table.items()})  # pyright: ignore
-        except (OSError, ValueError, TypeError, AttributeError):
-            raise InputError(f"{file}: not a readable result; delete it to redo this run") from None
+        remedy = "delete it to redo this run"
+        found = load_record(cls, file, remedy, missing="repeat the comparison")
+        lengths = {len(found.history_evaluations), len(found.history_steps), len(found.history_best)}
+        if len(lengths) > 1 or 0 in lengths:
+            raise InputError(f"{file}: the histories have not one length; {remedy}")
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,18 +4,22 @@ A clock that counts from 1970 can be told by its size; only then are times writt
 """
 
 import json
+import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 from sigmaswarm.drives.drive import Array
-from sigmaswarm.files import write_whole
+from sigmaswarm.files import finite, write_whole
 
-_IS_UNIX_TIME = 1e9
-"""s: a clock beyond it counts from 1970 (it was passed in 2001), not from a start."""
+_UNIX_TIMES = (1e9, 2.5e11)
+"""s: a clock between them counts from 1970 (2001 to the year 9892), not from a start."""
+_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 (section 2.2) does not have, not even escaped; nor has JSON half a surrogate pair."""
 
 
 _EASTMOST = 179.999999999
@@ -34,13 +38,13 @@ def geojson(time: Array, places: Array, path: Path, name: str) -> None:
     whole = len(parts) == 1
     feature = {
         "type": "Feature",
-        "properties": {"name": name, key: times[0] if whole else times},
+        "properties": {"name": _NOT_XML.sub("\ufffd", name), key: times[0] if whole else times},
         "geometry": {
             "type": "LineString" if whole else "MultiLineString",
             "coordinates": lines[0] if whole else lines,
         },
     }
-    write_whole(path, json.dumps(feature) + "\n")
+    write_whole(path, json.dumps(finite(feature)) + "\n")
 
 
 def gpx(time: Array, places: Array, path: Path, name: str) -> None:
@@ -116,12 +120,12 @@ def _write_xml(path: Path, lines: list[str]) -> None:
 
 
 def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+    return escape(_NOT_XML.sub("\ufffd", text))
 
 
 def _stamps(time: Array) -> list[str]:
     """Times in UTC, or none where the clock has no date."""
-    if not len(time) or time[0] < _IS_UNIX_TIME:
+    if not (len(time) and _UNIX_TIMES[0] <= time[0] and time[-1] <= _UNIX_TIMES[1]):
         return []
     return [
         datetime.fromtimestamp(float(t), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -10,7 +10,7 @@ from sigmaswarm.exports.c99 import c99, replay_rows
 from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.robot_localization import robot_localization
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import make_folder, staged_files, write_whole
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 
@@ -94,10 +94,11 @@ def export_texts(
 
 def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
     """Write the files of an export into a folder, made if missing; files of the same names are replaced."""
-    folder = make_folder(Path(folder))
-    for name, text in texts.items():
-        make_folder((folder / name).parent)
-        write_whole(folder / name, text)
+    folder = Path(folder)
+    with staged_files(folder) as new:
+        for name, text in texts.items():
+            make_folder((new / name).parent)
+            write_whole(new / name, text)
     return [folder / name for name in texts]
 
 

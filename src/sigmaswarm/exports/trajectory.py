@@ -130,7 +130,8 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 def time_origin_of(drive: Drive) -> float:
     """s on its log's clock at which a drive's times are 0: what an import took off, else 0."""
     stated = drive.metadata.get("time_origin_s", 0.0)
-    return float(stated) if isinstance(stated, int | float) else 0.0
+    usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
+    return float(stated) if usable else 0.0
 
 
 def check_target(path: Path, origin: Origin | None = None, beside: str | Path | None = None) -> None:
@@ -203,6 +204,8 @@ def _kitti(pieces: Iterable[Estimate], file: BinaryIO) -> None:
         np.savetxt(file, pose.reshape(-1, 12), fmt="%.9f")
 
 
+_LATEST_ORIGIN = 1e12
+"""s: no log's clock begins later."""
 BAG = ".ros2"
 """A folder; written by `ros2`, which takes more than an estimate."""
 _WRITERS: dict[str, Callable[[Iterable[Estimate], BinaryIO], None]] = {

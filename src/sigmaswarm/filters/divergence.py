@@ -117,7 +117,10 @@ class Check:
             return False
         off = np.array([east, north])
         covariance = self.covariance[:2, :2] + np.diag(self.fix_variance)
-        return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
+        try:
+            return bool(off @ np.linalg.solve(covariance, off) > MANY_SIGMAS**2)
+        except np.linalg.LinAlgError:  # a fix and a filter that are both certain
+            return True
 
     @property
     def heading_contradicts(self) -> bool | None:
@@ -261,19 +264,27 @@ def steps_since(samples: Array, time: float) -> Array:
     return steps
 
 
+_ABSURD = 1e12
+"""m, m/s2 or rad/s: squares of larger numbers spoil a fit, and LAPACK writes about them to the terminal."""
+
+
 def aligned_by(samples: Array, fixes: Array, lever: Array, gyro_bias: float) -> InitialState | None:
     """Align by the last seconds of a stream: samples (k, 4 or 6) time, ax, ay, gz, gx, gy; fixes (m, 3) s, m, m.
 
     ``gyro_bias``: known bias about the up axis, rad/s.
     """
-    columns = samples[np.isfinite(samples).all(axis=1)].T
+    columns = samples[(np.abs(samples[:, 1:]) < _ABSURD).all(axis=1)].T
+    fixes = fixes[(np.abs(fixes[:, 1:]) < _ABSURD).all(axis=1)]
     columns[3] -= gyro_bias
     imu = Imu(**dict(zip(("time", "ax", "ay", "gz", "gx", "gy"), columns, strict=False)))
     if not len(imu):
         return None
     drive = Drive("live", imu, Gps(*fixes.T), metadata={"gps_lever_arm_m": tuple(lever.tolist())})
-    alignments = Alignments(drive)
-    found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    try:
+        alignments = Alignments(drive)
+        found = alignments.at(len(alignments.time) - 1) if len(alignments.time) else None
+    except (ArithmeticError, np.linalg.LinAlgError):  # of samples such as 1e200
+        return None
     if found is None or found.gyro is None or not gyro_bias:
         return found
     return replace(found, gyro=found.gyro.beside(gyro_bias))

@@ -10,6 +10,7 @@ from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.drives.frozen import FROZEN
 from sigmaswarm.drives.standstill import FIX_WINDOW, new_memory, new_stop
+from sigmaswarm.drives.table_files import LARGEST
 from sigmaswarm.drives.timeline import AXES
 from sigmaswarm.errors import InputError
 from sigmaswarm.filters.compiled import live
@@ -32,8 +33,12 @@ MOST_READINGS = 2000
 """Of the odometer: those of ten seconds at 200 Hz."""
 FASTER_IMU = 4
 """Times as fast as it says an IMU may be, and is still watched for as long."""
+MOST_HISTORY = 100_000
+"""Intervals between IMU samples that history and lag may take: 100 s at 1 kHz, and 0.2 GB."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
+_NO_NUMBERS = (TypeError, LookupError, OverflowError)
+"""What texts, None, too few numbers, or integers of 400 digits raise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +130,15 @@ class LiveFilter:
     ) -> None:
         if lag is not None and not 0 < lag < np.inf:
             raise InputError(f"lag = {lag}: give a positive number of seconds, or leave it out")
+        if not (
+            nominal_interval > 0
+            and history >= 0
+            and max(history, lag or 0) <= MOST_HISTORY * nominal_interval < np.inf
+        ):
+            raise InputError(
+                f"nominal_interval = {nominal_interval} s, history = {history} s, lag = {lag} s: give a positive "
+                f"interval, and a history and lag of at most {MOST_HISTORY} intervals"
+            )
         p = parameters
         self.parameters = p
         self._calls = live.live_calls()
@@ -182,7 +196,10 @@ class LiveFilter:
                 f"an IMU sample of {len(imu)} numbers: {self.parameters.model} reads {', '.join(self._axes)}; "
                 "give these, in this order"
             )
-        took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
+        try:
+            took = self._calls.sample(self._memory.handle, t, *imu, *self._no_axes)
+        except _NO_NUMBERS as error:
+            raise InputError(f"an IMU sample that is not all numbers: {error}") from None
         # Most samples bring nothing to look at.
         if took == live.DUE or (self._holds and took and t > self._belief[live.START]):
             self._check_divergence(t, due=took == live.DUE)
@@ -209,13 +226,14 @@ class LiveFilter:
         InputError
             If the filter needs ``std`` and does not get it.
         """
-        var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
-        if velocity is None or not self._takes_velocity:
-            kept = self._calls.fix(self._memory.handle, t, fix[0], fix[1], 0.0, 0.0, 0.0, var_x, var_y)
-        else:
-            seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
-            kept = self._calls.fix(self._memory.handle, t, *seen, var_x, var_y)
-        return kept == live.TAKEN
+        try:
+            var_x, var_y = (0.0, 0.0) if not self._takes_accuracy else _squared(std)
+            seen = fix[0], fix[1], 0.0, 0.0, 0.0
+            if velocity is not None and self._takes_velocity:
+                seen = (fix[0], fix[1], velocity[0], velocity[1], 1.0)
+            return self._calls.fix(self._memory.handle, t, *seen, var_x, var_y) == live.TAKEN
+        except _NO_NUMBERS as error:
+            raise InputError(f"a fix that is not two numbers: {error}") from None
 
     def update_odometer(self, t: float, speed: float) -> bool:
         """Take a reading of the odometer: m/s, forward positive.
@@ -228,7 +246,10 @@ class LiveFilter:
             False if it was left out: the filter takes none, it came too late, lies more than 10 s ahead, or was there
             already.
         """
-        return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
+        try:
+            return self._calls.speed(self._memory.handle, t, speed) == live.TAKEN
+        except _NO_NUMBERS as error:
+            raise InputError(f"a reading of the odometer that is no number: {error}") from None
 
     def _check_divergence(self, now: float, *, due: bool) -> None:
         """Reset the filter after a sample if it has diverged; ``due``: it is time for a check."""
@@ -343,7 +364,8 @@ class LiveFilter:
     @property
     def state(self) -> LiveState:
         """What the filter believes after the last IMU sample and all fixes up to then."""
-        return self._state_at(float(self._belief[live.TIME]), self._belief[self._state])
+        time, definite = float(self._belief[live.TIME]), self._calls.definite(self._memory.handle)
+        return self._state_at(time, self._belief[self._state], definite)
 
     @property
     def smoothed(self) -> LiveState:
@@ -359,18 +381,19 @@ class LiveFilter:
         """
         if self._lag is None:
             raise InputError("a live filter without lag has no smoothed state; make it with lag=2.0, say")
-        return self._state_at(*self._lag.smoothed(self._memory.arrays))
+        return self._state_at(*self._lag.smoothed(self._memory.arrays), True)
 
-    def _state_at(self, time: float, packed: Array) -> LiveState:
+    def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
         mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
         lost = self._monitor is not None and self._monitor.lost
-        return told(time, mean, covariance, lost, self._belief[live.OK] == 1.0 and self._plausible)
+        sound = definite and self._belief[live.OK] == 1.0 and self._plausible
+        return told(time, mean, covariance, lost, sound)
 
 
 def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
     """A belief, as it is told: ``mean``, changed, with its heading wrapped."""
-    sound &= bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
+    sound = sound and bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
     return LiveState(time, mean, covariance, not sound, lost)
@@ -382,10 +405,10 @@ _ALIGNING = (1, 2, 3, 5, 6)
 
 def _squared(std: Sequence[float] | None) -> tuple[float, float]:
     """The stated variances of a fix, m2."""
-    if std is None or not (0 <= std[0] < np.inf and 0 <= std[1] < np.inf):
+    if std is None or not (len(std) == 2 and 0 <= std[0] <= LARGEST and 0 <= std[1] <= LARGEST):
         raise InputError(
             f"std = {std}: the filter weighs each fix by the accuracy that the receiver states (accuracy_scale); "
-            "give two standard deviations in m, or take a filter that was tuned without accuracy"
+            f"give two standard deviations in m, at most {LARGEST:g}, or take a filter that was tuned without accuracy"
         )
     return float(std[0]) ** 2, float(std[1]) ** 2
 
@@ -409,4 +432,5 @@ def _believe(
     nothing = len(given)  # behind the model's axes come zeros
     v[live.ORDER] = [given.index(axis) if axis in given else nothing for axis in AXES]
     v[live.STOP] = new_stop()
+    v[live.DIMENSION] = len(MODELS[p.model].states)
     return v

@@ -1,7 +1,6 @@
 """FilterParameters: all parameters of a filter, as one frozen record."""
 
 import re
-import tomllib
 import warnings
 from collections.abc import Collection
 from dataclasses import fields, replace
@@ -17,6 +16,7 @@ from sigmaswarm.errors import InputError, SigmaswarmWarning, first_mistake
 from sigmaswarm.files import write_whole
 from sigmaswarm.filters.models import MODELS, SENSORS
 from sigmaswarm.filters.names import FilterKind, ModelName
+from sigmaswarm.records import read_content
 
 
 def _as_tuple(value: Any) -> Any:
@@ -196,14 +196,9 @@ class FilterParameters:
                     f"{path}: is a drive; the tuning comes first, as in sigmaswarm evaluate TUNING DRIVE"
                 )
             path = path / "tuning.toml"
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(
-                f"{path}: no such file; give a tuning.toml or the folder that holds it"
-            ) from None
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path}: not a readable TOML file: {_one_line(error)}") from None
+        table = read_content(
+            path, "give a readable TOML file", missing="give a tuning.toml or the folder that holds it"
+        )
         if not isinstance(table.get("filter"), dict):
             raise InputError(f"{path}: has no [filter] table; give a file written by `sigmaswarm tune`")
         parameters = cls._validated(table["filter"], path)
@@ -307,7 +302,3 @@ def _warn_of_age(table: dict[str, Any], path: Path) -> None:
             SigmaswarmWarning,
             stacklevel=3,
         )
-
-
-def _one_line(error: object) -> str:
-    return " ".join(str(error).split())

@@ -248,6 +248,7 @@ class States:
         return np.eye(len(state))[[*self.places]]
 
 
+@np.errstate(all="ignore")  # of a filter that failed nothing is finite
 def as_angles(state: Array, covariance: Array) -> Array:
     """The covariance (..., 12, 12) of states (..., 12) as angles: of roll, pitch and theta in place of the error.
 

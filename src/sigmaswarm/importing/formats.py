@@ -10,6 +10,7 @@ from typing import Any, Protocol, cast
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.source import Source, first_bytes
+from sigmaswarm.limits import require_regular, require_text
 
 READERS: dict[str, tuple[str, str]] = {
     "mcap": ("mcap", "an MCAP file: ROS 1, ROS 2 or JSON messages"),
@@ -31,6 +32,7 @@ READERS: dict[str, tuple[str, str]] = {
 """By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""
 
 
+_TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
 NOT_READ: tuple[tuple[tuple[str, ...], bytes, str], ...] = (
     ((".xlsx", ".xls", ".ods"), b"", "a spreadsheet; save it as CSV"),
     (
@@ -108,10 +110,24 @@ def open_log(
         raise InputError(f"{path} does not exist; name a log file or its folder")
     if path.is_file() and not path.stat().st_size:
         raise InputError(f"{path} is empty; copy the log again")
-    reader = _reader(form or format_of(path))
+    require_regular(path)
+    form = form or format_of(path)
+    for text in _texts(path, form):
+        require_text(text)
+    reader = _reader(form)
     if definitions and reader.__name__.endswith(".ros"):
         return cast("Any", reader).open_log(path, limits or Limits(), definitions)
     return reader.open_log(path, limits or Limits())
+
+
+def _texts(path: Path, form: str) -> list[Path]:
+    """The texts in a log that are read line by line or by polars, which would take any line or unpack any size."""
+    if path.is_file():
+        return [path] if form in _TEXTS and first_bytes(path, 4) != b"PAR1" else []
+    inside = path.rglob("*") if form in ("kitti", "comma2k19") else path.iterdir()
+    for file in (files := sorted(file for file in inside if file.suffix.lower() in (".csv", ".tsv", ".txt"))):
+        require_regular(file)
+    return [file for file in files if file.is_file() and first_bytes(file, 4) != b"PAR1"]
 
 
 def format_of(path: Path) -> str:

@@ -21,7 +21,7 @@ class Limits:
 
     rows: int = 10_000_000
     columns: int = 100_000
-    unpacked_mb: int = 1000
+    unpacked_mb: int = 500
 
     def check_rows(self, count: int, path: Path, table: str) -> None:
         """Refuse a table of too many rows."""

@@ -13,6 +13,7 @@ from sigmaswarm.drives.description import value_shown
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
 from sigmaswarm.importing.source import ROLES, Guess, Part, Role
+from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import quoted, shown
 
 COLUMNS: dict[Role, tuple[str, ...]] = {
@@ -79,9 +80,13 @@ class Recipe:
     def load(cls, path: Path) -> Self:
         """Read a recipe that ``save`` or a person wrote."""
         try:
-            content = tomllib.loads(path.read_text("utf-8-sig"))
+            text = read_toml_text(path)
         except OSError as error:
             raise InputError(f"{path}: can't be read ({error.strerror}); name a recipe file") from None
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; write it as UTF-8") from None
+        try:
+            content = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
             raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; mend that line") from None
         known = (*ROLES, *_SETTINGS, *_PLACES)

@@ -13,7 +13,7 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
 from sigmaswarm.drives.overlap import SEEN_FILE, landmarks, save_landmarks
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import write_json, write_whole
+from sigmaswarm.files import staged_files, write_json, write_whole
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.learned import noise_gru, outage_lstm
@@ -174,14 +174,15 @@ def _save(
     tuning: Path | None,
     out: Path,
 ) -> None:
-    learned.save(out)
-    save_landmarks([landmarks(drive) for drive in drives], out / LEARNED_SEEN)
-    if tuning is None:
-        parameters.save(out / FILE)
-    else:
-        write_whole(out / FILE, tuning.read_bytes())
-        if (tuning.parent / SEEN_FILE).exists():
-            shutil.copyfile(tuning.parent / SEEN_FILE, out / SEEN_FILE)
+    with staged_files(out) as new:
+        learned.save(new)
+        save_landmarks([landmarks(drive) for drive in drives], new / LEARNED_SEEN)
+        if tuning is None:
+            parameters.save(new / FILE)
+        else:
+            write_whole(new / FILE, tuning.read_bytes())
+            if (tuning.parent / SEEN_FILE).exists():
+                shutil.copyfile(tuning.parent / SEEN_FILE, new / SEEN_FILE)
 
 
 def _trainings(

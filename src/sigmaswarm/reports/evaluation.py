@@ -8,17 +8,21 @@ from matplotlib.figure import Figure
 
 from sigmaswarm.drives.overlap import SEEN_FILE
 from sigmaswarm.errors import InputError
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.learned.folder import Learned
 from sigmaswarm.reports.figures import figure_of, new_figure, save
 from sigmaswarm.reports.style import LABELS
 from sigmaswarm.reports.views.evaluation import consistency_charts, error_charts, method_bars, track_charts
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
+from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import Picture
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 from sigmaswarm.wording import names_shown
 
 
-def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = None) -> list[Path]:
+def save_evaluation(
+    evaluation: Evaluation, folder: Path, tuning: Path | None = None, network: Learned | None = None
+) -> list[Path]:
     """Write the records and pictures of an evaluation; return the paths of all files.
 
     Parameters
@@ -28,10 +32,17 @@ def save_evaluation(evaluation: Evaluation, folder: Path, tuning: Path | None = 
         Created if missing.
     tuning : Path, optional
         The tuning.toml that was evaluated, or the folder that holds it; copied.
+    network : Learned, optional
+        The network that was evaluated; copied.
     """
-    make_folder(folder)
-    written = [*evaluation.save(folder), *save_evaluation_figures(evaluation, folder)]
-    return written if tuning is None else [*written, *copy_tuning(tuning, folder)]
+    with staged_files(folder) as new:
+        written = [*evaluation.save(new), *save_evaluation_figures(evaluation, new)]
+        if tuning is not None:
+            written += copy_tuning(tuning, new)
+        if network is not None:
+            written += network.save(new)
+        seal(new)
+    return [folder / file.relative_to(new) for file in written]
 
 
 def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
@@ -40,10 +51,9 @@ def copy_tuning(tuning: Path, folder: Path) -> list[Path]:
     written: list[Path] = []
     sources = {FILE: file} | {name: file.parent / name for name in (HISTORY_FILE, SEEN_FILE)}
     for name, source in sources.items():
-        copy = folder / name
-        if source.is_file() and not (copy.exists() and copy.samefile(source)):
-            write_whole(copy, source.read_bytes())
-            written.append(copy)
+        if source.is_file():
+            write_whole(folder / name, source.read_bytes())
+            written.append(folder / name)
     return written
 
 

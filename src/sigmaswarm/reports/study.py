@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from sigmaswarm.experiments.study.config import MAIN
 from sigmaswarm.experiments.study.record import Results
 from sigmaswarm.experiments.study.study import Study
-from sigmaswarm.files import make_folder, write_whole
+from sigmaswarm.files import make_folder, staged_files, write_whole
 from sigmaswarm.reports.figures import figure_of, save_both
 from sigmaswarm.reports.views import study_tables as views
 from sigmaswarm.reports.views.study_charts import convergence_chart, spread_chart
@@ -18,6 +18,12 @@ from sigmaswarm.tables import Table
 
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
+    with staged_files(folder) as new:
+        written = _save_study(study, new)
+    return [folder / file.relative_to(new) for file in written]
+
+
+def _save_study(study: Study, folder: Path) -> list[Path]:
     tables, figures = make_folder(folder / "tables"), make_folder(folder / "figures")
     record = study.record
     runtime = {"runtime": views.runtime_table(record.results, record.live)}

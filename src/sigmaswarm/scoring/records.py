@@ -1,11 +1,16 @@
 """The records of an evaluation: scores.json and evaluation.json."""
 
+import hashlib
 import math
 from collections.abc import Iterable
+from pathlib import Path
 
 from pydantic import BaseModel, Field
 
 from sigmaswarm.drives.fingerprint import DriveRecord
+from sigmaswarm.errors import InputError
+from sigmaswarm.files import write_json
+from sigmaswarm.records import load_record
 from sigmaswarm.scoring.consistency import Consistency, Summary
 
 SCORES_FILE, ASKED_FILE, AGAINST_FILE = "scores.json", "evaluation.json", "against.toml"
@@ -140,3 +145,29 @@ class EvaluationRecord(BaseModel):
     versions: dict[str, str]
     data: list[DriveRecord]
     against: AgainstRecord | None = None
+    files: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the files that belong to the evaluation, by name; empty before 0.4.0."""
+
+
+_SEALED = (SCORES_FILE, "tracks.npz", "tuning.toml", AGAINST_FILE)
+
+
+def seal(folder: Path) -> None:
+    """Write into evaluation.json which files belong to the evaluation."""
+    record = load_record(EvaluationRecord, folder / ASKED_FILE)
+    found = {name: _sha256(folder / name) for name in _SEALED if (folder / name).exists()}
+    write_json(folder / ASKED_FILE, record.model_copy(update={"files": found}).model_dump())
+
+
+def require_sealed(folder: Path, record: EvaluationRecord) -> None:
+    """Raise `InputError` if a file of the folder is not the one that was written with its evaluation.json."""
+    for name, expected in record.files.items():
+        if name not in _SEALED or not (folder / name).is_file() or _sha256(folder / name) != expected:
+            raise InputError(
+                f"{folder / name}: does not belong to {ASKED_FILE} next to it; repeat `sigmaswarm evaluate`, or take "
+                "the file from where it came"
+            )
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -314,6 +314,17 @@ def load_tracks(path: Path) -> list[Tracks]:
         for key, values in arrays.items():
             number, of, column = key.split("/")
             series[int(number)].setdefault(of, {})[column] = np.asarray(values, np.float64)
+        tracks = [Tracks(name, s) for name, s in zip(names, series, strict=True)]
+        for one in tracks:
+            _require_whole(one)
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
         raise InputError(f"{path}: not readable; repeat the command that made the folder") from None
-    return [Tracks(name, s) for name, s in zip(names, series, strict=True)]
+    return tracks
+
+
+def _require_whole(tracks: Tracks) -> None:
+    for of, columns in tracks.series.items():
+        needed = {"time", "nis"} if of.endswith(".nis") else {"time", "x", "y"}
+        shapes = {values.shape for values in columns.values()}
+        if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():
+            raise ValueError(of)

@@ -14,6 +14,7 @@ from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.drives.overlap import SEEN_FILE, Landmarks, load_landmarks, whole_drive
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_whole
+from sigmaswarm.limits import require_text
 from sigmaswarm.records import load_record
 from sigmaswarm.tuning.box import TouchedBound
 from sigmaswarm.tuning.search import Trial
@@ -53,7 +54,13 @@ class ResultRecord(BaseModel):
     """Parameters whose move alone lowers the cost, and the relative change."""
 
 
-class TuningRecord(BaseModel):
+class TuningConfigRecord(BaseModel):
+    """``[config]`` of tuning.toml."""
+
+    config: dict[str, Any] = Field(default_factory=dict)
+
+
+class TuningRecord(TuningConfigRecord):
     """tuning.toml; a file of filter parameters has only the first two tables."""
 
     filter: dict[str, float | str | list[float]]
@@ -61,7 +68,6 @@ class TuningRecord(BaseModel):
     densities: dict[str, str] = Field(default_factory=dict)
     result: ResultRecord | None = None
     within_1_percent_of_the_cost: dict[str, tuple[End, End]] = Field(default_factory=dict)
-    config: dict[str, Any] = Field(default_factory=dict)
     versions: dict[str, str] = Field(default_factory=dict)
     data: list[DriveRecord] = Field(default_factory=list[DriveRecord])
 
@@ -133,8 +139,11 @@ class History:
         whole, real = pl.Int64(), pl.Float64()
         numbers = {"trial": whole, "generation": whole, "best_cost": real, "median_cost": real}
         try:
+            require_text(path)
             table = pl.read_csv(path, glob=False, schema_overrides=numbers).select(list(numbers))
-        except (pl.exceptions.PolarsError, OSError):
+            if table.is_empty() or table.select("trial", "generation").null_count().sum_horizontal().item():
+                raise InputError("a row without a trial")
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
             raise InputError(f"{path}: not readable; repeat `sigmaswarm tune`") from None
         return cls(tuple(_trial(rows) for _, rows in table.group_by("trial", maintain_order=True)))
 

@@ -171,7 +171,7 @@ class Search:
             optimizer.restore(arrays | {"rng": notes["rng"]})
             best, median, steps = (arrays[name].tolist() for name in ("best", "median", "steps"))
             return _Past(best, median, steps, int(notes["failures"]), self._leader(optimizer))
-        except (KeyError, TypeError, ValueError):
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
             raise unreadable(checkpoint) from None
 
     def _leader(self, optimizer: Budgeted) -> Leader | None:

@@ -11,14 +11,46 @@ A folder of results holds
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from pydantic import BaseModel, model_validator
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder, write_json
+from sigmaswarm.records import ARRAYS, Vector, load_record, read_content
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
+
+
+class CountsRecord(BaseModel, extra="forbid"):
+    """``counts`` of result.json: parameter sets tried, and how many of them failed."""
+
+    evaluations: int
+    failures: int
+
+
+class TrialRecord(BaseModel, extra="forbid"):
+    """result.json of a trial."""
+
+    cost: float
+    counts: CountsRecord
+
+
+class TrialHistoryRecord(BaseModel):
+    """history.npz of a trial: the best point (d,), and after each generation the costs and steps (g,)."""
+
+    model_config = ARRAYS
+    point: Vector
+    best: Vector
+    median: Vector
+    steps: Vector
+
+    @model_validator(mode="after")
+    def _of_one_length(self) -> Self:
+        if not 0 < len(self.best) == len(self.median) == len(self.steps):
+            raise ValueError("best, median and steps should have one length")
+        return self
 
 
 def save_checkpoint(path: Path, arrays: dict[str, Any], notes: dict[str, Any]) -> None:
@@ -60,10 +92,10 @@ def finished_trial(path: Path, trial: int) -> tuple[dict[str, Any], dict[str, An
     folder = path / f"trial-{trial:03d}"
     if not folder.exists():
         return None
-    try:
-        return json.loads((folder / "result.json").read_text()), read_arrays(folder / "history.npz")
-    except Exception:  # as of a damaged checkpoint
-        raise InputError(f"{folder}: not a readable result; delete the folder to redo this trial") from None
+    remedy = f"delete {folder} to redo this trial"
+    result = load_record(TrialRecord, folder / "result.json", remedy, missing=remedy, infinite=True)
+    history = load_record(TrialHistoryRecord, folder / "history.npz", remedy, missing=remedy)
+    return result.model_dump(), vars(history)
 
 
 def _short(key: str, config: dict[str, Any]) -> str:
@@ -116,10 +148,9 @@ class ResultFolder:
                 f"{config_file.parent}: already holds a tuning; add --resume to go on with it, "
                 "or choose another --out"
             )
-        try:
-            saved = _with_current_names(dict(json.loads(config_file.read_text())))
-        except (ValueError, TypeError):
-            raise InputError(f"{config_file}: not written by a tuning; choose another --out") from None
+        saved = _with_current_names(
+            read_content(config_file, "not written by a tuning; choose another --out", infinite=True)
+        )
         wanted = json.loads(json.dumps(config))
         made, now = saved.pop("versions", {}), wanted.pop("versions", {})
         if not (isinstance(made, dict) and same_results(made, now)):

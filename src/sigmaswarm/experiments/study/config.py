@@ -1,6 +1,5 @@
 """The configuration of a study: one TOML file, saved with its results."""
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -20,6 +19,7 @@ from pydantic import (
 from sigmaswarm.errors import InputError, first_mistake
 from sigmaswarm.filters.names import NetworkName
 from sigmaswarm.filters.parameters import FilterKind, ModelName
+from sigmaswarm.records import read_content
 from sigmaswarm.simulation.conditions import PAPER_MANEUVERS
 from sigmaswarm.simulation.environments import ENVIRONMENTS
 from sigmaswarm.tuning.space import Scale
@@ -245,12 +245,8 @@ def read_config(path: Path | None, **changes: Any) -> StudyConfig:
     """
     options: dict[str, Any] = {}
     if path is not None:
-        try:
-            options = tomllib.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such file; leave --config out for the paper's study") from None
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"{path}: not a readable TOML file: {error}") from None
+        missing = "leave --config out for the paper's study"
+        options = read_content(path, "give a readable TOML file", missing=missing)
     try:
         return StudyConfig(**(options | changes))
     except ValidationError as error:

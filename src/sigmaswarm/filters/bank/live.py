@@ -511,7 +511,8 @@ class LiveFilterBank(LiveFilter):
     def state(self) -> LiveState:
         """State estimate of the mixture after the last IMU sample and all fixes up to then."""
         mean, covariance = self._mixed()
-        return told(float(self._belief[live.TIME]), mean, covariance, self.lost, self._plausible)
+        sound = self._plausible and _is_definite(covariance)
+        return told(float(self._belief[live.TIME]), mean, covariance, self.lost, sound)
 
     @property
     def lost(self) -> bool:
@@ -536,6 +537,21 @@ class LiveFilterBank(LiveFilter):
         InputError
         """
         raise InputError("a filter bank has no smoothed state; take a LiveFilter with lag=2.0, say")
+
+
+def _is_definite(covariance: Array) -> bool:
+    """Whether a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    variance = covariance.diagonal()
+    if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
+        return False
+    scale = np.sqrt(variance)
+    scale[scale == 0.0] = 1.0
+    correlations = covariance / scale / scale[:, np.newaxis]
+    try:
+        np.linalg.cholesky(correlations + live.ROUNDING * np.eye(len(scale)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 @cache

@@ -33,7 +33,7 @@ from sigmaswarm.drives.odometer import INTERVAL, SLOW, STALE
 from sigmaswarm.drives.standstill import FIX_WINDOW, MEANS, N_STOP, fixes_stand, is_as_it_was, is_calm
 from sigmaswarm.drives.timeline import AX, AXES, AY, CORNERING, DT, GAP, N_STEP, Q_SCALE
 from sigmaswarm.filters.compiled.lanes import OPTIONS
-from sigmaswarm.filters.compiled.layout import N_KEPT, R
+from sigmaswarm.filters.compiled.layout import COVARIANCE, N_KEPT, P0, R
 from sigmaswarm.filters.compiled.memory import memory_at
 from sigmaswarm.filters.compiled.run import cached_by_sources
 from sigmaswarm.filters.compiled.single import take_step
@@ -65,7 +65,9 @@ SAMPLE_AHEAD = slice(SAMPLE.stop, SAMPLE.stop + N_SAMPLE)
 FIX_AHEAD = slice(SAMPLE_AHEAD.stop, SAMPLE_AHEAD.stop + N_FIX)
 NEW_SAMPLE = slice(FIX_AHEAD.stop, FIX_AHEAD.stop + N_SAMPLE)
 ORDER = slice(NEW_SAMPLE.stop, NEW_SAMPLE.stop + len(AXES))  # where each of AXES stands in what comes
-N_ALL = ORDER.stop
+DIMENSION = ORDER.stop  # how many states the filter has
+FACTOR = slice(DIMENSION + 1, DIMENSION + 1 + len(COVARIANCE))  # room for the Cholesky factor
+N_ALL = FACTOR.stop
 
 (
     N_FIXES, N_HISTORY, OLDEST, HOLDS_SAMPLE, HOLDS_FIX, TOO_LATE, TIME_JUMPS, N_FROZEN, N_SPEEDS,
@@ -81,6 +83,11 @@ BEHIND = 8 * math.ceil(N_ALL / 8)
 """Where the numbers behind the belief begin, a whole number of the widest vectors from its start."""
 MARK_EVERY = 16
 """Samples: what is behind the belief is much, and seldom gone back to."""
+
+CHECK_EVERY = MARK_EVERY
+"""Samples from one check of the covariance to the next; it is checked after each fix, too."""
+ROUNDING = 1e-8
+"""The least eigenvalue of the correlations may lie so far below zero."""
 
 LEAP = 10.0
 """s: a sample or fix that is stamped farther ahead of the filter is held back until a second one agrees."""
@@ -138,8 +145,45 @@ def _slot(t, start, interval):
 
 
 @_plain
-def _take(step, v, counts, fixes, speeds, t, u, calm, means):
-    """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do."""
+def is_definite(p, n, factor, first):
+    """Whether a covariance of n states is positive semidefinite, but for rounding: by its Cholesky factor.
+
+    ``p`` is its upper triangle column by column; that of the factor is written from place ``first`` on.
+    """
+    for j in range(n):
+        begin = j * (j + 1) // 2
+        column = first + begin
+        pivot = p[begin + j] * (1.0 + ROUNDING)
+        for i in range(j):
+            other = first + i * (i + 1) // 2
+            left = p[begin + i]
+            for k in range(i):
+                left -= factor[other + k] * factor[column + k]
+            if factor[other + i] > 0.0:
+                left /= factor[other + i]
+            elif left != 0.0:
+                return False
+            factor[column + i] = left
+            pivot -= left * left
+        if not pivot >= 0.0:
+            return False
+        factor[column + j] = math.sqrt(pivot)
+    return True
+
+
+@_plain
+def _check(v):
+    """Fail a filter whose covariance has lost its definiteness."""
+    if v[OK] == 1.0 and not is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start):
+        v[OK] = 0.0
+
+
+@_plain
+def _take(step, v, counts, fixes, speeds, t, u, calm, means, number):
+    """Step through the fixes up to a sample's time, and absorb there what the wheels say and what a car can't do.
+
+    ``number``: of the sample, from the start.
+    """
     before, nothing = v[TIME], np.zeros(9)
     no_fix, wheels = nothing[:6], nothing[6:]
     end = _seen(counts, fixes, t)
@@ -171,6 +215,8 @@ def _take(step, v, counts, fixes, speeds, t, u, calm, means):
             v[STANDSTILL_SLOT] = slot
     if t > v[TIME] or happens:
         _step_to(step, v, t, u, happens, no_fix, wheels)
+    if first < end or number % CHECK_EVERY == 0:
+        _check(v)
 
 
 @_plain
@@ -332,7 +378,7 @@ def _go_on(step, v, counts, memory, fixes, speeds, history, marks, sample):
     record[S_CALM] = 1.0 if calm else 0.0
     _copy(means, record[S_MEANS], len(means))
     _copy(sample, last, N_SAMPLE)
-    _take(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means)
+    _take(step, v, counts, fixes, speeds, t, record[S_STEP], calm, means, counts[N_SAMPLES] - 1)
 
 
 @_plain
@@ -374,6 +420,7 @@ def take_again(step, v, counts, fixes, speeds, history, marks, first, corrects):
             record[S_STEP],
             record[S_CALM] > 0.0,
             record[S_MEANS],
+            counts[N_SAMPLES] - counts[N_HISTORY] + number,
         )
 
 
@@ -542,6 +589,15 @@ def _look_back(sources):
     return heading
 
 
+def _look_at_covariance(sources):
+    def definite(handle):
+        """Whether the covariance is positive semidefinite now, between two checks, too."""
+        v = memory_at(handle)[1]
+        return sources != "" and is_definite(v[P0:], int(v[DIMENSION]), v, FACTOR.start)
+
+    return definite
+
+
 @dataclass(frozen=True)
 class LiveCalls:
     """What is done with the memory of a live filter, of which they take the `Memory.handle`.
@@ -553,12 +609,14 @@ class LiveCalls:
     speed : ``(handle, t, speed)``, a reading of the odometer; what became of it
     heading : ``(handle, gyro_bias)``, where the log alone says that the car heads, rad, roughly, of a gyro of that bias
         (rad/s); NaN where it says nothing
+    definite : ``(handle)``, whether the covariance is positive semidefinite
     """
 
     sample: Any
     fix: Any
     speed: Any
     heading: Any
+    definite: Any
 
     def __reduce__(self):
         return live_calls, ()
@@ -567,8 +625,9 @@ class LiveCalls:
 @once
 def live_calls():
     """Compiled now, and once: numbers of other types are converted, not compiled for again."""
-    calls = [cached_by_sources(make, "live") for make in (_take_sample, _take_fix, _take_speed, _look_back)]
-    for function, numbers in zip(calls, (7, 8, 2, 1), strict=True):
+    makers = (_take_sample, _take_fix, _take_speed, _look_back, _look_at_covariance)
+    calls = [cached_by_sources(make, "live") for make in makers]
+    for function, numbers in zip(calls, (7, 8, 2, 1, 0), strict=True):
         signature = (int64, *(float64,) * numbers)
         if isinstance(function, Dispatcher):  # not with NUMBA_DISABLE_JIT
             function.compile(signature)

@@ -24,8 +24,8 @@ from numba.extending import intrinsic
 from sigmaswarm.compilation import address_of, once
 from sigmaswarm.drives.timeline import DT
 from sigmaswarm.filters.compiled.lanes import OPTIONS
-from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, R, state_rows
-from sigmaswarm.filters.compiled.live import BEHIND, TIME
+from sigmaswarm.filters.compiled.layout import CONSTANT_ROWS, LANES, N_KEPT, N_ROWS, P0, R, state_rows
+from sigmaswarm.filters.compiled.live import BEHIND, DIMENSION, FACTOR, TIME, is_definite
 from sigmaswarm.filters.compiled.run import named_by_sources
 from sigmaswarm.filters.compiled.single import SIGNATURE, SingleStep
 from sigmaswarm.filters.compiled.step import step_of
@@ -149,6 +149,14 @@ def _note_fix(v, w, now):
         v[_AT_EVIDENCE + lane] = fades * v[_AT_EVIDENCE + lane] - loss
 
 
+@njit(**OPTIONS)
+def _check_lanes(v, w):
+    """Fail lanes whose covariance has lost its definiteness; the first one is the live filter's, which checks it."""
+    for lane in range(1, LANES):
+        if w[R.OK, lane] == 1.0 and not is_definite(w[P0:, lane], int(v[DIMENSION]), v, FACTOR.start):
+            w[R.OK, lane] = 0.0
+
+
 def _swarm_step(sources, *, step, kept):
     def swarm_step(v, u, happens, z, wheels, lever, since):
         """A step of all lanes; ``v`` is a live filter's belief, and what is behind it."""
@@ -157,6 +165,8 @@ def _swarm_step(sources, *, step, kept):
         w = _rows_of(v)
         for lane in range(LANES):
             w[R.FACED_ALL, lane] = 0.0  # some may have been replaced
+        if v[R.OK] == 0.0:  # found by the live filter's own check
+            w[R.OK, 0] = 0.0
         step(
             w, (u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]), happens,
             (z[0], z[1], z[2], z[3], z[4], z[5]), (wheels[0], wheels[1], wheels[2]),
@@ -164,6 +174,7 @@ def _swarm_step(sources, *, step, kept):
         )  # fmt: skip
         now = v[TIME] + u[DT]
         if happens & FIX:
+            _check_lanes(v, w)
             _note_fix(v, w, now)
             weigh(v)
         for r in kept:

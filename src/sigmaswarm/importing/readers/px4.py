@@ -5,6 +5,7 @@ Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the
 the true place, north and east of a reference.
 """
 
+import struct
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,7 @@ def recognizes(path: Path) -> bool:
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the topics that a drive is made of; the others are passed over."""
     core = library("pyulog.core", "logs")
+    _require_whole_definitions(path)
     try:
         with path.open("rb") as file:
             log = core.ULog(file, message_name_filter_list=list(_TOPICS))
@@ -47,6 +49,22 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
             f"{path}: holds none of {', '.join(_TOPICS)}; log them (SDLOG_PROFILE), and fly again"
         )
     yield Frames(path, frames, _guess(frames), dict.fromkeys(frames, "uORB topic"))
+
+
+def _require_whole_definitions(path: Path) -> None:
+    """Refuse a definition that is longer than the rest of the file: pyulog goes back behind it, again and again."""
+    size, at = path.stat().st_size, 16
+    with path.open("rb") as file:
+        while at + 3 <= size:
+            file.seek(at)
+            length, kind = struct.unpack("<Hc", file.read(3))
+            at += 3 + length
+            if kind in b"ALC":  # data begin
+                return
+            if at > size or kind not in b"BFIMPQ":
+                raise InputError(
+                    f"{path}: is cut short or broken at byte {at - 3 - length}; copy the log again"
+                )
 
 
 def _guess(frames: dict[str, pl.DataFrame]) -> Guess:

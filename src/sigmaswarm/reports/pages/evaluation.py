@@ -20,7 +20,7 @@ from sigmaswarm.reports.style import LABELS, LOOKS
 from sigmaswarm.reports.views.evaluation import method_bars, swarm_charts
 from sigmaswarm.scoring.drifts import OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, method_names
-from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
 from sigmaswarm.tuning.record import FILE, TuningRecord
@@ -78,6 +78,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
     """Read the scores and the setup of an evaluation; ``file`` is its tuning."""
     scores = load_record(ScoresRecord, folder / SCORES_FILE)
     setup = load_record(EvaluationRecord, folder / ASKED_FILE)
+    require_sealed(folder, setup)
     other = setup.against and (setup.against.kind, setup.against.model)
     kind, model = str(file.filter.get("kind", "ukf")), str(file.filter.get("model", "planar5"))
     names = method_names(kind, model, also=[m for m in (OWN, *ALSO) if m in scores.mean], against=other)

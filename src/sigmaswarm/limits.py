@@ -1,0 +1,146 @@
+"""Bounds on what is read, checked before it is read: a small or damaged file can claim any size.
+
+Within these bounds a file that is refused takes at most 1.5 GB of memory and 10 s.
+"""
+
+import re
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from sigmaswarm.errors import InputError
+
+if TYPE_CHECKING:
+    import zipfile
+
+LONGEST_LINE = 1 << 20
+"""Bytes of a text's line."""
+MOST_CELLS = 120_000_000
+"""Cells of a Parquet table, 1 GB: a week of an IMU at 50 Hz."""
+MOST_COLUMNS = 1000
+"""Columns of a drive's table."""
+LONGEST_NAME = 1000
+"""Characters of a column's name."""
+MOST_TOML = 1 << 20
+"""Bytes of a TOML file, which takes 3 s to parse."""
+MOST_JSON = 1 << 26
+"""Bytes of a JSON file, which takes 0.6 GB when parsed."""
+MOST_MEMBERS = 10_000
+"""Arrays in an npz file."""
+MOST_UNPACKED = 1_000_000_000
+"""Bytes of the arrays in an npz file."""
+
+_PACKED = {
+    b"\x1f\x8b": "gzip",
+    b"\x28\xb5\x2f\xfd": "Zstandard",
+    b"\x78\x01": "zlib",
+    b"\x78\x9c": "zlib",
+    b"\x78\xda": "zlib",
+}
+"""First bytes of the compressed files that polars unpacks to any size, whatever they are called."""
+_LONG_KEY = re.compile(rb"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){64}""")
+"""A dotted key of TOML: tomllib's time grows with the square of its parts."""
+
+
+def require_regular(path: Path) -> None:
+    """Refuse what is no regular file: reading a pipe, a socket or a device may never end.
+
+    Raises
+    ------
+    InputError
+        If something is there that is neither a file nor a folder.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return  # reading it gives the reason
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise InputError(f"{path}: is no regular file; copy what it holds into a file, and name that")
+
+
+def require_text(path: Path) -> bytes:
+    """Refuse a text that is compressed, or has a line of more than `LONGEST_LINE` bytes; return its first line.
+
+    Raises
+    ------
+    InputError
+        The message names the file and the line.
+    """
+    require_regular(path)
+    with path.open("rb") as file:
+        _require_unpacked(path, file.read(8))
+        file.seek(0)
+        _require_lines(path, file)
+        file.seek(0)
+        return file.readline()
+
+
+def _require_unpacked(path: Path, head: bytes) -> None:
+    for first, kind in _PACKED.items():
+        if head.startswith(first):
+            raise InputError(f"{path}: is compressed ({kind}); unpack it, and name the unpacked file")
+
+
+def _require_lines(path: Path, file: BinaryIO) -> None:
+    begun, lines = 0, 0  # bytes since the last line's end
+    while block := file.read(LONGEST_LINE):
+        first, last = block.find(b"\n"), block.rfind(b"\n")
+        if begun + (len(block) if first < 0 else first) > LONGEST_LINE:
+            raise InputError(
+                f"{path}, row {lines + 1}: is longer than {LONGEST_LINE} bytes; the file is damaged, copy it again"
+            )
+        begun = begun + len(block) if last < 0 else len(block) - last - 1
+        lines += block.count(b"\n")
+
+
+def read_bounded(path: Path, most: int) -> bytes:
+    """Read a file of at most ``most`` bytes.
+
+    Raises
+    ------
+    InputError
+        If it is larger, or no regular file.
+    OSError
+        If it can't be read.
+    """
+    require_regular(path)
+    with path.open("rb") as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise InputError(
+            f"{path}: is larger than {most / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
+        )
+    return content
+
+
+def read_toml_text(path: Path) -> str:
+    """Read the text of a TOML file that can be parsed within seconds; a byte-order mark is left out.
+
+    Raises
+    ------
+    InputError
+        If it is too large, a key has too many parts, or it is no regular file.
+    OSError, UnicodeDecodeError
+        If it can't be read.
+    """
+    content = read_bounded(path, MOST_TOML)
+    if found := _LONG_KEY.search(content):
+        row = content.count(b"\n", 0, found.start()) + 1
+        raise InputError(f"{path}, row {row}: a key of more than 64 parts; correct or delete the line")
+    return content.decode("utf-8-sig")
+
+
+def require_members(path: Path, members: "list[zipfile.ZipInfo]") -> None:
+    """Refuse an npz file of too many or too large arrays.
+
+    Raises
+    ------
+    InputError
+        The message names the file.
+    """
+    unpacked = sum(member.file_size for member in members)
+    if len(members) > MOST_MEMBERS or unpacked > MOST_UNPACKED:
+        raise InputError(
+            f"{path}: holds {len(members)} arrays of {unpacked / 1e6:.0f} MB, more than {MOST_MEMBERS} or "
+            f"{MOST_UNPACKED / 1e6:.0f} MB; not a file of sigmaswarm, or a damaged one"
+        )

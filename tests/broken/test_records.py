@@ -1,0 +1,204 @@
+"""Damaged records give one line that names the file; a folder of results is replaced as a whole."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sigmaswarm import FilterParameters, evaluate, tune
+from sigmaswarm.errors import InputError
+from sigmaswarm.experiments.comparison import Outcome
+from sigmaswarm.exports.targets import export_filter
+from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.records import load_record
+from sigmaswarm.reports.evaluation import save_evaluation
+from sigmaswarm.reports.pages.folders import read_report
+from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
+from sigmaswarm.scoring.tracks import load_tracks
+from sigmaswarm.tuning.record import History, TuningRecord
+from sigmaswarm.tuning.store import finished_trial
+from support import make_drive
+
+TEXTS: dict[str, bytes] = {
+    "empty": b"",
+    "no text": b"\xff\xfe\x00",
+    "nested": b"[" * 100_000,
+    "nested keys": b'{"a":' * 50_000,
+    "digits": b'{"cost": ' + b"9" * 5000 + b"}",
+    "a text": b'"x"',
+    "a list": b"[1, 2]",
+    "null": b"null",
+    "no keys": b"{}",
+    "zeros": b"\0" * 1000,
+    "toml": b"x = " + b"[" * 3000,
+    "large": b" " * (70 << 20),
+}
+RECORDS: dict[str, Callable[[Path], object]] = {
+    "tuning.toml": FilterParameters.load,
+    "scores.json": lambda path: load_record(ScoresRecord, path),
+    "evaluation.json": lambda path: load_record(EvaluationRecord, path),
+    "run.json": Outcome.read,
+    "result.json": lambda path: finished_trial(path.parent.parent, 0),
+    "history.npz": lambda path: finished_trial(path.parent.parent, 0),
+    "tracks.npz": load_tracks,
+    "convergence.csv": History.load,
+}
+
+
+@pytest.mark.parametrize("how", TEXTS)
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_damaged_record_is_named(name: str, how: str, tmp_path: Path):
+    folder = tmp_path / "trial-000"
+    folder.mkdir()
+    (folder / "result.json").write_text('{"cost": 1.0, "counts": {"evaluations": 1, "failures": 0}}')
+    (folder / name).write_bytes(TEXTS[how])
+    with pytest.raises(InputError, match=name.replace(".", r"\.")) as raised:
+        RECORDS[name](folder / name)
+    assert str(raised.value).isprintable()
+    assert len(str(raised.value)) < 1000
+
+
+GOOD = {"point": np.zeros(3), "best": np.ones(2), "median": np.ones(2), "steps": np.ones(2, int)}
+HISTORIES = {
+    "no best": {k: v for k, v in GOOD.items() if k != "best"},
+    "more": GOOD | {"zzz": np.ones(2)},
+    "lengths": GOOD | {"best": np.ones(3)},
+    "texts": GOOD | {"best": np.array(["a", "b"])},
+    "a number": GOOD | {"steps": np.array(1)},
+    "nothing": {k: v[:0] for k, v in GOOD.items()},
+}
+RESULTS = [
+    {},
+    {"cost": "x", "counts": {"evaluations": 1, "failures": 0}},
+    {"cost": 1.0, "counts": {"evaluations": 1}},
+    {"cost": 1.0, "counts": [1, 2]},
+    {"cost": 1.0, "counts": {"evaluations": 1, "failures": 0}, "zzz": 1},
+    {"cost": None, "counts": {"evaluations": 1, "failures": 0}},
+]
+
+
+@pytest.mark.parametrize("broken", [*HISTORIES, *range(len(RESULTS))])
+def test_a_trial_that_is_no_trial(broken: str | int, tmp_path: Path):
+    folder = tmp_path / "trial-000"
+    folder.mkdir()
+    sound = {"cost": np.inf, "counts": {"evaluations": 1, "failures": 0}}
+    (folder / "result.json").write_text(json.dumps(sound))
+    np.savez(folder / "history.npz", **GOOD)
+    assert finished_trial(tmp_path, 0)
+    if isinstance(broken, str):
+        np.savez(folder / "history.npz", **HISTORIES[broken])
+    else:
+        (folder / "result.json").write_text(json.dumps(RESULTS[broken]))
+    name = "history.npz" if isinstance(broken, str) else "result.json"
+    with pytest.raises(InputError, match=f"{name}: .*delete .*trial-000 to redo this trial"):
+        finished_trial(tmp_path, 0)
+
+
+def listing(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+@pytest.mark.parametrize("fails_at", range(1, 6))
+def test_files_take_their_places_together_or_not_at_all(
+    fails_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    folder = tmp_path / "out"
+    (folder / "sub").mkdir(parents=True)
+    for name in ("a", "b", "sub/c", "mine"):
+        (folder / name).write_text("old")
+    before, moved, rename = listing(folder), 0, Path.rename
+
+    def failing(path: Path, target: Path) -> Path:
+        nonlocal moved
+        moved += 1
+        if moved == fails_at:
+            raise OSError(28, "No space left on device", str(path))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(InputError, match="make room"), staged_files(folder) as new:
+        (new / "sub").mkdir()
+        for name in ("a", "b", "sub/c"):
+            write_whole(new / name, "new")
+    assert listing(folder) == before
+
+
+@pytest.mark.parametrize("killed_at", range(1, 6))
+def test_a_kill_between_two_files_is_undone_by_the_next_run(killed_at: int, tmp_path: Path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    for name in "abc":
+        (folder / name).write_text("old")
+    before = listing(folder)
+    if (child := os.fork()) == 0:
+        rename, moved = Path.rename, 0
+
+        def dying(path: Path, target: Path) -> Path:
+            nonlocal moved
+            moved += 1
+            if moved == killed_at:
+                os._exit(9)
+            return rename(path, target)
+
+        Path.rename = dying  # pyright: ignore[reportAttributeAccessIssue]
+        with staged_files(folder) as new:
+            for name in "abc":
+                write_whole(new / name, "new")
+        os._exit(0)
+    os.waitpid(child, 0)
+    write_whole(folder / "another", "x")
+    assert listing(folder) == before | {"another": b"x"}
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two evaluations of one drive, by two tunings."""
+    root, drive = tmp_path_factory.mktemp("evaluations"), make_drive(duration=20.0)
+    for seed in (0, 1):
+        tuning = tune(drive, particles=3, generations=1, seed=seed)
+        tuning.save(root / f"{seed}.toml")
+        save_evaluation(evaluate(drive, tuning.parameters), root / str(seed), root / f"{seed}.toml")
+    return root / "0", root / "1"
+
+
+@pytest.mark.parametrize("name", ["scores.json", "tracks.npz", "tuning.toml", "evaluation.json"])
+def test_report_refuses_a_file_of_another_evaluation(name: str, folders: tuple[Path, Path]):
+    one, other = folders
+    read_report(one)
+    sound = (one / name).read_bytes()
+    (one / name).write_bytes((other / name).read_bytes())
+    try:
+        with pytest.raises(InputError, match=r"does not belong to evaluation\.json"):
+            read_report(one)
+    finally:
+        (one / name).write_bytes(sound)
+
+
+def test_an_export_over_an_older_one_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    p = FilterParameters(0.5, 2.0, 1.0, (1e-4,) * 5, (1.0, 1.0), nominal_interval=0.01)
+    export_filter(p, "c99", tmp_path / "c")
+    before = listing(tmp_path / "c")
+    written = 0
+
+    def full(path: Path, content: bytes | str) -> None:
+        nonlocal written
+        written += 1
+        if written == 4:
+            raise InputError(f"{path}: can't be written (No space left on device)")
+        path.write_text(str(content))
+
+    monkeypatch.setattr("sigmaswarm.exports.targets.write_whole", full)
+    other = FilterParameters(0.5, 2.0, 1.0, (1e-3,) * 5, (2.0, 1.0), nominal_interval=0.01)
+    with pytest.raises(InputError, match=str(tmp_path / "c")):
+        export_filter(other, "c99", tmp_path / "c")
+    assert listing(tmp_path / "c") == before
+
+
+def test_a_config_that_is_no_table(folders: tuple[Path, Path], tmp_path: Path):
+    text = "config = 3\n" + (folders[0] / "tuning.toml").read_text().split("[config]")[0]
+    (tmp_path / "tuning.toml").write_text(text)
+    with pytest.raises(InputError, match=r"tuning\.toml: config: "):
+        load_record(TuningRecord, tmp_path / "tuning.toml")
