@@ -582,7 +582,7 @@ def test_tables_sort_by_number_and_back(opened):
 def test_the_command_is_copied(opened, folders: tuple[Path, Path, Evaluation]):
     page = opened("tuning")
     page.page.click("#copy")
-    page.page.wait_for_function("document.getElementById('copy').textContent === 'Copied'")
+    page.page.wait_for_selector("#copy:text-is('Copied')")
     assert page.run("navigator.clipboard.readText()") == read_report(folders[0]).command
 
 

@@ -385,7 +385,8 @@ class LiveFilter:
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
-        mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
+        with np.errstate(all="ignore"):  # what overflows is reported as failed
+            mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
         lost = self._monitor is not None and self._monitor.lost
         sound = definite and self._belief[live.OK] == 1.0 and self._plausible
         return told(time, mean, covariance, lost, sound)

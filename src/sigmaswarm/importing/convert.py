@@ -98,7 +98,10 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
         for guess in guesses.values():
             metadata |= guess.metadata
     progress(1.0)
-    drive = assemble(name, gathered, recipe, notes.append, request.part)
+    try:
+        drive = assemble(name, gathered, recipe, notes.append, request.part)
+    except InputError as error:
+        raise InputError(f"{request.source.name}: {error}") from None
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8
     drive = replace(drive, metadata={**metadata, **drive.metadata, "source": source})
     return Imported(drive, recipe, tuple(dict.fromkeys(notes)))
