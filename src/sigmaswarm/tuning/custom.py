@@ -12,7 +12,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.custom.identity import fingerprint
 from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.custom.model import Model
-from sigmaswarm.filters.custom.run import Runner
+from sigmaswarm.filters.custom.run import Runner, run_model
 from sigmaswarm.scoring.custom import state_targets
 from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.config import ModelTuneConfig
@@ -44,7 +44,7 @@ class ModelProblem:
                 f"choose one of {', '.join(MODEL_OBJECTIVES)}"
             )
         truth = config.objective == "truth-rmse"
-        self._model, self._config = model, config
+        self._model, self._config, self._logs = model, config, logs
         self._targets = [state_targets(log, model) if truth else None for log in logs]
         self.space = model_box(model, config.scale)
         self.data = [_described(log) for log in logs]
@@ -55,6 +55,12 @@ class ModelProblem:
     def parameters(self, point: Array) -> dict[str, float]:
         """Parameters by name at a point, shape (d,), in search coordinates."""
         return self._named(self.space.values(point))
+
+    def why_none(self, point: Array) -> str | None:
+        """Return the failure of the filter at a point, shape (d,), on the first log on which it fails."""
+        parameters = self.parameters(point)
+        failures = (run_model(log, self._model, parameters).failure for log in self._logs)
+        return next((f"model {failure}" for failure in failures if failure), None)
 
     def costs(self, points: Array, executor: Executor | None) -> Array:
         """Costs, shape (n,), of points in search coordinates, shape (n, d): the mean over the logs that count."""

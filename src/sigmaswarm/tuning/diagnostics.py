@@ -43,8 +43,7 @@ NEAR = 1.2
 LOOK = 600.0
 """Seconds in the middle of a drive that are checked for drift."""
 REMEDY = (
-    "DON'T USE IT; leave --model and --use out, which then suit the logs, or tune with more --trials, or on more "
-    "drives"
+    "DON'T USE IT; look at the drive with `sigmaswarm doctor`, tune with more --trials, or on more drives"
 )
 SCALE_FREE = ("truth-rmse", "truth-pose")
 """Objectives that do not depend on the covariance."""

@@ -52,7 +52,7 @@ def remarks_on(tuning: "Tuning[Any]") -> list[str]:
         why = "it does not determine how large all noises are together, so the covariances can't be trusted"
         remarks.append(to_do("add innovation-nll or nis to the objective", why))
     if _heading_is_loose(t):
-        remedy = "for a car leave --model and --use out, which then suit the logs, or tune with truth-pose"
+        remedy = "for a car use the lateral constraint (--use lateral), or tune with truth-pose"
         why = (
             "fixes alone determine the heading poorly: it may be off by tens of degrees with a good position"
         )

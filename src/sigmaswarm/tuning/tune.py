@@ -244,9 +244,10 @@ def _best_of(
     best = int(np.argmin([trial.cost for trial in trials]))
     point, cost = trials[best].point, trials[best].cost
     if not np.isfinite(cost):
+        reason = problem.why_none(point) if isinstance(problem, ModelProblem) else None
         raise InputError(
             "no parameter set gave a finite cost: every filter failed on at least one drive; "
-            "look for NaN or wildly wrong values in the drives"
+            + (reason or "look for NaN or wildly wrong values in the drives")
         )
     factor = 1.0
     if isinstance(config, TuneConfig) and config.inflation:
