@@ -42,7 +42,7 @@ import sigmaswarm
 from sigmaswarm.cli.app import app
 options = {}
 for name in app:
-    if name in ("--help", "-h", "--version"):
+    if name.startswith("-"):
         continue
     arguments = app[name].assemble_argument_collection()
     options[name] = [a.names[0] for a in arguments if a.names[0].startswith("-")]
