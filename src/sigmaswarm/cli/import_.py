@@ -116,7 +116,7 @@ def import_(
     msg
         Definitions of ROS messages, .msg files or a package's folder, for bags without them.
     mount
-        Orientation of the IMU: degrees about z (90), roll,pitch,yaw in degrees (0,10,90), or axes (x=-y,y=x).
+        Orientation of the IMU: auto, degrees about z (90), roll,pitch,yaw (0,10,90), or axes (x=-y,y=x).
     gps_offset
         Added to the fixes' times, s.
     truth_offset

@@ -17,6 +17,7 @@ from sigmaswarm.importing.formats import open_log
 from sigmaswarm.importing.gather import Columns, check_part, gather
 from sigmaswarm.importing.guess import SAMPLE, time_of
 from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.mounting import AUTO, find_mount
 from sigmaswarm.importing.recipe import COLUMNS, Recipe, mapped_roles, with_maps
 from sigmaswarm.importing.source import FILES, ROLES, Choice, Guess, Part, Progress, Role, Source
 from sigmaswarm.importing.times import wrong_unit
@@ -99,7 +100,12 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
             metadata |= guess.metadata
     progress(1.0)
     try:
-        drive = assemble(name, gathered, recipe, notes.append, request.part)
+        plain = replace(recipe, mount="") if recipe.mount == AUTO else recipe
+        drive = assemble(name, gathered, plain, notes.append, request.part)
+        if recipe.mount == AUTO:
+            drive, mount, note = find_mount(drive)
+            recipe = replace(recipe, mount=mount)
+            notes.append(note)
     except InputError as error:
         raise InputError(f"{request.source.name}: {error}") from None
     source = os.fsencode(request.source.name).decode("utf-8", "replace")  # a name may be no UTF-8

@@ -2,13 +2,40 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 
-from sigmaswarm.drives.drive import Array
+from sigmaswarm.doctor.evidence import gather
+from sigmaswarm.doctor.mounting import turned
+from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.errors import InputError
 
+AUTO = "auto"
+"""As a mounting: the one that the log itself shows."""
 _AXES = "xyz"
+
+
+def find_mount(drive: Drive) -> tuple[Drive, str, str]:
+    """Turn the IMU by the mounting that the log shows; return the drive, the mounting as text, and a note.
+
+    Raises
+    ------
+    InputError
+        The log does not show it; the message gives the reason.
+    """
+    mounting = gather(drive).mounting
+    if mounting is None or mounting.confidence == "no":
+        reason = mounting.reason if mounting else "it takes ax, ay, az, gx, gy, gz and a vehicle that drives"
+        raise InputError(
+            f"mount auto: the log does not show the mounting ({reason}); state it, as in mount 0,10,90"
+        )
+    mount = ",".join(f"{angle:g}" for angle in mounting.degrees)
+    total = math.degrees(float(np.linalg.norm(mounting.std)))
+    note = (
+        f"mounting {mount} deg found in the log ({mounting.confidence}, standard deviation {total:.1f} deg)"
+    )
+    return replace(drive, imu=turned(drive.imu, parse_mount(mount))), mount, note
 
 
 def parse_mount(text: str) -> Array:

@@ -1,0 +1,52 @@
+"""``--mount auto``: the mounting is found in the log, or refused with the reason."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sigmaswarm
+from sigmaswarm.doctor.mounting import angle_of, turned
+from sigmaswarm.importing.mounting import parse_mount
+
+
+def log_of(drive: sigmaswarm.Drive, folder: Path) -> Path:
+    """A table of the IMU beside one of the fixes."""
+    imu, gps = drive.imu, drive.gps
+    columns = {"time_s": imu.time} | {n: getattr(imu, n) for n in ("ax", "ay", "az", "gx", "gy", "gz")}
+    folder.mkdir()
+    pl.DataFrame(columns).write_csv(folder / "imu.csv")
+    pl.DataFrame({"time_s": gps.time, "lat": 48 + gps.y / 111_194.9, "lon": 11 + gps.x / 74_404.6}).write_csv(
+        folder / "fixes.csv"
+    )
+    return folder
+
+
+@pytest.mark.parametrize("angles", [(0, -66, 0), (180, 0, 0), (12, 30, 100)])
+def test_the_mounting_is_found(tmp_path: Path, angles: tuple[float, float, float]):
+    drive = sigmaswarm.simulate("urban", duration=120, gps="white-1m", run=4)
+    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_matrix()
+    log = log_of(replace(drive, imu=turned(drive.imu, rotation.T)), tmp_path / "log")
+    with pytest.warns(sigmaswarm.SigmaswarmWarning, match="found in the log"):
+        made = sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
+    assert np.sqrt(np.mean((made.imu.ax - drive.imu.ax) ** 2)) < 9.81 * np.sin(np.radians(5))
+    assert made.imu.az is not None
+    assert np.median(made.imu.az) == pytest.approx(9.8, abs=0.2)
+
+
+def test_a_log_that_does_not_show_it_is_refused_with_the_reason(tmp_path: Path):
+    log = log_of(sigmaswarm.simulate("cruise", gps="white-1m"), tmp_path / "log")
+    with pytest.raises(
+        sigmaswarm.InputError, match=r"does not show the mounting .the course hardly turns.*state it"
+    ):
+        sigmaswarm.import_log(log / "imu.csv", gps=log / "fixes.csv", mount="auto")
+
+
+def test_the_text_of_a_mounting_is_the_rotation_it_names():
+    for seed in range(5):
+        rotation = Rotation.random(random_state=seed).as_matrix()
+        roll, pitch, yaw = Rotation.from_matrix(rotation).as_euler("xyz", degrees=True)
+        assert angle_of(parse_mount(f"{roll},{pitch},{yaw}") @ rotation.T) < 1e-6
