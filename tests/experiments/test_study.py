@@ -231,7 +231,7 @@ def test_the_configuration_is_saved_with_it(whole: Study):
     [
         ("trials = 1", "trials = 1"),
         ("particels = 30", "no such option"),
-        ("trials = [", "not a readable TOML"),
+        ("trials = [", "not readable"),
     ],
 )
 def test_mistakes_in_the_file_are_told_in_a_line(tmp_path: Path, text: str, message: str):

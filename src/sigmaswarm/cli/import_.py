@@ -83,8 +83,8 @@ def import_(
     show
         Show tables or topics, rates, ranges and the planned import; write nothing.
     format
-        Format if the detected one is wrong: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot,
-        matlab, sensor-logger, phyphox, gnss-logger, csv.
+        Format: ros, mcap, kitti, nclt, comma2k19, rtklib, ubx, nmea, px4, ardupilot, matlab, sensor-logger, phyphox,
+        gnss-logger, csv.
     gps
         Separate log of the fixes.
     truth

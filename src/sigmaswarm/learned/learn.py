@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import DriveRecord, described
@@ -22,6 +23,7 @@ from sigmaswarm.learned.fitting import Fit, Lesson, exact, fit
 from sigmaswarm.learned.folder import LEARNED_SEEN, Learned, LearnedRecord, NetworkRecord, TrainingRecord
 from sigmaswarm.learned.noise_training import NoiseLearner
 from sigmaswarm.learned.outage_training import OutageLearner
+from sigmaswarm.records import ARRAYS
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.record import FILE
 from sigmaswarm.tuning.store import ResultFolder
@@ -185,6 +187,20 @@ def _save(
                 shutil.copyfile(tuning.parent / SEEN_FILE, new / SEEN_FILE)
 
 
+class FinishedRecord(BaseModel, extra="forbid"):
+    """result.json of a training."""
+
+    cost: float | None
+    settings: dict[str, float]
+
+
+class FinishedHistoryRecord(BaseModel):
+    """history.npz of a training: losses after each epoch (e, 2), and the weights by name."""
+
+    model_config = ARRAYS | ConfigDict(extra="allow")
+    losses: np.ndarray[Any, np.dtype[np.float64]]
+
+
 def _trainings(
     learner: Learner,
     folder: ResultFolder,
@@ -233,7 +249,7 @@ def _trained(
     progress: Callable[[int, float], None],
 ) -> Fit:
     """Run a training, or continue or read it."""
-    if (done := folder.finished(number)) is not None:
+    if (done := folder.finished(number, FinishedRecord, FinishedHistoryRecord)) is not None:
         arrays = done[1]
         weights = {name.split("/")[1]: array for name, array in arrays.items() if name.startswith("weights/")}
         return Fit(weights, arrays["losses"])

@@ -324,7 +324,8 @@ def load_tracks(path: Path) -> list[Tracks]:
 
 def _require_whole(tracks: Tracks) -> None:
     for of, columns in tracks.series.items():
-        needed = {"time", "nis"} if of.endswith(".nis") else {"time", "x", "y"}
+        position = set() if "." in of else {"x", "y"}  # NAME.nis, NAME.shares and NAME.moved are no tracks
+        needed = {"time", *position, *(["nis"] if of.endswith(".nis") else [])}
         shapes = {values.shape for values in columns.values()}
         if len(shapes) != 1 or len(shapes.pop()) != 1 or not needed <= columns.keys():
             raise ValueError(of)

@@ -81,7 +81,12 @@ def unreadable(checkpoint: Path) -> InputError:
     return InputError(f"{checkpoint}: not a readable checkpoint; delete it to redo this trial")
 
 
-def finished_trial(path: Path, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+def finished_trial(
+    path: Path,
+    trial: int,
+    result_type: type[BaseModel] = TrialRecord,
+    history_type: type[BaseModel] = TrialHistoryRecord,
+) -> tuple[dict[str, Any], dict[str, Any]] | None:
     """Read the result and the history of a finished trial from a tuning's folder; None where there is none.
 
     Raises
@@ -93,9 +98,9 @@ def finished_trial(path: Path, trial: int) -> tuple[dict[str, Any], dict[str, An
     if not folder.exists():
         return None
     remedy = f"delete {folder} to redo this trial"
-    result = load_record(TrialRecord, folder / "result.json", remedy, missing=remedy, infinite=True)
-    history = load_record(TrialHistoryRecord, folder / "history.npz", remedy, missing=remedy)
-    return result.model_dump(), vars(history)
+    result = load_record(result_type, folder / "result.json", remedy, missing=remedy, infinite=True)
+    history = load_record(history_type, folder / "history.npz", remedy, missing=remedy)
+    return result.model_dump(), vars(history) | (history.model_extra or {})
 
 
 def _short(key: str, config: dict[str, Any]) -> str:
@@ -168,9 +173,14 @@ class ResultFolder:
         """Return the file of a running trial's state."""
         return self.path / f"checkpoint-{trial:03d}.npz"
 
-    def finished(self, trial: int) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    def finished(
+        self,
+        trial: int,
+        result_type: type[BaseModel] = TrialRecord,
+        history_type: type[BaseModel] = TrialHistoryRecord,
+    ) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """Return the result and the history of a finished trial, else None."""
-        done = finished_trial(self.path, trial)
+        done = finished_trial(self.path, trial, result_type, history_type)
         if done:  # a run killed between saving the result and deleting the checkpoint left both
             self.checkpoint(trial).unlink(missing_ok=True)
         return done
