@@ -32,6 +32,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from structure import functions
+
 BUDGET = 60.0
 """s of a processor for the test files of a mutant, as an unchanged run takes them."""
 TIMEOUT = 120.0
@@ -121,17 +123,6 @@ def code_of(node: ast.AST) -> Iterator[ast.AST]:
             if isinstance(child, ast.AST) and name not in skipped and not inner:
                 yield child
                 yield from code_of(child)
-
-
-def functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, ast.AST]]:
-    """Yield qualified names and nodes of all functions."""
-    for node in ast.iter_child_nodes(tree):
-        name = prefix
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            name = f"{prefix}.{node.name}".lstrip(".")
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            yield name, node
-        yield from functions(node, name)
 
 
 def sites_of(root: Path) -> list[Site]:

@@ -112,7 +112,7 @@ def import_(
     receive_times
         Use the times at which messages were received, not their headers' stamps.
     part
-        Recording to read, from 1, if a clock starts anew within a table.
+        Recording to read, from 1, if a clock restarts within a table.
     msg
         Definitions of ROS messages, .msg files or a package's folder, for bags without them.
     mount

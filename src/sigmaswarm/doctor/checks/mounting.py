@@ -8,8 +8,12 @@ import numpy as np
 from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
 from sigmaswarm.doctor.findings import Finding, Repair
-from sigmaswarm.doctor.mounting import SERIOUS, angle_of, moved
+from sigmaswarm.doctor.mounting import SERIOUS, angle_of
+from sigmaswarm.drives.drive import Array, Drive
 
+MOVED = math.radians(15.0)
+STANDS_OUT = 6.0
+"""rad, and deviations of the medians: how far gravity must jump where the IMU was moved within a log."""
 WHERE = "imu.csv, ax, ay, az, gx, gy, gz"
 
 
@@ -36,3 +40,37 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         f"turn all six axes: import with --mount {roll:g},{pitch:g},{yaw:g}",
         Repair("rotate", tuple(mounting.repair.ravel().tolist())),
     )  # fmt: skip
+
+
+def moved(drive: Drive) -> tuple[float, float] | None:
+    """The time, s, at which the IMU was moved within a log, and by how much gravity turned, rad; None where it was not.
+
+    Directions of the specific force over 5 s each are cut in two at the time that leaves the least spread about the
+    two medians.
+    """
+    imu = drive.imu
+    if imu.az is None:
+        return None
+    edges = np.arange(imu.time[0], imu.time[-1], 5.0)
+    rows = np.searchsorted(imu.time, edges)
+    force = np.array([np.append(0.0, np.cumsum(v)) for v in (imu.ax, imu.ay, imu.az)])
+    counts = np.diff(rows)
+    mean = (np.diff(force[:, rows], axis=1) / np.maximum(counts, 1))[:, counts > 0].T
+    direction = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
+    least = 4  # windows on each side: 20 s
+    if len(direction) < 2 * least:
+        return None
+
+    def spread(part: Array) -> float:
+        return float(np.abs(part - np.median(part, axis=0)).sum())
+
+    cuts = range(least, len(direction) - least + 1)
+    cut = min(cuts, key=lambda k: spread(direction[:k]) + spread(direction[k:]))
+    before, after = (np.median(part, axis=0) for part in (direction[:cut], direction[cut:]))
+    angle = float(np.arccos(np.clip(before @ after / np.linalg.norm(before) / np.linalg.norm(after), -1, 1)))
+    spreads = [
+        float(np.median(np.linalg.norm(part - middle, axis=1))) / math.sqrt(len(part))
+        for part, middle in ((direction[:cut], before), (direction[cut:], after))
+    ]
+    at = float(edges[:-1][counts > 0][cut])
+    return (at, angle) if angle > max(MOVED, STANDS_OUT * max(spreads)) else None
