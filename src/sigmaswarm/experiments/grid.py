@@ -7,6 +7,7 @@ Forked processes take three quarters of the time of threads: a tuning spends a q
 which one thread holds at a time. A fork inherits drives and prepared time lines without a copy.
 """
 
+import ctypes
 import gc
 import os
 import signal
@@ -26,6 +27,8 @@ T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Report = Callable[[int], None]
 """Takes the number of rounds that a task has done; raises where the grid was interrupted."""
+PR_SET_PDEATHSIG = 1
+"""Of prctl(2): the signal that Linux sends to a process when its parent dies."""
 POLL = 0.05
 """s between two looks at how far the tasks are."""
 _run: Callable[[int], Any] | None = None
@@ -129,6 +132,8 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which ends at once with its parent or with the grid: files are written whole."""
     global _run
     _run = run
+    # Before the parent's end is seen by anyone: what a resumed run sweeps away must not be written any more.
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     gc.freeze()  # a collection would copy all inherited objects
 
