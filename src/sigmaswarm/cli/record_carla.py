@@ -30,7 +30,9 @@ def record_carla(
     brake_sweep: _Flag = False,
     resume: _Flag = False,
 ) -> None:
-    """Record drives with known truth from a CARLA server: the paper's maneuvers and weathers, a Tesla Model 3.
+    """Record drives with known truth from a CARLA server.
+
+    The maneuvers and weathers are the paper's, the car is a Tesla Model 3.
 
     By default the paper's 25 conditions, 20 runs of each. Needs `pip install carla==0.9.16` for CARLA 0.9.16;
     for an older server `python -m sigmaswarm_carla.pack carla_recorder.pyz` writes the recorder as one file, to be run

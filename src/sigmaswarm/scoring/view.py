@@ -1,6 +1,6 @@
 """What the terminal, notebooks and the page show of an evaluation: its tables and its sentences, each written once."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -198,7 +198,9 @@ class EvaluationView:
     def warnings(self) -> tuple[str, ...]:
         """Sentences to read before the result is used, worst first."""
         data, shown = self.setup.data, self.measures
+        failed = [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]
         said = [
+            *([f"the tuned filter failed on {', '.join(failed)}"] if failed else []),
             *worse_than_raw(self.scores),
             *worse_than_untuned(self.scores, shown),
             *restarted(self.scores),
@@ -210,6 +212,12 @@ class EvaluationView:
         if len(data) == 1 and data[0].duration_s:
             said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
+
+    def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
+        """All sentences for the terminal, the most important first; ``more`` follow the warnings."""
+        positions = map(_sentence, how_far(self.scores, self.setup.data))
+        said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values())
+        return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
         """Sentences about the number of outages behind each drift."""
