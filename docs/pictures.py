@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
 DEMO = {
-    "evaluation/urban-clear-05-track.png": "demo-track.png",
-    "evaluation/comparison.png": "demo-comparison.png",
+    "trajectory.png": "demo-track.png",
+    "convergence.png": "demo-convergence.png",
 }
 METHODS = {"with truth": "#0072b2", "without truth": "#d55e00", "raw fixes": "#009e73"}
 
@@ -24,7 +24,7 @@ def demo(folder: Path) -> None:
     """Run the demo, and keep some of its pictures."""
     subprocess.run([sys.executable, "-m", "sigmaswarm", "demo", "--out", str(folder)], check=True)
     for made, kept in DEMO.items():
-        copyfile(folder / made, IMAGES / kept)
+        copyfile(folder / "figures" / made, IMAGES / kept)
 
 
 def held_out() -> dict[str, dict[str, tuple[float, float]]]:

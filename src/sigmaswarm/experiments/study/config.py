@@ -93,7 +93,7 @@ METHODS: dict[str, Method] = {
     "pso-ekf": Method("PSO-EKF", HONEST, ("ekf", "planar5")),
     "pso-adaptive-ukf": Method("PSO-adaptive UKF", HONEST, ("adaptive-ukf", "planar5")),
     BESIDE: Method("PSO-UKF, planar8", HONEST, ("ukf", "planar8")),
-    BY_DEFAULT: Method("what tune takes by itself", HONEST),
+    BY_DEFAULT: Method("default filter of tune", HONEST),
     "pso-fuzzy-ukf": Method("PSO-fuzzy UKF", HONEST, ("fuzzy-ukf", "planar5"), rival=True),
     BY_BO: Method("UKF by Bayesian optimization", HONEST, ("ukf", "planar5"), rival=True),
     "outage-lstm": Method("planar8 with outage-lstm", HONEST, rival=True),
@@ -113,6 +113,8 @@ MEASURES = {
     "nis": "mean NIS, 2 where the filter is consistent",
 }
 """Measures of each drive."""
+QUICK = {"runs": 2, "trials": 3}
+"""Options of the study that `sigmaswarm demo` runs: 50 drives, half a minute on two cores."""
 RIVALS_OPTIONS = ("rivals", "learn_minutes", "elsewhere")
 
 

@@ -13,10 +13,12 @@ from sigmaswarm.reports.views.study_tables import (
     ERRORS,
     HEADING,
     POSITION,
+    comparison,
     comparison_table,
     conditions_table,
     consistency_table,
     convergence_table,
+    objectives_compared,
     optimum_table,
     runtime_table,
     table_1,
@@ -51,7 +53,7 @@ def study_report(record: StudyRecord) -> Report:
     results = record.results
     return Report(
         title=f"Study: {results.config.trials} trials on {results.drives.count} drives",
-        lead=tuple(_result(results, protocol) for protocol in reversed(results.protocols)),
+        lead=(*(_result(results, p) for p in reversed(results.protocols)), objectives_compared(results)),
         figures=_figures(results),
         remarks=_remarks(results),
         sections=(
@@ -87,13 +89,10 @@ def _result(results: Results, protocol: str) -> str:
         "" if low is None or high is None else f" (95% interval for new drives {low:.3g} to {high:.3g})"
     )
     where = f"has a position RMSE of {found.mean:.3g} m{interval} on held-out drives"
-    against = [_against(results, c) for rival in RIVALS if (c := _comparison(results, protocol, rival))]
+    against = [
+        _against(results, c) for rival in RIVALS if (c := comparison(results, protocol, POSITION, rival))
+    ]
     return f"{start} {where}{': ' if against else ''}{'; '.join(against)}."
-
-
-def _comparison(results: Results, protocol: str, rival: str) -> PairedComparison | None:
-    wanted = (protocol, POSITION, rival)
-    return next((c for c in results.comparisons if (c.protocol, c.measure, c.against) == wanted), None)
 
 
 def _against(results: Results, c: PairedComparison) -> str:
@@ -193,7 +192,7 @@ def _improvements(results: Results) -> str:
         f"{c.improvement:.0f}% over {results.label(rival)} ({protocol})"
         for protocol in reversed(results.protocols)
         for rival in ("ukf-defaults", "ukf-datasheet")
-        if (c := _comparison(results, protocol, rival)) and c.improvement is not None
+        if (c := comparison(results, protocol, POSITION, rival)) and c.improvement is not None
     ]
     theirs = results.paper.get("table_1", {}).get(MAIN, {}).get("improvement_percent")
     return "; ".join([*([f"the paper {theirs:.0f}%"] if theirs else []), *ours])
