@@ -214,7 +214,7 @@ class Tuning(Generic[P]):
         ]
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
         table = notebook.table(self._headline(), heads, rows)
-        return table + notebook.listed("Before you trust it:", self.remarks)
+        return table + notebook.listed("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""

@@ -53,12 +53,12 @@ def evaluation_report(folder: Path) -> Report:
     nees = not view.blind
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(view.result(), *view.coverage(), what_was_tuned(file)),
+        lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),
         figures=_figures(view),
         remarks=tuple(in_order([*warnings, *(r for r in remarks(file) if r != NOT_VALIDATED)])),
         sections=(
-            _comparison(view),
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
+            _comparison(view),
             *_swarm(tracks.drives),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
             parameters_section(file),
@@ -112,7 +112,8 @@ def _figures(view: EvaluationView) -> tuple[Figure, ...]:
 def _comparison(view: EvaluationView) -> Section:
     tables = [view.mean_table()] if len(view.scores.drives) > 1 else []
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
-    text = (explained_scores(view), *view.explanations())
+    coverage = () if view.blind else view.coverage()
+    text = (*coverage, explained_scores(view), *view.explanations())
     return Section("Comparison", text, tuple(tables), method_bars(view.scores, view.names, view.measures))
 
 
