@@ -99,9 +99,8 @@ def _figures(view: EvaluationView) -> tuple[Figure, ...]:
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(view.rival, name)
         if tuned is None:
             continue
-        notes = [view.scores.drift_said(name)]
-        notes += [f"{rival}: {other:.3g} {measure.unit}"] if other is not None else []
-        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", "; ".join(filter(None, notes))))
+        note = f"{rival}: {other:.3g} {measure.unit}" if other is not None else ""
+        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
     known = [c for c in view.scores.consistency.values() if c]
     if known:
         nis = sum(c.mean_nis for c in known) / len(known)

@@ -34,7 +34,7 @@ from sigmaswarm.reports.views.charts import (
     short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import LEARNED, OWN, UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated
 from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import ScoresRecord
@@ -53,14 +53,14 @@ def method_bars(
 ) -> tuple[Chart, ...]:
     """Bars of the means over the drives, a chart for each measure that any method has.
 
-    IMU only does not set the scale: its bar ends at the longest of the others, and its text has an arrow.
+    IMU only and fixes alone do not set the scale: their bars end at the longest other bar, with an arrow at the text.
     """
     charts: list[Chart] = []
     for name, measure in measures.items():
         values = {m: v for m in names if (v := scores.mean_of(m, name))}
         if not values:
             continue
-        longest = max([v for m, v in values.items() if m != "imu_only"] or values.values())
+        longest = max([v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values())
         bars = Bars(
             "x",
             range(len(values)),
