@@ -58,7 +58,7 @@ def record_carla(
     seed
         Decides routes, driver and noise.
     map
-        Town to load, say Town06; the one that is there by default.
+        Town to load, such as Town06; by default the loaded one.
     accel_noise, gyro_noise
         m/s2 and rad/s, standard deviation of each sample.
     gyro_bias
@@ -88,7 +88,7 @@ def record_carla(
     for name, values in (("maneuver", maneuver), ("environment", environment)):
         arguments += [f"--{name}", *values] if values else []
     arguments += [f"--{name}" for name, on in (("brake-sweep", brake_sweep), ("resume", resume)) if on]
-    # A process of its own: the client may kill it, and what it says then is for us to tell.
+    # A separate process: the client may kill it, and this one reports that.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:

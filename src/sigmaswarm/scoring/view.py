@@ -1,4 +1,4 @@
-"""What the terminal, notebooks and the page show of an evaluation: its tables and its sentences, each written once."""
+"""Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -171,7 +171,7 @@ class EvaluationView:
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
 
     def coverage(self) -> tuple[str, ...]:
-        """Sentences about what the scores cover: their start, truth, and stale fixes."""
+        """Sentences about the coverage of the scores: their start, truth, and stale fixes."""
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
@@ -243,7 +243,7 @@ class EvaluationView:
         return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
 
     def to_html(self) -> str:
-        """Return what a notebook shows: means over the drives, each drive below, and the warnings."""
+        """Return HTML for a notebook: means over the drives, each drive below, and the warnings."""
         each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
         if len(self.scores.drives) == 1:
             return each + remarks
@@ -290,9 +290,9 @@ def explained_scores(view: EvaluationView) -> str:
 
 
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """Mark a drive as a training drive if it is one and its file does not say what the tuning saw.
+    """Mark a drive as a training drive if it is one and its file does not list the training data.
 
-    A drive that is none may still hold a part of one: it is not called held out.
+    Another drive may still contain a part of one, so it is not called held out.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:
