@@ -257,7 +257,7 @@ def with_only_table(part: Part, source: Source, role: Role) -> Part:
 
 
 def _holds(columns: Collection[str], part: Part) -> bool:
-    """Whether a table has all columns that a part's expressions name."""
+    """Return True if a table has all columns that a part's expressions name."""
     try:
         for text in part.columns.values():
             compile_expression(text, columns)

@@ -122,7 +122,7 @@ class Expression:
 
     @property
     def truth(self) -> pl.Expr:
-        """Whether it is true; null where it is empty."""
+        """The value as a condition; null where it is empty."""
         return _truth(self.polars)
 
 

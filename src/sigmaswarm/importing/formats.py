@@ -81,7 +81,7 @@ class Reader(Protocol):
     __name__: str
 
     def recognizes(self, path: Path) -> bool:
-        """Whether a file or folder looks like the format, by its name or first bytes; needs no library."""
+        """Return True if a file or folder looks like the format, by its name or first bytes; needs no library."""
         ...
 
     def open_log(self, path: Path, limits: Limits) -> AbstractContextManager[Source]:

@@ -100,7 +100,7 @@ class Name:
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:
-        """Whether the plain name fits a regular expression."""
+        """Return True if the plain name fits a regular expression."""
         return re.fullmatch(pattern, self.plain) is not None
 
 

@@ -41,7 +41,7 @@ class Columns:
         return what in self.names
 
     def has(self, *whats: str) -> bool:
-        """Whether all of them are there."""
+        """Return True if all of them are there."""
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:

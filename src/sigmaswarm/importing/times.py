@@ -149,7 +149,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
 
 
 def _unset(values: pl.Series) -> bool:
-    """Whether a time is 0 in all rows, as stamps are that nothing sets."""
+    """Return True if a time is 0 in all rows, as unset stamps are."""
     return len(numbers := numbers_of(values)) > 1 and bool((numbers == 0).all())
 
 

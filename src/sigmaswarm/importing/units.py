@@ -81,7 +81,7 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """Whether it can be converted."""
+        """True if it can be converted."""
         return self.dimension is not None
 
 

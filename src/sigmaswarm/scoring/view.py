@@ -55,7 +55,7 @@ class EvaluationView:
 
     @property
     def blind(self) -> bool:
-        """Whether no drive has truth."""
+        """True if no drive has truth."""
         return all(drive.has_truth is False for drive in self.setup.data)
 
     @property

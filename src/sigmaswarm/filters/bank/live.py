@@ -540,7 +540,7 @@ class LiveFilterBank(LiveFilter):
 
 
 def _is_definite(covariance: Array) -> bool:
-    """Whether a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    """Return True if a covariance (n, n) is finite and positive semidefinite, but for rounding."""
     variance = covariance.diagonal()
     if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
         return False

@@ -40,7 +40,7 @@ _TRUTH = {"lat": "Lat", "lon": "Lng", "alt": "Alt", "theta": "radians(90 - Yaw)"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it begins as a dataflash log does."""
+    """Return True if it begins as a dataflash log does."""
     return first_bytes(path, 3) == MAGIC
 
 

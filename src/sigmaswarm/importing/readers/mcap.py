@@ -30,7 +30,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether a file begins as MCAP does, or has its name."""
+    """Return True if a file begins as MCAP does, or has its name."""
     return first_bytes(path, 8) == MAGIC or (path.is_file() and path.suffix == ".mcap")
 
 

@@ -152,7 +152,7 @@ class _Collector:
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """Whether stamps and receive times tell different things."""
+        """Return True if stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"

@@ -44,7 +44,7 @@ FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a session's folder."""
+    """Return True if it is a session's folder."""
     return (path / "ms25.csv").is_file()
 
 

@@ -44,7 +44,7 @@ GUESS = Guess(
 
 
 def recognizes(path: Path) -> bool:
-    """Whether its first lines are sentences."""
+    """Return True if its first lines are sentences."""
     lines = first_bytes(path, 1024).split(b"\n")
     return path.suffix.lower() in (".nmea", ".nma") or any(
         line[:1] == b"$"

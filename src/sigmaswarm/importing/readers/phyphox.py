@@ -26,7 +26,7 @@ _NAMES = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether phyphox's files are in it, and begin with its "Time (s)"."""
+    """Return True if phyphox's files are in it, and begin with its "Time (s)"."""
     begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
     return {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path) and (
         path.is_file() or begin.startswith("time (s)")

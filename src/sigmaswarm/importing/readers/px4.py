@@ -24,7 +24,7 @@ _TOPICS = ("sensor_combined", "vehicle_gps_position", "sensor_gps", "vehicle_loc
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it begins as ULog does."""
+    """Return True if it begins as ULog does."""
     return first_bytes(path, 7) == MAGIC or (path.is_file() and path.suffix == ".ulg")
 
 

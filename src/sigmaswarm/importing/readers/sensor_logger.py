@@ -30,7 +30,7 @@ _FIX = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the app's files are in it."""
+    """Return True if the app's files are in it."""
     names = names_in(path)
     return {"Gyroscope.csv", "Location.csv"} <= names and bool(
         names & {"Metadata.csv", "TotalAcceleration.csv", "Gravity.csv"}

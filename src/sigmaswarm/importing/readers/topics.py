@@ -87,7 +87,7 @@ def guess_topics(tables: Mapping[str, Table], choice: Choice, first: First, path
 
 
 def standard(tables: Mapping[str, Table], topic: str, role: str) -> bool:
-    """Whether a topic holds what the standard messages of a role do."""
+    """Return True if a topic holds what the standard messages of a role do."""
     columns = set(tables[topic].columns)
     return any(
         column.endswith(first) and {column.removesuffix(first) + p for p in paths.values()} <= columns

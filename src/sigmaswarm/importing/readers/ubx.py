@@ -75,7 +75,7 @@ NO_FIX = {b"\x02": "raw measurements: make fixes of them with RTKLIB (convbin, r
 
 
 def recognizes(path: Path) -> bool:
-    """Whether UBX messages begin in its first bytes, or its name says so."""
+    """Return True if UBX messages begin in its first bytes, or its name says so."""
     head = first_bytes(path, 65536)
     return path.suffix.lower() == ".ubx" or SYNC + NAV_PVT in head or SYNC + NAV_POSLLH in head
 
