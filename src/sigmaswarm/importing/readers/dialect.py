@@ -38,7 +38,7 @@ class Dialect:
     skip : lines above the first row of values
     comma_columns : places of the columns whose numbers have decimal commas
     surplus : whether each row ends in a separator, behind which an empty column stands
-    remarks : what was noticed, one sentence each
+    remarks : one sentence each
     """
 
     separator: str
@@ -261,7 +261,7 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _uncommented(line: str) -> str:
-    """A line without what makes it a comment; a leading tab is a separator."""
+    """Remove the comment marker of a line; a leading tab is a separator."""
     line = line.strip("\r")
     bare = line.lstrip(" " + COMMENTS + "/")
     return bare if line.lstrip(" ")[:1] in (*COMMENTS, "/") else line
@@ -275,7 +275,7 @@ def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
 
 
 def _meanings(cells: Sequence[str]) -> int:
-    """How many of the cells are names of what a drive has."""
+    """Count the cells that name columns of a drive."""
     return sum(read_name(c).meaning is not None for c in cells[:100])
 
 

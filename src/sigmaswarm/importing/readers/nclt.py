@@ -40,7 +40,7 @@ FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
         {"t": "utime*1e-6", "x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""Each role's file, its columns, and what a drive makes of them."""
+"""The file of each role, its columns, and their expressions in a drive."""
 
 
 def recognizes(path: Path) -> bool:
@@ -50,7 +50,7 @@ def recognizes(path: Path) -> bool:
 
 @contextmanager
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Open the files, which have no header lines; the truth may lie beside them."""
+    """Open the files, which have no header lines; the truth may be in the same folder."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

@@ -141,7 +141,7 @@ def _field(message: Any, name: str) -> Any:
 
 
 def _values(message: Any) -> dict[str, float]:
-    """What a sentence says of the fix, in a drive's units but for the course, which is in degrees from north."""
+    """The fix of a sentence, in a drive's units, except the course in degrees from north."""
     kind = message.msgID
 
     def said(name: str) -> float:

@@ -52,7 +52,7 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
 
 
 def _find(wanted: dict[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Which column is what, between backticks; the unit in brackets does not count."""
+    """Columns by quantity, between backticks; the unit in brackets does not count."""
     plain = {column: re.sub(r"\s*\(.*\)\s*$", "", column).strip().lower() for column in columns}
     found: dict[str, str] = {}
     for what, pattern in wanted.items():

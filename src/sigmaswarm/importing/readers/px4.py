@@ -30,7 +30,7 @@ def recognizes(path: Path) -> bool:
 
 @contextmanager
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Read the topics that a drive is made of; the others are passed over."""
+    """Read the topics that a drive is made of; the others are skipped."""
     core = library("pyulog.core", "logs")
     _require_whole_definitions(path)
     try:

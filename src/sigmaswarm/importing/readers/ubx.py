@@ -194,7 +194,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 def _messages(stream: mmap) -> Iterator[tuple[bytes | None, float]]:
     """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is done.
 
-    A damaged message may say any length: the next one is looked for right behind its first bytes, not at its end.
+    The length of a damaged message is unreliable: the next one is searched right after its first bytes.
     """
     at, damaged = stream.find(SYNC), False
     while at >= 0:
