@@ -54,7 +54,7 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 
 @cached
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
-    """What fix k is; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
+    """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
 
     It is compared with all fixes of the seconds before, so that of two receivers each is compared with itself, whether
     they share a clock or not. A run of repeats is judged once, at the first.

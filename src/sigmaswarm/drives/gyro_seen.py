@@ -105,6 +105,6 @@ class GyroSeen:
 
 
 def together(seen: Sequence[GyroSeen]) -> GyroSeen:
-    """What m alignments show, to be told to the filters of each, means (m, r, n): every array has shape (m, 1, ...)."""
+    """Evidence of m alignments for the filters of each, means (m, r, n); arrays have shape (m, 1, ...)."""
     stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
     return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (of many ``taken`` is an array, too)

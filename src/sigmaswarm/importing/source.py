@@ -209,7 +209,7 @@ class Rows:
 
 
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
-"""What the extras install: by these names pip finds it, wherever sigmaswarm itself comes from."""
+"""Packages of the extras, by their names for pip."""
 
 
 def library(name: str, extra: str) -> Any:
