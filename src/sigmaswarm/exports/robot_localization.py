@@ -1,4 +1,4 @@
-"""What of a filter transfers to ROS's robot_localization, as its parameter file.
+"""Parameter file for ROS's robot_localization from a filter.
 
 Its UKF adds ``process_noise_covariance`` times the time step (ukf.cpp, predict), so ours, per nominal interval, is
 divided by that interval; its gate is a Mahalanobis distance, the root of ours (filter_base.cpp); its state has 15
@@ -24,7 +24,7 @@ _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
-    """The parameter file, by file name; ``interval`` (s) is what Q refers to.
+    """The parameter file, by file name; ``interval`` (s) is that of Q.
 
     ROS's filter has no rules that could be switched off.
 

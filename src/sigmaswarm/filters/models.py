@@ -3,9 +3,9 @@
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
 models before it, so that measurements find them at the same places.
 
-`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled filter
-knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model whose attitude
-is more than a heading has a file of its own: `tilted`.
+`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled
+filter knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with
+a full attitude is in `tilted`.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""The trials of a tuning: ask the optimizer for points, run them, tell it the costs, save every generation."""
+"""The trials of a tuning: get points from the optimizer, compute their costs, save every generation."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -80,7 +80,7 @@ class Search:
     ----------
     config : SearchConfig
     problem : Landscape
-        What is minimized.
+        The objective.
     executor : concurrent.futures.Executor or None
         Runs the work of a generation; None runs it in this thread.
     folder : ResultFolder or None

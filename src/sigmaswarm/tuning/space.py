@@ -20,14 +20,14 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""Optional measurements and features of a filter; the parameters of a chosen one are tuned with the rest."""
+"""Optional measurements and features of a filter; the parameters of a chosen one are tuned, too."""
 
 
 @dataclass(frozen=True)
 class Dimension:
     """One parameter that is searched: its field of FilterParameters, and its range.
 
-    ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
     number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
     of its factor; ``least``: the lower limit that it applies.
     """

@@ -113,7 +113,7 @@ def _short(key: str, value: Any) -> str:
     with suppress(LookupError, TypeError):  # a damaged file lacks names or hashes
         if key == "data" and isinstance(value, list):
             return "the drives " + ", ".join(f"{d['name']} ({d['sha256'][:8]})" for d in value)
-        if key == "model" and isinstance(value, dict):  # of the user's own: too long to be told
+        if key == "model" and isinstance(value, dict):  # a custom model is too long for a message
             return f"the model {value['name']} ({value['sha256'][:8]})"
     text = str(value)
     return f"{key} = {text if len(text) <= LONGEST else text[:LONGEST] + ' ...'}"
