@@ -191,11 +191,9 @@ def main() -> None:
     found = {
         case: dict(comparisons(case, setting, options.out, options.seeds)) for case, setting in chosen.items()
     }
+    print(held_out(found, "linear"), ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
     if options.write:
         write("log10", held_out(found, "log10"))
-        write("linear", held_out(found, "linear"))
-        write("ways", ways(found["simulated, truth-rmse"]))
-        write("racing", raced(found))
 
 
 if __name__ == "__main__":
