@@ -191,8 +191,8 @@ def main() -> None:
     found = {
         case: dict(comparisons(case, setting, options.out, options.seeds)) for case, setting in chosen.items()
     }
-    print(held_out(found, "linear"), ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
     if options.write:
+        print(held_out(found, "linear"), ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
         write("log10", held_out(found, "log10"))
 
 

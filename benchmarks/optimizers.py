@@ -102,7 +102,10 @@ def main() -> None:
     }
     for section, text in sections.items():
         if options.only in (None, section):
-            write(section, text())
+            if section == "rivals":
+                write(section, text())
+            else:
+                print(text())
 
 
 if __name__ == "__main__":
