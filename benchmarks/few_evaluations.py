@@ -1,6 +1,6 @@
 """Bayesian optimization beside the other optimizers: at equal evaluations, and at equal processor seconds.
 
-    python benchmarks/few_evaluations.py [--drives ../shared/drives] [--seeds 5] [--write]
+    python benchmarks/few_evaluations.py [--drives ../shared/drives] [--seeds 5]
 
 Needs the extra bo. Takes some minutes, nearly all of them Bayesian optimization's own. Seconds are the processor's, of
 one thread that runs the filters too; neither reading nor pictures count.
