@@ -52,6 +52,15 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
+def robot_localization(state: Array, dt: float, imu: Array) -> Array:
+    """Move as robot_localization does in ``two_d_mode``: see `filters.robot_localization`; the IMU is a measurement."""
+    x, y, vx, vy, theta, ax, ay, yaw_rate = state
+    a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
+    c, s = np.cos(theta), np.sin(theta)
+    moved = [x + c * a - s * b, y + s * a + c * b, vx + ax * dt, vy + ay * dt, theta + yaw_rate * dt]
+    return np.array([*moved, ax, ay, yaw_rate])
+
+
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
     """Predict a fix: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
@@ -205,6 +214,11 @@ class CarModel:
         m2: box of R, the variance of a fix per axis.
     blind : bool
         East and north share their noise in the search.
+    measures_imu : bool
+        Acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity
+        is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
+    options : tuple of str or None
+        Measurements and features that it can use; None: all.
     """
 
     states: tuple[State, ...]
@@ -218,6 +232,8 @@ class CarModel:
     odometer: Callable[[float, float], Any] = wheel_speed
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
+    measures_imu: bool = False
+    options: tuple[str, ...] | None = None
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property
@@ -233,12 +249,12 @@ class CarModel:
     @property
     def accel_bias(self) -> int | None:
         """Index of the accelerometer's bias (forward), or None."""
-        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS else None
+        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS and not self.measures_imu else None
 
     @property
     def gyro_bias(self) -> int | None:
         """Index of the gyro's bias (z), or None."""
-        return GYRO_BIAS if len(self.states) > GYRO_BIAS else None
+        return GYRO_BIAS if len(self.states) > GYRO_BIAS and not self.measures_imu else None
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
@@ -290,6 +306,14 @@ _TILTED = (
     State("gyro_bias_x", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
     State("gyro_bias_y", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
 )
+_ROBOT = (
+    *(_per_second(state, (1e-8, 10.0)) for state in (_X, _Y)),
+    *(_per_second(state, (1e-6, 1e2), state.name) for state in (_VX, _VY)),
+    _HEADING,
+    State("ax", "m/s2", (1e-6, 1e3), "ax", per_second=True, start_std=1.0),
+    State("ay", "m/s2", (1e-6, 1e3), "ay", per_second=True, start_std=1.0),
+    State("yaw_rate", "rad/s", (1e-6, 1e2), "yaw_rate", per_second=True, start_std=0.316),
+)
 
 MODELS: dict[str, CarModel] = {
     "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, blind=False),
@@ -305,6 +329,14 @@ MODELS: dict[str, CarModel] = {
         odometer=tilted.Wheels,
         rates_at_rest=tilted.States((7, 10, 11)),
         tilts=Tilts(tilted.plus, tilted.minus, tilted.transition, tilted.as_angles),
+        kinds=("ekf",),
+    ),
+    "robot-localization": CarModel(
+        _ROBOT,
+        robot_localization,
+        CITY_VARIANCE,
+        measures_imu=True,
+        options=("lateral", "gate", "accuracy"),
         kinds=("ekf",),
     ),
 }
