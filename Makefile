@@ -54,6 +54,8 @@ parity: $(VENV)/test-installed
 
 fuzz: $(VENV)/test-installed
 	cd tests && ../$(BIN)/python -m fuzzing --minutes $(MINUTES) --found ../fuzz-found
+	cd tests && ../$(BIN)/python -m fuzzing.records --inputs 500 --found ../fuzz-found
+	cd tests && ../$(BIN)/python -m fuzzing.live --sequences 500
 	$(BIN)/python -m pytest -q -m long tests/importing/test_odd_tables.py
 
 docs: $(DOCS)/installed

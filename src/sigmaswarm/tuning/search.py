@@ -170,6 +170,8 @@ class Search:
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
             best, median, steps = (arrays[name].tolist() for name in ("best", "median", "steps"))
+            if not arrays["best"].shape == arrays["median"].shape == arrays["steps"].shape == (len(best),):
+                raise ValueError("one number a generation")
             return _Past(best, median, steps, int(notes["failures"]), self._leader(optimizer))
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
             raise unreadable(checkpoint) from None
