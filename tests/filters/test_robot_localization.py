@@ -9,16 +9,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from filter_cases import equipped
+from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
+from sigmaswarm.filters.bank.live import LiveFilterBank
 from sigmaswarm.filters.compiled import run
 from sigmaswarm.filters.compiled.layout import R, state_rows
 from sigmaswarm.filters.compiled.robot_localization import R_AY, R_VY, USES_AY, USES_VY
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.live import LiveFilter
 from sigmaswarm.filters.packing import pack_states, state_estimate, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.presets import baseline
 from sigmaswarm.filters.robot_localization import NAME, TextbookRobotLocalization
+from sigmaswarm.filters.run import run_textbook
 from sigmaswarm.filters.schedule import FIX, IMU
+from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.tuning.space import search_space
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "robot_localization"
 ORDER = [0, 1, 6, 7, 5, 12, 13, 11]  # of its 15 states: x, y, vx, vy, yaw, ax, ay, yaw rate
@@ -216,3 +225,65 @@ def test_an_estimate_has_the_velocity_of_the_map():
     np.testing.assert_allclose(
         body[:, 2:4], np.column_stack([speed * np.cos(course), speed * np.sin(course)])
     )
+
+
+P = FilterParameters(
+    1.0, 0.0, 0.0, (1e-4, 2e-4, 3e-4, 4e-4, 5e-6, 6e-3, 7e-3, 8e-4), (1.5, 2.5), model=NAME, kind="ekf",
+    nominal_interval=0.01, imu_noise=(1e-3, 0.5), lateral_noise=0.2, gate=9.0,
+)  # fmt: skip
+
+
+def test_constants_and_start_stand_in_their_rows():
+    start = replace(initial_state(equipped()), gyro=None)
+    rows = KernelArray((P,)).start([start], [0.02])[0]
+    assert rows[R.Q_X : R.Q_X + 8, 0].tolist() == [2 * q for q in P.process_noise]
+    wanted = {"RX": 1.5, "RY": 2.5, "R_RATE": 1e-3, "R_VELOCITY": 0.5, "R_LATERAL": 0.2, "GATE": 9.0}
+    assert {row: rows[getattr(R, row), 0] for row in wanted} == wanted
+    mean, covariance = unpack_states(rows[state_rows(NAME)], NAME)
+    assert mean[0, 2:4] == pytest.approx([np.hypot(*start.mean[2:4]), 0.0], abs=0.5)  # it drives forward
+    assert mean[0, 5:].tolist() == [0.0, 0.0, 0.0]
+    assert np.diag(covariance[0])[5:] == pytest.approx([1.0, 1.0, 0.1], rel=1e-2)
+    found, found_covariance = state_estimate(rows[state_rows(NAME)], NAME)
+    np.testing.assert_allclose(found[0], start.mean, atol=1e-13)
+    np.testing.assert_allclose(found_covariance[0], start.covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"velocity_noise": 0.1}, "robot-localization has no velocity_noise; leave it out"),
+        ({"robust_dof": 4.0, "gate": None}, "robot-localization has no robust_dof; leave it out"),
+        ({"latency": 0.1}, "set smooth_lagged_data where fixes are late"),
+    ],
+)
+def test_what_it_does_not_have_is_refused(change: dict[str, Any], said: str):
+    with pytest.raises(ValueError, match=said):
+        replace(P, **change)
+    with pytest.raises(
+        InputError, match="robot-localization can't use 'velocity'; choose from lateral, gate"
+    ):
+        search_space(NAME, "log10", kind="ekf", use=("velocity",))
+
+
+def test_where_it_does_not_run_is_refused():
+    drive = equipped()
+    ready = initial_state(drive)
+    for use in (
+        lambda: smooth(drive, P),
+        lambda: LiveFilter(P, ready, nominal_interval=0.01),
+        lambda: LiveFilterBank(P, ready, nominal_interval=0.01),
+        lambda: run_textbook(drive, P),
+    ):
+        with pytest.raises(InputError, match="does not support robot-localization; use planar8 or tilted12"):
+            use()
+
+
+def test_the_box_has_the_stated_variances_and_the_baseline_its_defaults():
+    space = search_space(NAME, "log10", 0.01, kind="ekf", use=("lateral", "gate"))
+    names = ["q_xy", "q_vx", "q_vy", "q_theta", "q_ax", "q_ay", "q_yaw_rate", "r_xy", "r_gyro", "r_accel"]
+    assert list(space.names) == [*names, "lateral_noise", "gate"]
+    drive = equipped()
+    usual = baseline(drive, like=P)
+    per_second = np.array(usual.process_noise) / drive.nominal_interval
+    assert per_second == pytest.approx([0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02])
+    assert (usual.imu_noise, usual.gate, usual.lateral_noise) == ((1e-4, 1e-2), None, pytest.approx(0.01))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.names import FilterKind
 
@@ -341,3 +342,15 @@ MODELS: dict[str, CarModel] = {
     ),
 }
 """By name. planar5 is the paper's, with the paper's box."""
+
+
+def require_driven_by_imu(model: str, use: str) -> None:
+    """Refuse a model that measures the IMU for a use that it does not support.
+
+    Raises
+    ------
+    InputError
+        With the remedy.
+    """
+    if MODELS[model].measures_imu:
+        raise InputError(f"{use} does not support {model}; use planar8 or tilted12")
