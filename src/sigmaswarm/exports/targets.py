@@ -23,6 +23,7 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
+ALIASES: dict[str, Target] = {"robot-localization": "robot_localization"}
 WITH_TILTS: frozenset[Target] = frozenset({"c99"})
 """Those that know models with tilts."""
 
@@ -64,11 +65,11 @@ def export_texts(
         If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
         variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
     """
-    if target == "robot-localization":
-        target = "robot_localization"
+    target = ALIASES.get(target, target)
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
-    if MODELS[parameters.model].tilts and target not in WITH_TILTS:
+    if MODELS[parameters.model].tilts and target not in ALIASES: dict[str, Target] = {"robot-localization": "robot_localization"}
+WITH_TILTS:
         raise InputError(
             f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
         )
