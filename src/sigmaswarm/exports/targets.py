@@ -68,8 +68,7 @@ def export_texts(
     target = ALIASES.get(target, target)
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
-    if MODELS[parameters.model].tilts and target not in ALIASES: dict[str, Target] = {"robot-localization": "robot_localization"}
-WITH_TILTS:
+    if MODELS[parameters.model].tilts and target not in WITH_TILTS:
         raise InputError(
             f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
         )
