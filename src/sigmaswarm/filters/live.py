@@ -21,7 +21,7 @@ from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
-from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
@@ -135,6 +135,7 @@ class LiveFilter:
                 f"interval, and a history and lag of at most {MOST_HISTORY} intervals"
             )
         p = parameters
+        require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
         self._calls = live.live_calls()
         self._state = state_rows(p.model)

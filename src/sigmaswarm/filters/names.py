@@ -2,6 +2,6 @@
 
 from typing import Literal
 
-ModelName = Literal["planar5", "planar8", "tilted12"]
+ModelName = Literal["planar5", "planar8", "tilted12", "robot-localization"]
 FilterKind = Literal["ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf"]
 NetworkName = Literal["outage-lstm", "noise-gru"]

@@ -8,7 +8,7 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
-from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, HOW_UNTUNED, Measure, measures
+from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
@@ -190,7 +190,7 @@ class EvaluationView:
     def explanations(self) -> tuple[str, ...]:
         """Sentences that define the rows."""
         return (
-            *([f"{HOW_UNTUNED}."] if UNTUNED in self.scores.mean else []),
+            *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in self.scores.mean else []),
             *([f"{HOW_FIXES}."] if FIXES in self.scores.mean else []),
             *([] if OWN in self.scores.mean else [f"{HOW_AGAINST}."]),
         )

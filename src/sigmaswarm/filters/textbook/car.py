@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.models import MODELS, THETA, CarModel
+from sigmaswarm.filters.models import MODELS, THETA, CarModel, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
@@ -68,6 +68,7 @@ class TextbookCar:
         redraw_sigma_points: bool = True,
     ) -> None:
         p = parameters
+        require_driven_by_imu(p.model, "run_textbook")
         self.timeline, self.parameters = timeline, p
         mean, covariance = start_of(initial, p)
         self.model = MODELS[p.model]
