@@ -170,7 +170,7 @@ def test_comparison_has_bars_for_every_method():
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
     said = evaluation.to_dict()["mean"]
-    names = ["tuned UKF", "baseline", "raw GPS", "IMU only"]
+    names = ["tuned UKF", "baseline", "fixes alone", "raw GPS", "IMU only"]
     shown = [m for m in MEASURES if m != "long_outage_drift_m"]  # the drive is too short for it
     for ax, measure in zip(figure.axes, shown, strict=True):
         values = [m[measure] for m in said.values()]

@@ -33,6 +33,8 @@ LEARNED = ("outage-lstm", "noise-gru")
 """The tuned filter with a learned network, by the names of the networks: see `learned`."""
 OWN = "against"
 """Another tuning, or a filter of the user's own."""
+FIXES = "fixes_alone"
+"""A constant-velocity filter of the fixes, without the IMU."""
 UNTUNED = "untuned"
 """The baseline: the tuned filter's model with noises from data sheets."""
 

@@ -20,13 +20,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.files import write_json, write_whole
 from sigmaswarm.filters.bank.run import BankRun
 from sigmaswarm.filters.dead_reckoning import run_imu_only
+from sigmaswarm.filters.fixes_alone import FixesAlone, fit_noise
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay, joined
 from sigmaswarm.filters.run import Estimate, Innovations
 from sigmaswarm.filters.smoothing import Smoothing
 from sigmaswarm.scoring.batch import scores_of
 from sigmaswarm.scoring.consistency import Consistency, consistency_of
-from sigmaswarm.scoring.drifts import OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
+from sigmaswarm.scoring.drifts import FIXES, OWN, SMOOTHED, SWARM, UNTUNED, Outages, Run, Runs, rms_drift
 from sigmaswarm.scoring.measures import ALSO, MEASURES, METHODS, Measure, measures, method_names
 from sigmaswarm.scoring.records import (
     AGAINST_FILE,
@@ -208,7 +209,7 @@ class Evaluation:
             },
             improvement_percent={
                 over: {k: self.improvement(over, k) for k in MEASURES}
-                for over in (OWN, UNTUNED)
+                for over in (OWN, UNTUNED, FIXES)
                 if over in self.names
             },
             drifts={drive: dict(found.drifts) for drive, found in self.drives.items() if found.drifts},
@@ -407,6 +408,7 @@ def _evaluated(
     dead_reckoning = replace(score_estimate(drive, imu_only), failed=False)
     del imu_only
     tracking = tracking_replay(ready)
+    also = {**also, FIXES: partial(FixesAlone, noise=fit_noise(tracking))}
     recorded = [tracker.record(m, tracking, p, recover=True) for m, p in filters.items()]
     innovations = recorded[list(filters).index("tuned")].innovations
     restarts = {m: tuple(recording.restarts) for m, recording in zip(filters, recorded, strict=True)}
@@ -416,7 +418,8 @@ def _evaluated(
     for method, make in also.items():
         run = make(tracking)
         more[method] = tracker.follow(method, run)
-        restarts[method] = tuple(run.restarts)
+        if method != FIXES:  # it is never reset
+            restarts[method] = tuple(run.restarts)
     del recorded, tracking  # the next pass has steps and targets of its own
     for of in outages.values():
         of.run(filters, also)

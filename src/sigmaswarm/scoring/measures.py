@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sigmaswarm.scoring.drifts import LEARNED, OWN, SMOOTHED, SWARM, UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, SMOOTHED, SWARM, UNTUNED
 from sigmaswarm.scoring.score import Score
 from sigmaswarm.scoring.targets import LONG_OUTAGE_LENGTH, OUTAGE_LENGTH
 
 METHODS = {
     "tuned": "tuned filter",
     UNTUNED: "baseline",
+    FIXES: "fixes alone",
     "raw_gps": "raw GPS",
     "imu_only": "IMU only",
 }
@@ -21,6 +22,10 @@ HOW_UNTUNED = (
     "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
 )
 """A sentence that defines the baseline: it is not what a good engineer reaches in a week."""
+HOW_FIXES = (
+    "Fixes alone is a constant-velocity filter without the IMU; its two noises are fitted to the fixes of each drive"
+)
+"""A sentence that defines the rival that every filter with an IMU must beat."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
 

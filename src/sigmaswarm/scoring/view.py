@@ -7,8 +7,8 @@ from typing import Any
 from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
-from sigmaswarm.scoring.drifts import OWN, UNTUNED
-from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_UNTUNED, Measure, measures
+from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
+from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, HOW_UNTUNED, Measure, measures
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
@@ -99,7 +99,7 @@ class EvaluationView:
             ]
         rows: list[tuple[Cell, ...]] = []
         for drive, of in drifts.items():
-            for method in (m for m in self.names if m != "raw_gps"):
+            for method in (m for m in self.names if m != "raw_gps" and m in self.scores.mean):
                 cells: list[Cell] = []
                 for m in known:
                     one, value = of.get(m), self.scores.drives[drive].get(method, {}).get(m)
@@ -159,7 +159,11 @@ class EvaluationView:
             tuned = self.scores.mean_of("tuned", measure)
             if tuned is None:
                 continue
-            others = {m: v for m in (OWN, "raw_gps", UNTUNED) if (v := self.scores.mean_of(m, measure))}
+            others = {
+                m: v for m in (OWN, "raw_gps", FIXES, UNTUNED) if (v := self.scores.mean_of(m, measure))
+            }
+            if others.get(UNTUNED, 0.0) > others.get(FIXES, float("inf")):
+                others.pop(UNTUNED)  # a gain over the worse rival would flatter
             each = [_compared(tuned, value, self.names[m]) for m, value in others.items()]
             spread = self.scores.drift_said(measure)
             said = f"On {drives} the tuned filter {what.format(f'{tuned:.3g}')}{f' ({spread})' if spread else ''}"
@@ -187,6 +191,7 @@ class EvaluationView:
         """Sentences that define the rows."""
         return (
             *([f"{HOW_UNTUNED}."] if UNTUNED in self.scores.mean else []),
+            *([f"{HOW_FIXES}."] if FIXES in self.scores.mean else []),
             *([] if OWN in self.scores.mean else [f"{HOW_AGAINST}."]),
         )
 

@@ -18,7 +18,7 @@ from sigmaswarm.reports.pages.tuning import (
 )
 from sigmaswarm.reports.style import LABELS, LOOKS
 from sigmaswarm.reports.views.evaluation import method_bars, swarm_charts
-from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
@@ -27,7 +27,7 @@ from sigmaswarm.tuning.record import FILE, TuningRecord
 from sigmaswarm.tuning.remarks import NOT_VALIDATED
 from sigmaswarm.wording import in_order
 
-LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, "imu_only", "raw_gps")
+LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
 """The series of the tracks, the first one on top."""
 SHOWN = ("truth", "tuned", *ALSO, OWN, UNTUNED, "raw_gps")
 """Those that are visible when the page opens."""
@@ -88,7 +88,7 @@ def read_view(folder: Path, file: TuningRecord) -> EvaluationView:
 
 def _lines(view: EvaluationView) -> tuple[Line, ...]:
     labels = LABELS | dict(view.names)
-    absent = {OWN, *ALSO} - {*view.scores.mean}
+    absent = {OWN, FIXES, *ALSO} - {*view.scores.mean}
     return tuple(Line(m, labels[m], LOOKS[m], shown=m in SHOWN) for m in LINES if m not in absent)
 
 
