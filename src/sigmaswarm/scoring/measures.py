@@ -22,9 +22,7 @@ HOW_UNTUNED = (
     "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
 )
 """A sentence that defines the baseline: it is not what a good engineer reaches in a week."""
-HOW_FIXES = (
-    "Fixes alone is a constant-velocity filter without the IMU; its two noises are fitted to the fixes of each drive"
-)
+HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its two noises are fitted to the fixes of each drive"
 """A sentence that defines the rival that every filter with an IMU must beat."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
