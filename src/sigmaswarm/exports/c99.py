@@ -155,7 +155,15 @@ def fits_float(p: FilterParameters) -> bool:
     """Return True if C's float holds all numbers of a filter."""
     options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
     options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
-    numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
+    numbers = [
+        *p.process_noise,
+        *p.measurement_noise,
+        *p.bias_std,
+        p.latency,
+        p.rear_axle,
+        p.tire_slip,
+        p.forgetting,
+    ]
     numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
     low, high = _FLOAT_RANGE

@@ -33,7 +33,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
     used = ["THETA", *(["GYRO_BIAS"] if stands or features["USE_LATERAL"] else [])]
     used += [*dict.fromkeys(["planar5", p.model]), "gps_position"]
     used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
-    used += ["lateral_velocity"] if features["USE_LATERAL"] else []
+    used += ["lateral_arm", "lateral_velocity"] if features["USE_LATERAL"] else []
     used += ["gyro_bias"] if stands else []
     sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
     values = values_of(p, interval) | {

@@ -77,6 +77,7 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
         "velocity_noise": p.velocity_noise,
         "lateral_noise": p.lateral_noise,
         "rear_axle": None if p.lateral_noise is None else p.rear_axle,
+        "tire_slip": None if p.lateral_noise is None else p.tire_slip or None,
         "odometer_noise": p.odometer_noise,
         "standstill_noise": p.standstill_noise,
     }

@@ -294,6 +294,7 @@ def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: of("rear_axle"),
+        R.TIRE_SLIP: of("tire_slip"),
         R.LATENCY: of("latency"),
         R.GATE: of("gate"),
         R.ACCURACY: of("accuracy_scale"),

@@ -78,8 +78,17 @@ def velocity(state: Array) -> Array:
     return state[2:4].copy()
 
 
+def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
+    """Distance (m) from the point of a car without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+
+    The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
+    velocity at the rear axle is -tire_slip v^2 yaw_rate. The filters take v^2 from the mean before the update.
+    """
+    return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
+
+
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s) at the rear axle, ``rear_axle`` m behind the IMU: a car on its wheels has none."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0

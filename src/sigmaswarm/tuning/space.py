@@ -53,6 +53,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "lateral": (
         Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
+        Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),
     ),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "odometer": (
