@@ -42,6 +42,8 @@ SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """s: longer windows, for a drive that nowhere travels `MIN_TRAVEL` within `MAX_DURATION`."""
 SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
 """m and m/s on average: the fixes of a parked receiver drift by less."""
+SLOW_CHORD = 1.5 * MIN_TRAVEL
+"""m between fixes within `MAX_DURATION`: a drive that reaches it is not slow."""
 SLOW_HEADING_STD = np.radians(12.0)
 """rad: largest standard deviation of the heading in such a window, that of the gyro's bias included."""
 SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
@@ -182,15 +184,15 @@ class Alignments:
 
     @property
     def slow(self) -> bool:
-        """True where there are fixes enough, and the vehicle is nowhere fast."""
-        return bool(self._many.any()) and not np.any(self._chord[self._many] >= MIN_TRAVEL)
+        """True where there are fixes enough, and the vehicle is nowhere fast, with some room for noise."""
+        return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def why_none(self) -> NoStart:
         """What is missing on a drive on which there is no alignment anywhere."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if not self._many.any():
             return self._too_few()
-        if self.slow:
+        if not np.any(self._chord[self._many] >= MIN_TRAVEL):
             return NoStart(
                 f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
                 f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
