@@ -89,7 +89,7 @@ class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is what was taken off the gyro (rad/s), ``yaw_bias`` what should have been, as unsure as ``yaw_std``;
-    ``turns`` is what that changes in the unknowns, per rad/s.
+    ``turns`` is what that changes in the unknowns, per rad/s. ``bias_std`` is that of the fit alone, rad/s.
     """
 
     time: float
@@ -102,6 +102,7 @@ class Fit:
     yaw_std: float
     turns: Array
     span: float
+    bias_std: float
 
     @property
     def heading_std(self) -> float:
@@ -148,6 +149,12 @@ class Fit:
         coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
         return replace(fit, yaw_std=fit._doubted(psi, grid))
+
+    def with_bias_variance(self, variance: float) -> "Fit":
+        """With what a variance of the gyro's bias, (rad/s)^2, adds to the unknowns' covariance."""
+        covariance = self.covariance.copy()
+        covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
+        return replace(self, covariance=covariance)
 
     def _doubted(self, psi: Array, grid: Array) -> float:
         """``yaw_std`` with what no fit sees: a turn may be taken for bias in part."""
@@ -196,7 +203,7 @@ class Fit:
         solution = np.array([p.real, p.imag, theta, v, b])
         bends = np.append(_real(-np.exp(1j * theta) * change.at(v, b)), 0.0)
         more, std, turns = _one_more(jacobian, residual, bends)
-        return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span)
+        return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
         """The start; ``leaning`` (2,) is what the gyro shows about forward and left, rad/s."""

@@ -261,6 +261,12 @@ class Drive:
         return float(arm[2]) if len(arm) > 2 else 0.0
 
     @property
+    def heading(self) -> float | None:
+        """Heading at the first IMU sample, rad, as ``heading_deg`` of drive.toml states it; None if it does not."""
+        stated = self.metadata.get("heading_deg")
+        return None if stated is None else float(np.radians(float(stated)))
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last IMU sample, s."""
         return float(self.imu.time[-1] - self.imu.time[0])
