@@ -106,3 +106,20 @@ def test_broken(tmp_path: Path, edit, said: str):
     with pytest.raises(InputError, match=said) as caught:
         imported(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [(b"D", b""), (b"D", b"\0"), (b"D", b"\0\0"), (b"D", b"\0\0\1\2\3"), (b"O", b"\0"), (b"L", b"\0" * 3)],
+)
+def test_a_message_that_is_too_short_does_not_end_the_log(tmp_path: Path, kind: bytes, content: bytes):
+    """The library stops there without a word: a part of the log would be the drive."""
+    path = write_ulog(tmp_path / "flight.ulg")
+    whole = path.read_bytes()
+    at = whole.rindex(record(b"A", struct.pack("<BH", 0, 2) + b"vehicle_local_position_groundtruth"))
+    size = 3 + 3 + len("vehicle_local_position_groundtruth")
+    for _ in range(1000):  # messages ahead of the short one
+        at, size = at + size, 3 + struct.unpack_from("<H", whole, at + size)[0]
+    path.write_bytes(whole[:at] + record(kind, content) + whole[at:])
+    with pytest.raises(InputError, match=r"flight\.ulg: is cut short or broken"):
+        imported(path)

@@ -128,12 +128,12 @@ def load_learned(folder: Path) -> Learned | None:
     record = load_record(LearnedRecord, file)
     try:
         arrays = {name: np.asarray(array, np.float64) for name, array in read_arrays(weights).items()}
-        if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
-            raise ValueError
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
+        raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
+    if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
         raise InputError(
-            f"{weights}: not readable, or not the weights of {file.name}; repeat the command that made the folder"
-        ) from None
+            f"{weights}: not the weights of {file.name}; repeat the command that made the folder"
+        )
     return Learned(record, arrays)
 
 
@@ -145,5 +145,5 @@ def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
         wanted = outage_lstm.untrained(rng, (), 1.0, units, features, np.zeros((1, 2))).weights
     else:
         wanted = new_weights(rng, 3, FEATURES, units, 2)
-    shapes = all(weights[name].shape == array.shape for name, array in wanted.items())
+    shapes = all(name in weights and weights[name].shape == array.shape for name, array in wanted.items())
     return shapes and all(np.isfinite(array).all() for array in weights.values())

@@ -5,6 +5,7 @@ Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the
 the true place, north and east of a reference.
 """
 
+import io
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -34,12 +35,12 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     core = library("pyulog.core", "logs")
     _require_whole_definitions(path)
     try:
-        with path.open("rb") as file:
+        with _Log(io.FileIO(path)) as file:
             log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     except Exception as error:  # the library raises anything on damaged bytes
         raise broken(path, error) from None
-    if log.file_corruption:
-        raise InputError(f"{path}: is cut short or broken; copy the log again")
+    if log.file_corruption or file.stopped < path.stat().st_size:
+        raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")
     frames = {
         f"{data.name}{data.multi_id or ''}": pl.DataFrame({k: v for k, v in data.data.items() if v.ndim == 1})
         for data in log.data_list
@@ -49,6 +50,17 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
             f"{path}: holds none of {', '.join(_TOPICS)}; log them (SDLOG_PROFILE), and fly again"
         )
     yield Frames(path, frames, _guess(frames), dict.fromkeys(frames, "uORB topic"))
+
+
+class _Log(io.BufferedReader):
+    """A file that knows where its reader stopped: pyulog ends without a word at a message that is too short."""
+
+    stopped = 0
+
+    def close(self) -> None:
+        if not self.closed:
+            self.stopped = self.tell()
+        super().close()
 
 
 def _require_whole_definitions(path: Path) -> None:
