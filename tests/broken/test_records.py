@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fuzzing.records import record_network
 from sigmaswarm import FilterParameters, evaluate, tune
 from sigmaswarm.errors import InputError
 from sigmaswarm.experiments.comparison import Outcome
 from sigmaswarm.exports.targets import export_filter
 from sigmaswarm.files import staged_files, write_whole
+from sigmaswarm.learned.folder import load_learned
 from sigmaswarm.records import load_record
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.pages.folders import read_report
@@ -202,3 +204,48 @@ def test_a_config_that_is_no_table(folders: tuple[Path, Path], tmp_path: Path):
     (tmp_path / "tuning.toml").write_text(text)
     with pytest.raises(InputError, match=r"tuning\.toml: config: "):
         load_record(TuningRecord, tmp_path / "tuning.toml")
+
+
+SHAPES = {
+    "another shape": lambda a: a.reshape(-1, 1),
+    "longer": lambda a: np.append(a, a),
+    "a number": lambda a: np.array(3.0),
+    "texts": lambda a: a.astype(str),
+    "nothing": lambda a: a.ravel()[:0],
+}
+
+
+@pytest.mark.parametrize("how", SHAPES)
+@pytest.mark.parametrize("name", ["first.positions", "first.members", "best", "global_best"])
+def test_a_checkpoint_of_another_shape_is_named(name: str, how: str, tmp_path: Path):
+    drive, options = make_drive(duration=20.0), {"particles": 4, "generations": 3, "optimizer": "de"}
+
+    def stop(progress: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tune(drive, out=tmp_path, progress=stop, **options)
+    path = tmp_path / "checkpoint-000.npz"
+    with np.load(path) as file:
+        arrays = {key: file[key] for key in file.files}
+    arrays[name] = SHAPES[how](arrays[name])
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match=r"checkpoint-000\.npz: .*; delete it to redo this trial"):
+        tune(drive, out=tmp_path, resume=True, **options)
+
+
+@pytest.mark.parametrize("how", [*SHAPES, "gone", "nan"])
+@pytest.mark.parametrize("name", ["input", "head_bias", "center"])
+def test_weights_of_another_shape_are_named(name: str, how: str, tmp_path: Path):
+    record_network(tmp_path)
+    assert load_learned(tmp_path)
+    with np.load(tmp_path / "weights.npz") as file:
+        arrays = {key: file[key] for key in file.files}
+    old = arrays.pop(name)
+    if how != "gone":
+        arrays[name] = np.full(old.shape, np.nan) if how == "nan" else SHAPES[how](old)
+    if how == "texts":
+        arrays[name] = np.full(old.shape, "x")
+    np.savez(tmp_path / "weights.npz", **arrays)
+    with pytest.raises(InputError, match=r"weights\.npz: not .*; repeat the command that made the folder"):
+        load_learned(tmp_path)

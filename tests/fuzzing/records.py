@@ -93,8 +93,8 @@ def _study(folder: Path) -> None:
     save_study(run_study(SMALL_STUDY, folder, workers=1), folder)
 
 
-def _network(folder: Path) -> None:
-    tune(DRIVE, out=folder, **SMALL)
+def record_network(folder: Path) -> None:
+    """Write the record and the weights of a network that is not trained."""
     rng = np.random.default_rng(1)
     windows, moved = rng.normal(size=(20, 40, 4)), rng.normal(9.0, 1.0, (20, 2))
     weights = untrained(rng, ("ax", "gz"), 4.0, 3, windows, moved).weights
@@ -103,6 +103,11 @@ def _network(folder: Path) -> None:
     training = {"seed": 1, "search": 1, "driven_s": 1.0, "epochs": 1, "loss_before": 1.0, "loss": 1.0}
     record = {"kind": "outage-lstm", "network": network, "training": training | {"held_back": "a"}}
     Learned(LearnedRecord.model_validate(record), weights).save(folder)
+
+
+def _network(folder: Path) -> None:
+    tune(DRIVE, out=folder, **SMALL)
+    record_network(folder)
 
 
 def _use_network(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import shlex
 import subprocess
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic
 from sigmaswarm.importing.convert import Request, import_drive
 from sigmaswarm.importing.look import look
-from sigmaswarm.importing.proposal import Meaning, Proposal, meaning_of, proposed
+from sigmaswarm.importing.proposal import Meaning, Proposal, judged, meaning_of, proposed
 from sigmaswarm.importing.source import Choice
 from sigmaswarm.simulation.scenarios import simulate
 
@@ -198,3 +199,17 @@ def test_a_time_in_another_unit_names_the_unit_and_the_cure(tmp_path: Path, time
         InputError, match=r"between two rows of the gps; in us it is 0\.2 s: write --map gps\.t="
     ):
         import_drive(wrong, "monday")
+
+
+@pytest.mark.parametrize("value", [1e16, -1e77, 1e155, 1e200, -1e308])
+@pytest.mark.parametrize("name", ["ax", "gz"])
+def test_a_look_at_absurd_numbers_does_not_overflow(name: str, value: float):
+    values = getattr(DRIVE.imu, name).copy()
+    values[::3] = value
+    spoiled = replace(DRIVE, imu=replace(DRIVE.imu, **{name: values}))
+    proposal = Proposal({}, {})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        same, evidence = judged(proposal, lambda _: spoiled)
+    assert same is proposal
+    assert f"not checked: {name} has numbers beyond 1e+07" in evidence

@@ -16,7 +16,8 @@ from sigmaswarm.doctor.diagnose import diagnose
 from sigmaswarm.doctor.findings import Diagnosis, Repair
 from sigmaswarm.drives.checks import GRAVITY
 from sigmaswarm.drives.drive import Drive
-from sigmaswarm.errors import SigmaswarmError
+from sigmaswarm.drives.table_files import LARGEST
+from sigmaswarm.errors import InputError, SigmaswarmError
 from sigmaswarm.importing.source import Role
 
 FORWARD = {
@@ -188,6 +189,15 @@ def proposed(
     return best
 
 
+def _plausible(drive: Drive) -> Drive:
+    """Refuse numbers that no sensor reports: the doctor's sums would overflow."""
+    for table in (drive.imu, drive.gps):
+        for name, values in vars(table).items():
+            if name != "time" and values is not None and np.abs(values).max(initial=0.0) > LARGEST:
+                raise InputError(f"{name} has numbers beyond {LARGEST:g}; delete the damaged rows")
+    return drive
+
+
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str]:
     """Return the proposal as corrected by the doctor, and a sentence on the evidence.
 
@@ -197,7 +207,7 @@ def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Propo
         Imports the drive; nothing is written.
     """
     try:
-        first = diagnose(make(proposal))
+        first = diagnose(_plausible(make(proposal)))
         corrected = _corrected(proposal, first)
         last = diagnose(make(corrected)) if corrected != proposal else first
     except SigmaswarmError as error:

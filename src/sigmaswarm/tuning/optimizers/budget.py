@@ -124,7 +124,7 @@ class Budgeted:
         most, self.spent, self.budget = self.budget, int(state["spent"]), int(state["budget"])
         # checkpoints of 0.3.0 have them in the parts alone
         where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
-        self.global_best = np.array(state[f"{where}global_best"], dtype=np.float64)
+        self.global_best = np.asarray(state[f"{where}global_best"]).astype(np.float64, casting="same_kind")
         self.global_cost = float(state[f"{where}global_cost"])
         if not 0 < self.spent <= self.budget <= most or np.isnan(self.global_cost):
             raise ValueError("evaluations and costs should be those of this search")
