@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from fuzzing import records
 from fuzzing.check import break_files, check, copied
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
@@ -45,3 +46,9 @@ def sound() -> dict[str, tuple[Path, Path]]:
 def imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An IMU's table, beside which fixes are read."""
     return imu_csv(tmp_path_factory.mktemp("sound"))
+
+
+@pytest.mark.parametrize("name", [name for name in records.FOLDERS if name != "study"])
+def test_damaged_results_are_refused_in_one_line_or_read(name: str):
+    findings, _ = records.fuzz(1, name, 8)
+    assert not findings

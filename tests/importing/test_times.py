@@ -10,6 +10,7 @@ import pytest
 
 from importing.logs import EPOCH, a_drive, assert_close, imported
 from sigmaswarm.errors import InputError
+from sigmaswarm.importing.timeline import unwrap
 
 DRIVE = a_drive()
 IMU, GPS = DRIVE.imu, DRIVE.gps
@@ -138,6 +139,17 @@ def test_counters_that_wrap_go_on(tmp_path: Path, name: str, scale: float, perio
     write(tmp_path, name, lambda t: f"{(round(t * scale, 6) - before * scale) % period:.10g}")
     assert apart(tmp_path) < 1.1e-3
     assert any("unwrapped" in note for note in imported(tmp_path).notes)
+
+
+@pytest.mark.parametrize("start", [0, 1_700_000_000 * 10**9])
+@pytest.mark.parametrize("later", [359, 369, 380])
+def test_two_rows_that_changed_places_are_no_counter_that_wraps(start: int, later: int):
+    """A fall of 3.5 to 3.7 s is near the period of a 32-bit counter of nanoseconds, 4.3 s."""
+    time = start + 10_000_000 * np.arange(400)
+    time[[15, later]] = time[[later, 15]]
+    found, said = unwrap(time)
+    assert not said
+    np.testing.assert_array_equal(found, time)
 
 
 DAYS: dict[str, Cells] = {

@@ -170,15 +170,19 @@ def test_comparison_has_bars_for_every_method():
     ]
     assert [ax.get_title(loc="left") for ax in figure.axes] == titles
     said = evaluation.to_dict()["mean"]
-    names = ["tuned UKF", "baseline", "raw GPS", "IMU only"]
+    names = ["tuned UKF", "baseline", "fixes alone", "raw GPS", "IMU only"]
     shown = [m for m in MEASURES if m != "long_outage_drift_m"]  # the drive is too short for it
     for ax, measure in zip(figure.axes, shown, strict=True):
         values = [m[measure] for m in said.values()]
         known = [(n, v) for n, v in zip(names, values, strict=True) if v is not None]
         assert [t.get_text() for t in ax.get_yticklabels()] == [n for n, _ in known]
-        assert [patch.get_width() for patch in ax.patches] == [v for _, v in known]
-        assert [t.get_text().strip() for t in ax.texts] == [f"{v:.3g}" for _, v in known]
-        assert ax.get_xscale() == "log"
+        longest = max(v for n, v in known if n not in ("IMU only", "fixes alone"))
+        beyond = [" →" * (v > longest) for _, v in known]
+        assert [patch.get_width() for patch in ax.patches] == [min(v, longest) for _, v in known]
+        assert [t.get_text().strip() for t in ax.texts] == [
+            f"{v:.3g}{end}" for (_, v), end in zip(known, beyond, strict=True)
+        ]
+        assert (ax.get_xscale(), ax.get_xlim()[0]) == ("linear", 0.0)
 
 
 def test_comparison_without_truth_has_no_empty_panels():

@@ -23,8 +23,8 @@ from support import make_drive
 GOOD = FilterParameters(0.3, 2.0, 0.0, (1e-3, 1e-3, 1e-2, 1e-2, 1e-5), (1.0, 1.0))
 PLANAR8 = replace(GOOD, model="planar8", process_noise=(*GOOD.process_noise, 1e-9, 1e-9, 1e-9))
 BROKEN = replace(GOOD, process_noise=(1.0, 1.0, -5.0, 1.0, 1.0))
-METHODS = ["tuned", "untuned", "raw_gps", "imu_only"]
-NAMES = ["tuned UKF", "baseline", "raw GPS", "IMU only"]
+METHODS = ["tuned", "untuned", "fixes_alone", "raw_gps", "imu_only"]
+NAMES = ["tuned UKF", "baseline", "fixes alone", "raw GPS", "IMU only"]
 POSITIONS = ["position_rmse_m", "position_median_m", "position_95_m"]
 MEASURES = [*POSITIONS, "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m"]
 DRIVES = [make_drive(duration=60.0, seed=s, name=f"drive-{s}") for s in range(2)]
@@ -127,6 +127,8 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     assert bool(failed.record.drift_said("outage_drift_m")) is not in_an_outage
     assert failed.record.drift_said("outage_drift_m", "untuned")
     print_evaluation(failed)
+    assert "The tuned filter failed on drive-1." in capsys.readouterr().out
+    print_evaluation(failed, verbose=True)
     said = capsys.readouterr().out
     assert "(failed)" in said
     assert "drift of the tuned filter" not in said
@@ -144,7 +146,7 @@ def test_a_filter_of_the_users_own_is_the_first_row_of_every_table(evaluation: E
             alone["drives"][drive]["tuned"], nan_ok=True
         )
     assert said["drives"] == sound["drives"]
-    assert list(said["improvement_percent"]) == ["against", "untuned"]
+    assert list(said["improvement_percent"]) == ["against", "untuned", "fixes_alone"]
 
 
 def test_each_method_is_scored_by_its_definition(evaluation: Evaluation):
@@ -234,6 +236,12 @@ def test_where_a_filter_that_nobody_tuned_is_better_is_said_in_a_sentence(evalua
         "the tuned filter is worse in 1 of 4 measures than the baseline: heading error "
         "0.4 deg against 0.3 deg",
     )
+    assert Evaluation(
+        {"town": Evaluated(others | {"fixes_alone": sheet, "tuned": good})}
+    ).worse_than_untuned == (
+        "the tuned filter is worse in 1 of 4 measures than a filter of the fixes alone: heading error "
+        "0.4 deg against 0.3 deg",
+    )
     farther = replace(sheet, position_rmse=0.4)
     (here,) = Evaluation({"town": Evaluated(others | {"untuned": farther, "tuned": good})}).worse_than_untuned
     assert "is WORSE than" in here
@@ -279,7 +287,7 @@ def test_a_filter_that_lost_its_way_is_named(evaluation: Evaluation):
 
 
 def test_equation_5_in_round_numbers():
-    scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 3.0, 9.0], strict=True)}
+    scores = {m: Score(position_rmse=v) for m, v in zip(METHODS, [1.5, 2.0, 2.5, 3.0, 9.0], strict=True)}
     evaluation = Evaluation({"d": Evaluated(scores)})
     assert evaluation.improvement() == pytest.approx(25.0)
     assert evaluation.improvement("raw_gps") == pytest.approx(50.0)

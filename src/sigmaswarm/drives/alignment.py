@@ -4,8 +4,8 @@ A car's heading can't be seen at standstill, and a GPS fix has none. Once the ca
 its course over ground shows the heading; the gyro takes out the turns and the accelerometer the speed
 changes in between. `initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
 
-What the gyro's own bias would change is kept beside it: see `gyro_seen`. Only where the fixes contradict a gyro
-without one is its bias taken off, and the fit done again.
+The effect of the gyro's bias is stored separately: see `gyro_seen`. The bias is subtracted, and the fit repeated, only
+where the fixes contradict a gyro without bias.
 """
 
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from sigmaswarm.errors import AlignmentError
 from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION = 4.0
-"""s between the first and the last of the fixes that an alignment looks at, at least."""
+"""s, at least, between the first and the last fix of an alignment."""
 MAX_DURATION = 6.0
-"""s, at most: older fixes tell little about the heading now, since the gyro's bias adds up."""
+"""s, at most: older fixes say little about the heading, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
-"""m of forward travel in that time: less tells no heading. A slower car than 12 km/h never gets there."""
+"""m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4
-"""In that time: a receiver that gives a fix every 3 s never gets there."""
+"""In that time; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""m between the first and the last of them: a cheap look before the fit."""
+"""m between the first and the last of them: a cheap test before the fit."""
 MAX_MISFIT = 0.3
-"""Share of the travel: where a fix lies farther off the fit, the fixes jumped rather than the car moved."""
+"""Largest residual as a share of the travel; larger ones are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""rad: a worse fit is not travel but scattered fixes; the next fix is tried."""
+"""rad: a worse fit is one of scattered fixes; the next fix is tried."""
 REFITS = 3
-"""Of a way that a biased gyro bent: by then the bias stays where it is."""
+"""Fits with a new gyro bias, after which it has converged."""
 
 SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
 """s: longer windows, for a drive that nowhere travels `MIN_TRAVEL` within `MAX_DURATION`."""
@@ -59,7 +59,7 @@ STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
 
 @dataclass(frozen=True)
 class NoStart:
-    """Why no filter can start on a drive, and the remedy, as people read them."""
+    """The reason why no filter can start on a drive, and the remedy."""
 
     what: str
     remedy: str
@@ -76,14 +76,14 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
     Parameters
     ----------
     drive : Drive
-        Its truth, if any, is not looked at.
+        Its truth is not used.
     as_recorded : bool
-        Take frozen fixes as positions, too: see `drives.frozen`.
+        Also use stale fixes as positions: see `drives.frozen`.
 
     Raises
     ------
     AlignmentError
-        If there is none: the message says which of this is missing.
+        If there is none; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -92,7 +92,7 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
-    """The same as `initial_state`, or what is missing."""
+    """Find the start as `initial_state` does, or the reason for none."""
     # Later code may start a filter only where IMU samples follow.
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
     usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
@@ -188,7 +188,7 @@ class Alignments:
         return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
 
     def why_none(self) -> NoStart:
-        """What is missing on a drive on which there is no alignment anywhere."""
+        """Return the reason why a drive has no alignment."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if not self._many.any():
             return self._too_few()
@@ -207,7 +207,7 @@ class Alignments:
         )
 
     def _too_few(self) -> NoStart:
-        """What is missing where no fix has enough others in the seconds before it."""
+        """Return the reason why no fix has enough others in the seconds before it."""
         time = f"{MAX_DURATION:g} s"
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):

@@ -26,7 +26,7 @@ SLIP_STD = np.radians(1.0)
 ACCELERATION_BIAS_STD = 0.5
 """m/s2: tilt and bias of the forward accelerometer, the prior of b."""
 MIN_POSITION_STD = 0.05
-"""m per axis: no fit is believed to be better than this."""
+"""m per axis: lowest deviation of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,9 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Positive definite, of ``mean``.
     time : float
-        s: the time of the fix that was absorbed last. Filters and scores start here.
+        s: time of the last fix used. Filters and scores start here.
     gyro : GyroSeen or None
-        What is seen of the gyro's bias, which a filter that estimates it starts with. None: it starts with 0.
+        Evidence on the gyro's bias, for filters that estimate it. None: they start with 0.
     """
 
     mean: Array
@@ -53,13 +53,13 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """What the IMU saw of the way from each fix to the last one, (f,) each, in the body's frame at the last one.
+    """Motion from each fix to the last one by the IMU, (f,) each, in the body's frame at the last one.
 
     Attributes
     ----------
     per_speed : s, of a car that drives 1 m/s now
     per_bias : s2, of 1 m/s2 that tilt and bias add
-    seen : m, what the accelerometer saw
+    seen : m, by the accelerometer
     """
 
     per_speed: Complex
@@ -80,7 +80,7 @@ class Way:
         return Way(anew(self.per_speed), anew(self.per_bias), anew(self.seen))
 
     def carrying(self, arm: Complex) -> "Way":
-        """To the antenna, which lies beside the IMU, m at each fix."""
+        """Offset of the antenna from the IMU, m at each fix."""
         return Way(self.per_speed, self.per_bias, self.seen - arm)
 
 
@@ -146,7 +146,7 @@ class Fit:
         arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
         way = (straight.turned(np.exp(-1j * taken * middle)) if taken else straight).carrying(arm)
         change = straight.turned(-1j * middle * np.exp(-1j * taken * middle)).carrying(-1j * since * arm)
-        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, what the speed changes alone add
+        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
         return replace(fit, yaw_std=fit._doubted(psi, grid))
 

@@ -1,4 +1,4 @@
-"""Splitting into training and test drives: by whole drives, or by time within one."""
+"""Splitting into training and test drives: by drive, or by time within one."""
 
 import warnings
 from collections.abc import Sequence
@@ -58,7 +58,7 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata says of which drive (name, fingerprint) each is which part (s on its clock).
+        ``cut_from`` in their metadata has the drive (name, fingerprint) and the part of it (s on its clock).
     """
     _require_fraction(train_fraction)
     cut = drive.imu.time[0] + train_fraction * drive.duration if at is None else at

@@ -1,7 +1,7 @@
 """One look for all pictures: colors that color-blind readers can distinguish, and lines that stay legible in grey."""
 
 from sigmaswarm.reports.views.charts import Dash, Look
-from sigmaswarm.scoring.drifts import OWN, UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
 from sigmaswarm.scoring.measures import ALSO, METHODS, method_names
 
 # M. Okabe and K. Ito's palette (2008), P. Tol's indigo, and greys.
@@ -23,6 +23,7 @@ LOOKS: dict[str, Look] = {
     "noise-gru": Look(PURPLE, 1.6, "dash"),
     "against": Look(SKY, 1.6),
     UNTUNED: Look(PURPLE, 1.2, "dashdot"),
+    FIXES: Look(ORANGE, 1.2, "dash"),
     "imu_only": Look(VERMILION, 1.2, "dot"),
     "raw_gps": Look(GREEN, 0.0, "none", "dot", 4.0, 0.7),
 }

@@ -7,7 +7,7 @@ import numpy as np
 from sigmaswarm.drives.fingerprint import DriveRecord
 from sigmaswarm.filters.divergence import said_of_restarts
 from sigmaswarm.scoring.consistency import CORRELATED
-from sigmaswarm.scoring.drifts import UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, UNTUNED
 from sigmaswarm.scoring.measures import METHODS, POSITION_MEASURES, Measure
 from sigmaswarm.scoring.records import ConsistencyRecord, ScoresRecord
 from sigmaswarm.scoring.tracks import FirstLook
@@ -132,20 +132,24 @@ NOTABLE = 0.9
 
 
 def worse_than_untuned(scores: ScoresRecord, shown: Mapping[str, Measure]) -> tuple[str, ...]:
-    """Return a sentence where the baseline is better on average over the drives."""
+    """Return a sentence for each untuned method that is better on average over the drives."""
+    return tuple(said for method in (UNTUNED, FIXES) if (said := _worse_than(method, scores, shown)))
+
+
+def _worse_than(method: str, scores: ScoresRecord, shown: Mapping[str, Measure]) -> str:
     compared = ("position_rmse_m", "heading_rmse_deg", "outage_drift_m", "long_outage_drift_m")
-    pairs = {m: (scores.mean_of("tuned", m), scores.mean_of(UNTUNED, m)) for m in compared}
+    pairs = {m: (scores.mean_of("tuned", m), scores.mean_of(method, m)) for m in compared}
     known = {
         m: (tuned, other) for m, (tuned, other) in pairs.items() if tuned is not None and other is not None
     }
     worse = {m: pair for m, pair in known.items() if pair[1] < NOTABLE * pair[0]}
     if not worse:
-        return ()
+        return ""
     each = ", ".join(
         f"{shown[m].title} {tuned:.3g} {shown[m].unit} against {other:.3g} {shown[m].unit}"
         for m, (tuned, other) in worse.items()
     )
+    name = {UNTUNED: "the baseline", FIXES: "a filter of the fixes alone"}[method]
     if "position_rmse_m" in worse or 2 * len(worse) > len(known):
-        return (f"the tuned filter is WORSE than the baseline: {each}",)
-    others = f"worse in {len(worse)} of {len(known)} measures"
-    return (f"the tuned filter is {others} than the baseline: {each}",)
+        return f"the tuned filter is WORSE than {name}: {each}"
+    return f"the tuned filter is worse in {len(worse)} of {len(known)} measures than {name}: {each}"

@@ -38,7 +38,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     if not scatter:
         return
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
-    # A smooth receiver's errors last: what it states may be right, however little the fixes scatter.
+    # A smoothing receiver's errors last: its stated accuracy may be right although the fixes scatter little.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
         how = "smaller than"

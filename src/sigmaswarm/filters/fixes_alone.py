@@ -1,0 +1,116 @@
+"""A Kalman filter on the fixes alone: constant velocity with white acceleration, no IMU.
+
+A filter with an IMU should be better. Its two noises have the largest likelihood on the same fixes, so its scores are
+optimistic. Y. Bar-Shalom, X. R. Li and T. Kirubarajan, Estimation with Applications to Tracking and
+Navigation, 2001, section 6.2.2.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.optimize import minimize
+
+from sigmaswarm.drives.alignment import InitialState
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.drives.timeline import FIX_VAR_X, FIX_X, Timeline
+from sigmaswarm.filters.recording import Piece
+from sigmaswarm.filters.replay import Replay
+
+UNKNOWN_SPEED = 30.0
+"""m/s: standard deviation of the velocity before the first fix."""
+FIRST_GUESS = (0.0, 0.0)
+"""log10 of the noises from which the likelihood is searched."""
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """The noises of the filter.
+
+    Attributes
+    ----------
+    acceleration : m2/s3, spectral density on each axis
+    fix : variance of a fix on each axis: m2, or a factor on the stated variances
+    """
+
+    acceleration: float
+    fix: float
+
+
+@njit(cache=True, nogil=True)
+def _filter(
+    dt: Array, fixes: Array, variance: Array, density: float, start: Array, states: Array
+) -> float:  # pragma: no cover
+    """Filter fixes (k, 2); write x, y, vx, vy and P's three terms (k, 7) after each; return -2 log likelihood."""
+    x, y, u, v, pp, pv, vv = start
+    cost = 0.0
+    for k in range(len(dt)):
+        t = dt[k]
+        x, y = x + t * u, y + t * v
+        pp = pp + 2.0 * t * pv + t * t * vv + density * t * t * t / 3.0
+        pv = pv + t * vv + density * t * t / 2.0
+        vv = vv + density * t
+        s = pp + variance[k]
+        ex, ey = fixes[k, 0] - x, fixes[k, 1] - y
+        cost += (ex * ex + ey * ey) / s + 2.0 * np.log(s)
+        gain, gain_v = pp / s, pv / s
+        x, y, u, v = x + gain * ex, y + gain * ey, u + gain_v * ex, v + gain_v * ey
+        pp, pv, vv = (1.0 - gain) * pp, (1.0 - gain) * pv, vv - gain_v * pv
+        states[k] = x, y, u, v, pp, pv, vv
+    return cost
+
+
+def _variances(line: Timeline) -> Array:
+    """Return the stated variances of the fixes, m2, or ones."""
+    stated = line.fixes[:, FIX_VAR_X : FIX_VAR_X + 2].mean(axis=1)
+    return stated if line.states_accuracy and np.all(stated > 0) else np.ones(len(stated))
+
+
+def fit_noise(replay: Replay) -> MotionNoise:
+    """Estimate the noises by maximum likelihood of the fixes of a drive."""
+    line = replay.timeline
+    fixes, variance = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2]), _variances(line)
+    if len(fixes) < 3:
+        return MotionNoise(1.0, 1.0)
+    dt, states = np.diff(line.fix_time), np.empty((len(fixes) - 1, 7))
+    start = np.array([*fixes[0], 0.0, 0.0, 0.0, 0.0, UNKNOWN_SPEED**2])
+
+    def cost(noise: Array) -> float:
+        density, fix = 10.0 ** np.clip(noise, -6.0, 6.0)
+        start[4] = fix * variance[0]
+        return _filter(dt, fixes[1:], fix * variance[1:], density, start, states)
+
+    density, fix = 10.0 ** np.clip(minimize(cost, FIRST_GUESS, method="Nelder-Mead").x, -6.0, 6.0)
+    return MotionNoise(float(density), float(fix))
+
+
+class FixesAlone:
+    """The filter over a replay, from the common start: an iterator with one piece of estimates at the IMU's times."""
+
+    failure: str | None = None
+    restarts: Sequence[float] = ()
+
+    def __init__(self, replay: Replay, noise: MotionNoise) -> None:
+        self._line, self._noise = replay.timeline, noise
+        self.initial: InitialState = replay.initial
+
+    def __iter__(self) -> Iterator[Piece]:
+        line, noise = self._line, self._noise
+        variance = noise.fix * _variances(line)
+        moments = np.concatenate([[self.initial.time], line.fix_time])
+        states = np.empty((len(moments), 7))
+        first = variance[0] if len(variance) else noise.fix
+        states[0] = *self.initial.mean[:4], first, 0.0, UNKNOWN_SPEED**2
+        fixes = np.ascontiguousarray(line.fixes[:, FIX_X : FIX_X + 2])
+        _filter(np.diff(moments), fixes, variance, noise.acceleration, states[0].copy(), states[1:])
+        last = np.searchsorted(moments, line.imu_time, side="right") - 1
+        x, y, u, v, pp, pv, vv = states[last].T
+        t = line.imu_time - moments[last]
+        heading = np.where(np.hypot(u, v) > 0, np.arctan2(v, u), self.initial.mean[4])
+        covariance = np.zeros((len(t), 5, 5))
+        spread = pp + 2 * t * pv + t**2 * vv + noise.acceleration * t**3 / 3
+        covariance[:, [0, 1], [0, 1]] = spread[:, np.newaxis]
+        mean = np.column_stack([x + t * u, y + t * v, u, v, heading])
+        sound = np.ones(len(t), dtype=np.bool_)
+        yield Piece(line.imu_time, mean, covariance, sound, ~sound)

@@ -1,0 +1,88 @@
+"""The filter of the fixes alone: held to a filter of FilterPy, and to what its noises are fitted to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from sigmaswarm import baseline, simulate
+from sigmaswarm.drives.drive import Drive, Gps
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.fixes_alone import UNKNOWN_SPEED, FixesAlone, MotionNoise, fit_noise
+from sigmaswarm.filters.recording import joined
+from sigmaswarm.scoring.evaluation import evaluate
+from sigmaswarm.scoring.targets import outage_replay, tracking_replay
+from support import make_drive
+
+NOISE = MotionNoise(acceleration=0.7, fix=1.3)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return simulate("urban", duration=60, gps="white-1m")
+
+
+def test_it_is_the_filter_of_filterpy(drive: Drive):
+    """Position, velocity and covariance at every IMU sample, between fixes and at them."""
+    ready = PreparedDrive(drive)
+    replay = tracking_replay(ready)
+    found = joined(FixesAlone(replay, NOISE))
+    line, start = replay.timeline, replay.initial
+    kf = KalmanFilter(dim_x=4, dim_z=2)
+    kf.x = np.array(start.mean[:4])
+    kf.P = np.diag([NOISE.fix, NOISE.fix, UNKNOWN_SPEED**2, UNKNOWN_SPEED**2])
+    kf.R, kf.H = NOISE.fix * np.eye(2), np.eye(2, 4)
+
+    def move(to: float) -> None:
+        nonlocal now
+        t, eye = to - now, np.eye(2)
+        kf.F = np.block([[eye, t * eye], [np.zeros((2, 2)), eye]])
+        kf.Q = NOISE.acceleration * np.block([[t**3 / 3 * eye, t**2 / 2 * eye], [t**2 / 2 * eye, t * eye]])
+        kf.predict()
+        now = to
+
+    now, at = start.time, 0
+    for k, time in enumerate(found.time):
+        while at < len(line.fix_time) and line.fix_time[at] <= time:
+            move(line.fix_time[at])
+            kf.update(line.fixes[at, :2])
+            at += 1
+        move(time)
+        np.testing.assert_allclose(found.mean[k, :4], kf.x, rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(found.covariance[k, 0, 0], kf.P[0, 0], rtol=1e-8)
+        assert found.mean[k, 4] == np.arctan2(found.mean[k, 3], found.mean[k, 2])
+    assert at == len(line.fix_time)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_the_fit_finds_the_noise_of_the_fixes(sigma: float):
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 400.0, 0.5)
+    v = np.cumsum(rng.normal(0, np.sqrt(0.5 * 0.5), (len(t), 2)), axis=0)
+    p = np.cumsum(v * 0.5, axis=0) + rng.normal(0, sigma, (len(t), 2))
+    imu = make_drive(duration=400.0, seed=0)
+    drive = replace(imu, gps=Gps(t, p[:, 0], p[:, 1]), truth=None)
+    found = fit_noise(tracking_replay(PreparedDrive(drive)))
+    assert found.fix == pytest.approx(sigma**2, rel=0.25)
+    assert found.acceleration == pytest.approx(0.5, rel=0.5)
+
+
+def test_during_an_outage_it_goes_straight_on(drive: Drive):
+    """Hidden fixes do not move it: the velocity stays what it was."""
+    replay = outage_replay(PreparedDrive(drive), length=5.0)
+    found = joined(FixesAlone(replay, NOISE))
+    gaps = np.flatnonzero(np.diff(replay.timeline.fix_time) > 4.5)
+    assert len(gaps)
+    for i in gaps:
+        inside = (found.time > replay.timeline.fix_time[i]) & (found.time < replay.timeline.fix_time[i + 1])
+        assert np.ptp(found.mean[inside, 2:4], axis=0).max() == 0.0
+
+
+def test_every_evaluation_has_its_row_also_without_truth(drive: Drive):
+    parameters = baseline(drive)
+    with_truth, blind = evaluate(drive, parameters), evaluate(replace(drive, truth=None), parameters)
+    scores = with_truth.scores[drive.name]
+    assert scores["fixes_alone"].position_rmse < scores["raw_gps"].position_rmse
+    assert blind.value(drive.name, "fixes_alone", "outage_drift_m") > 0  # pyright: ignore[reportOptionalOperand]
+    assert blind.value(drive.name, "fixes_alone", "position_rmse_m") is None
