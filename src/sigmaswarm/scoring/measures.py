@@ -27,7 +27,10 @@ HOW_ROBOT = (
     "0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
 )
 """The same for the model robot-localization."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its two noises are fitted to the fixes of each drive"
+HOW_FIXES = (
+    "Fixes alone is a constant-velocity filter without the IMU; "
+    "its two noises are fitted to the fixes of each drive"
+)
 """A sentence that defines the rival that every filter with an IMU must beat."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
