@@ -94,7 +94,7 @@ def _found(checked: "Checked", lanes: int) -> str:
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:
-    """How to go on with what was written."""
+    """Return the next step after an export."""
     if to == "filterpy":
         return f"python {out / 'run_filter.py'} DRIVE estimate.csv"
     if to == "c99":

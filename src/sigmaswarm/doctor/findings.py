@@ -37,7 +37,7 @@ class Repair:
     ----------
     action : str
     values : tuple of float
-        What the action needs; see `repairs.py`.
+        Parameters of the action; see `repairs.py`.
     """
 
     action: Action
@@ -54,7 +54,7 @@ class Finding:
         Short and lasting, for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
     severity : {"note", "warning", "serious"}
     what : str
-        A sentence: what is wrong, with figures.
+        A sentence: the fault, with figures.
     where : str
         File and columns.
     span : (float, float)
@@ -62,9 +62,9 @@ class Finding:
     confidence : float
         0 to 1.
     remedy : str
-        What to do.
+        The remedy.
     repair : Repair or None
-        What ``repair`` does about it; None where nothing can be done.
+        The action of ``repair``; None where there is none.
     """
 
     code: str

@@ -32,7 +32,7 @@ START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
-    """The parameter file, by file name; ``interval`` (s) is what Q refers to.
+    """The parameter file, by file name; ``interval`` (s) is that of Q.
 
     ROS's filter has no rules that could be switched off.
 

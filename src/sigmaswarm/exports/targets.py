@@ -48,12 +48,12 @@ def export_texts(
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
-        filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+        filterpy, c99: use stale fixes, treat IMU gaps as ordinary steps.
     lanes : int
         c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveFilterBank`
         without searches.
     seed : int
-        Of what the lanes differ in.
+        Of the parameters in which the lanes differ.
 
     Returns
     -------

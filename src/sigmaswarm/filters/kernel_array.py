@@ -1,4 +1,4 @@
-"""Parameter sets as columns of the compiled kernel's array: their constants, where they start, and what they sum up.
+"""Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
 The work of each drive and block takes time next to a kernel of 0.2 ms, and it holds Python's lock while other threads
 wait. So it is done for all sets, and all drives, together.
@@ -101,7 +101,7 @@ class KernelArray:
     size : int
         Number of sets.
     reads : tuple
-        What it needs of a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
+        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
 
     Raises
     ------
@@ -294,6 +294,7 @@ def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: of("rear_axle"),
+        R.TIRE_SLIP: of("tire_slip"),
         R.LATENCY: of("latency"),
         R.GATE: of("gate"),
         R.ACCURACY: of("accuracy_scale"),

@@ -3,9 +3,9 @@
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
 models before it, so that measurements find them at the same places.
 
-`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled filter
-knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model whose attitude
-is more than a heading has a file of its own: `tilted`.
+`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled
+filter knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with
+a full attitude is in `tilted`.
 """
 
 import re
@@ -78,8 +78,17 @@ def velocity(state: Array) -> Array:
     return state[2:4].copy()
 
 
+def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
+    """Distance (m) from the point of a car without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+
+    The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
+    velocity at the rear axle is -tire_slip v^2 yaw_rate. The filters take v^2 from the mean before the update.
+    """
+    return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
+
+
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s) at the rear axle, ``rear_axle`` m behind the IMU: a car on its wheels has none."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0

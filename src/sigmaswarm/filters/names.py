@@ -1,4 +1,4 @@
-"""The names of the models and kinds of filters; in a file that imports nothing, for the command line's help."""
+"""The names of the models and kinds of filters; without imports, for the command line's help."""
 
 from typing import Literal
 

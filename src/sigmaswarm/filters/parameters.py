@@ -70,9 +70,11 @@ class FilterParameters:
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
-        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without slip. None: not used.
+        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without tire slip. None: not used.
     rear_axle : float
         m from the rear axle forward to the IMU, for ``lateral_noise``.
+    tire_slip : float
+        s2/m (rad per m/s2): slip angle of the rear tires per lateral acceleration, for ``lateral_noise``. 0: no slip.
     standstill_noise : float or None
         m2/s2: variance of the velocity at detected standstills. None: not used.
     odometer_noise : float or None
@@ -114,6 +116,7 @@ class FilterParameters:
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
+    tire_slip: Real = _option(0.0)
     standstill_noise: Positive | None = _option(None)
     odometer_noise: Positive | None = _option(None)
     odometer_scale: Positive = _option(1.0)
@@ -280,6 +283,7 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
+        "tire_slip": "s2/m",
         "standstill_noise": "m2/s2",
         "odometer_noise": "m2/s2",
         "odometer_scale": "reading over true speed",

@@ -1,6 +1,6 @@
 """Filters without tuning. The paper says "default parameters" and gives none.
 
-Three presets, planar5 UKFs, stand for what people set by hand:
+Three presets, planar5 UKFs, stand for settings by hand:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.

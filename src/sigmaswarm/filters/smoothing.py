@@ -168,7 +168,7 @@ class Smoothing:
     restarts : list of float
         s: times of the resets in the pieces so far.
     failure : str or None
-        What went wrong, and when.
+        The failure, and its time.
     initial : InitialState
         The start, smoothed: all states of the model.
     """

@@ -73,9 +73,9 @@ class TuningRecord(TuningConfigRecord):
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """Return what the training drives named in a filter's file are recognized by.
+    """Return the identification of the training drives named in a filter's file.
 
-    Without seen.npz beside it, or written by an earlier version, only whole drives are recognized
+    Without seen.npz next to it, or written by an earlier version, only whole drives are recognized
     (`drives.overlap.known_overlap`).
 
     Raises
@@ -129,7 +129,7 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> "History":
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Remarks on a tuning: what a user should know before trusting the filter."""
+"""Remarks on a tuning."""
 
 from typing import TYPE_CHECKING, Any
 

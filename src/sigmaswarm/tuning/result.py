@@ -84,7 +84,7 @@ class Tuning(Generic[P]):
     data : list of dict
         Name, length and fingerprint of each drive.
     seen : sequence of Landmarks
-        What `evaluate` recognizes each training drive by, whole or in parts.
+        Landmarks by which `evaluate` recognizes the training drives or parts of them.
     warnings : tuple of str
         Faults of the filter on the training drives that the objective does not see.
     sensitivities : tuple of Sensitivity
@@ -131,7 +131,7 @@ class Tuning(Generic[P]):
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences to read before trusting the result; those that ask for action (`TO_DO`) come first."""
+        """Remarks on the result; those that ask for action (`TO_DO`) come first."""
         return remarks_on(self)
 
     def to_dict(self) -> dict[str, Any]:
@@ -214,7 +214,7 @@ class Tuning(Generic[P]):
         ]
         heads = ("parameter", "value", "within 1% of the cost: from", "to")
         table = notebook.table(self._headline(), heads, rows)
-        return table + notebook.listed("Before you trust it:", self.remarks)
+        return table + notebook.listed("Warnings:", self.remarks)
 
     def save(self, path: str | Path) -> None:
         """Write a tuning.toml, which `Tuning.load` and `FilterParameters.load` read."""

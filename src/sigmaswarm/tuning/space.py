@@ -20,14 +20,14 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""Optional measurements and features of a filter; the parameters of a chosen one are tuned with the rest."""
+"""Optional measurements and features of a filter; the parameters of a chosen one are tuned, too."""
 
 
 @dataclass(frozen=True)
 class Dimension:
     """One parameter that is searched: its field of FilterParameters, and its range.
 
-    ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
     number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
     of its factor; ``least``: the lower limit that it applies.
     """
@@ -53,6 +53,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "lateral": (
         Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
+        Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),
     ),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "odometer": (

@@ -13,7 +13,7 @@ GRAVE = 0.3
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the clocks' offset: what it is, or how large it would have to be to be seen."""
+    """Findings about the clocks' offset, or the smallest one that would be visible."""
     late, std = evidence.clock.late, evidence.clock.std
     if evidence.moved:
         yield Finding(

@@ -61,7 +61,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _by_size(evidence: Evidence) -> Iterator[Finding]:
-    """Where the course tells nothing, at least a rate that no car can have."""
+    """Without a usable course, find rates that no car can have."""
     gz = evidence.drive.imu.gz
     if impossible_rate(gz - np.median(gz)):
         what = (

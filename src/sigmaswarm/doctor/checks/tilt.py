@@ -32,7 +32,7 @@ OUTLYING = 3.0
 
 @dataclass(frozen=True)
 class _Follows:
-    """What a direction follows: a rate (0: gx, 1: gy), its sign against the right one, and by how many deviations."""
+    """Rate that a direction follows (0: gx, 1: gy), its sign, and the significance in deviations."""
 
     column: int
     sign: float
@@ -102,7 +102,7 @@ def _read(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follow(time: Array, force: Array, rates: Array) -> tuple[_Follows | None, _Follows | None]:
-    """What the direction's sideways (roll) and forward (pitch) changes follow; None where that is not clear."""
+    """Find the rates that the roll and the pitch of the direction follow; None where unclear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     mean = moving_mean(force, count)

@@ -7,7 +7,7 @@ from typing import Any
 
 
 def getter(column: str) -> Callable[[Any], Any]:
-    """What takes a column's number out of a message; None where a message in JSON has none there."""
+    """A function that reads the number of a column from a message; None where a message in JSON has none."""
     if column == "stamp":
         return stamp_of
     element = re.fullmatch(r"(.*)\[(\d{1,9})\]", column, re.DOTALL)
