@@ -53,8 +53,8 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "lateral": (
         Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
-        Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),
     ),
+    "slip": (Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "odometer": (
         Dimension("odometer_noise", "odometer_noise", 0, 1e-4, 10.0),
@@ -193,6 +193,8 @@ def search_space(
         raise InputError(
             f"{model} can't use {lacking[0]!r}; choose from {', '.join(MODELS[model].options or OPTIONS)}"
         )
+    if "slip" in use and "lateral" not in use:
+        raise InputError("slip is that of the lateral constraint; add lateral to --use")
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
