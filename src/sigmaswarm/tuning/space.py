@@ -185,6 +185,8 @@ def search_space(
     unknown = [option for option in use if option not in OPTIONS]
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
+    if "slip" in use and "lateral" not in use:
+        raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
     kinds = MODELS[model].kinds
@@ -193,8 +195,6 @@ def search_space(
         raise InputError(
             f"{model} can't use {lacking[0]!r}; choose from {', '.join(MODELS[model].options or OPTIONS)}"
         )
-    if "slip" in use and "lateral" not in use:
-        raise InputError("slip is that of the lateral constraint; add lateral to --use")
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
