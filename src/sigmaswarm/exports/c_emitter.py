@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-
 from sigmaswarm.filters.compiled.layout import COVARIANCE, MEAN, NAMES, QUATERNION
 from sigmaswarm.filters.compiled.unroll import Kernel
 
@@ -36,7 +35,7 @@ INPUTS = {
 CALLS = {"math.sqrt": "SQRT", "np.floor": "FLOOR", "abs": "FABS"}
 RENAMED = {"b": "b0", "since": "passed", "near": "is_near", "far": "is_far"}
 """Local names that C uses for something else."""
-_PRECEDENCE = {ast.Add: 5, ast.Sub: 5, ast.Mult: 6, ast.Div: 6}
+_PRECEDENCE: dict[type, int] = {ast.Add: 5, ast.Sub: 5, ast.Mult: 6, ast.Div: 6}
 _SIGNS: dict[type, str] = {
     **{ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"},
     **{ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="},
@@ -78,7 +77,9 @@ class Emitter:
         """What one kernel leaves for another."""
         single = sorted({n for n in self.used if n[:3] not in ("C1_", "C2_")}, key=NAMES.index)
         arrays = [f"{n}[N]" for n in ("C1", "C2") if any(u.startswith(n + "_") for u in self.used)]
-        names = textwrap.fill(", ".join([*(n.lower() for n in single), *arrays]), 110, subsequent_indent=" " * 9)
+        names = textwrap.fill(
+            ", ".join([*(n.lower() for n in single), *arrays]), 110, subsequent_indent=" " * 9
+        )
         return f"typedef struct {{\n    real {names};\n}} Work;\n"
 
 
@@ -104,8 +105,14 @@ class _Function:
         definition.body = self.chosen(definition.body)
         self.declared: set[str] = set()
         self.is_kernel = any(each.arg == "w" for each in definition.args.args)
-        stored = [n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
-        augmented = [n.target.id for n in ast.walk(definition) if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)]
+        stored = [
+            n.id for n in ast.walk(definition) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+        ]
+        augmented = [
+            n.target.id
+            for n in ast.walk(definition)
+            if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name)
+        ]
         self.changing = {n for n in stored if stored.count(n) > 1 or n in augmented}
         self.outs: list[str] = []
 
@@ -127,7 +134,9 @@ class _Function:
         head = f"static {'real' if count == 1 else 'void'} {self.name}({', '.join(parameters)})"
         if any("P[" in line for line in self.lines):
             self.lines.insert(0, "    real(*P)[N] = b->covariance;")
-        doc = textwrap.fill(" ".join((documented or "").split("\n\n")[0].split()), 116, subsequent_indent=" * ")
+        doc = textwrap.fill(
+            " ".join((documented or "").split("\n\n")[0].split()), 116, subsequent_indent=" * "
+        )
         comment = f"/* {doc} */\n" if documented else ""
         signature = textwrap.fill(head, 118, subsequent_indent="    ")
         return f"{comment}{signature}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
@@ -189,7 +198,11 @@ class _Function:
 
     def constant_results(self, call: ast.Call) -> list[ast.expr] | None:
         """What `spread_of` gives of sigma points that do not spread."""
-        if isinstance(call.func, ast.Name) and call.func.id == "spread_of" and _number(self.fold(call.args[0])) == 0.0:
+        if (
+            isinstance(call.func, ast.Name)
+            and call.func.id == "spread_of"
+            and _number(self.fold(call.args[0])) == 0.0
+        ):
             return [ast.Constant(1.0), ast.Constant(1.0), ast.Constant(0.0)]  # d/4 is divided by only
         return None
 
@@ -304,7 +317,10 @@ class _Function:
     # ---- expressions ----
 
     def evaluate(self, node: ast.expr) -> Any:
-        return eval(compile(ast.fix_missing_locations(ast.Expression(node)), "<kernel>", "eval"), self.names | self.known)
+        return eval(
+            compile(ast.fix_missing_locations(ast.Expression(node)), "<kernel>", "eval"),
+            self.names | self.known,
+        )
 
     def fold(self, node: ast.expr) -> ast.expr:
         """The expression without terms that this filter's numbers make 0."""
@@ -368,14 +384,14 @@ class _Function:
         if name in CALLS:
             return f"{CALLS[name]}({self.expression(node.args[0])})"
         function: Any = self.names[name]
-        name, signature = self.emitter.signatures[getattr(function, "__name__", name)]
+        printed, signature = self.emitter.signatures[getattr(function, "__name__", name)]
         arguments: list[str] = []
         for each, theirs in zip(node.args, signature, strict=True):
             if self.is_kernel and isinstance(each, ast.Name) and each.id in PARAMETERS:
                 arguments += [parameter.split()[-1].lstrip("*") for parameter in theirs]
             elif theirs:
                 arguments.append(self.expression(self.fold(each)))
-        return f"{name}({', '.join([*arguments, *(outs or [])])})"
+        return f"{printed}({', '.join([*arguments, *(outs or [])])})"
 
     def expression(self, node: ast.expr, outer: int = 0) -> str:
         text, precedence = self.priced(node)
@@ -386,8 +402,8 @@ class _Function:
         match node:
             case ast.Constant(bool() | int()):
                 return str(node.value), _ATOM
-            case ast.Constant(value):
-                return f"R({float(value)!r})", _ATOM
+            case ast.Constant(float(value)):
+                return f"R({value!r})", _ATOM
             case ast.Name(name):
                 if name.isupper() and isinstance(value := self.names.get(name), float):
                     if name not in self.emitter.rows:
@@ -418,7 +434,10 @@ class _Function:
                 binds = _PRECEDENCE[type(op)]
                 if (pure := self.pure(node)) is not None:
                     return f"R({pure!r})", _ATOM
-                return f"{self.expression(left, binds)} {_SIGNS[type(op)]} {self.expression(right, binds + 1)}", binds
+                return (
+                    f"{self.expression(left, binds)} {_SIGNS[type(op)]} {self.expression(right, binds + 1)}",
+                    binds,
+                )
             case ast.BinOp(left, op, right):
                 return f"{self.expression(left, 3)} {_SIGNS[type(op)]} {self.expression(right, 3)}", 2
             case ast.BoolOp(op, values):
@@ -426,7 +445,10 @@ class _Function:
             case ast.Compare(left, [op], [right]):
                 return f"{self.expression(left, 4)} {_SIGNS[type(op)]} {self.expression(right, 4)}", 3
             case ast.IfExp(test, body, orelse):
-                return f"{self.expression(test, 2)} ? {self.expression(body, 2)} : {self.expression(orelse, 1)}", 1
+                return (
+                    f"{self.expression(test, 2)} ? {self.expression(body, 2)} : {self.expression(orelse, 1)}",
+                    1,
+                )
             case ast.Call():
                 return self.call(node), _ATOM
             case _:
@@ -514,13 +536,19 @@ def _wrapped(lines: list[str]) -> list[str]:
     for line in joined:
         indent = " " * (len(line) - len(line.lstrip()))
         wrapped += textwrap.wrap(
-            line.strip(), 120, initial_indent=indent, subsequent_indent=indent + "    ", break_long_words=False
+            line.strip(),
+            120,
+            initial_indent=indent,
+            subsequent_indent=indent + "    ",
+            break_long_words=False,
         )
     return wrapped
 
 
 def _is_truth(node: ast.expr) -> bool:
-    return isinstance(node, ast.Compare | ast.BoolOp) or (isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr))
+    return isinstance(node, ast.Compare | ast.BoolOp) or (
+        isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitAnd | ast.BitOr)
+    )
 
 
 def _mentions(text: str, name: str) -> bool:

@@ -1,5 +1,8 @@
 """The kernels that an exported filter is made of, printed as C for its model and its parameters."""
 
+# pyright: reportPrivateUsage=false, reportArgumentType=false
+# Parts of kernels are private to their files; nothing else than the printer reads them.
+
 from collections.abc import Mapping
 from typing import Any
 
