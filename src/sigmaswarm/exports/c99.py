@@ -161,6 +161,8 @@ def fits_float(p: FilterParameters) -> bool:
     numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
     numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
+    if p.kind != "ekf":
+        numbers.append(8.0 / _sigma_points(p)[0])
     low, high = _FLOAT_RANGE
     return all(v == 0 or low <= abs(v) <= high for v in numbers)
 

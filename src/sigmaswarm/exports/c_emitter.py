@@ -122,12 +122,12 @@ class _Function:
         documented = ast.get_docstring(self.definition)
         self.block(body[documented is not None :], 1)
         self.drop_unused()
-        text = "\n".join(self.lines)
+        body_text = "\n".join(self.lines)
         signature: list[list[str]] = []
         for each in self.definition.args.args:
             ours = PARAMETERS.get(each.arg, ()) if self.is_kernel else ()
             ours = ours or ((f"real {self.local(each.arg)}",) if each.arg != "l" else ())
-            signature.append([p for p in ours if _uses(text, p.split()[-1].lstrip("*"))])
+            signature.append([p for p in ours if _uses(body_text, p.split()[-1].lstrip("*"))])
         self.emitter.signatures[self.definition.name] = self.name, signature
         count = self.emitter.results.get(self.name, 0)
         parameters = [p for each in signature for p in each] + [f"real *{out}" for out in self.outs]
@@ -138,8 +138,8 @@ class _Function:
             " ".join((documented or "").split("\n\n")[0].split()), 116, subsequent_indent=" * "
         )
         comment = f"/* {doc} */\n" if documented else ""
-        signature = textwrap.fill(head, 118, subsequent_indent="    ")
-        return f"{comment}{signature}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
+        head = textwrap.fill(head, 118, subsequent_indent="    ")
+        return f"{comment}{head}\n{{\n" + "\n".join(_wrapped(self.lines)) + "\n}\n"
 
     def chosen(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         """The statements whose conditions hold, where those are known."""
