@@ -2,7 +2,7 @@
 # make test      set everything up and run the tests
 # make install   set the command up, and nothing else: source .venv/bin/activate
 # make test-long  run the cases that the tests leave out to be quick
-# make check     the checks beside the tests: style, types, layers
+# make check     style, types, layers, prose
 # make bench     measure, side by side with the rivals, and write docs/benchmarks.md
 # make parity    how closely the filters agree, over a whole drive
 # make fuzz      break logs of every format by chance for so long: make fuzz MINUTES=30; then read 6000 odd tables
@@ -45,6 +45,7 @@ check: $(VENV)/check-installed
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/python tests/prose.py
 
 bench: $(VENV)/bench-installed
 	$(BIN)/python benchmarks/table.py

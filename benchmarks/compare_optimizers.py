@@ -192,10 +192,8 @@ def main() -> None:
         case: dict(comparisons(case, setting, options.out, options.seeds)) for case, setting in chosen.items()
     }
     if options.write:
+        print(held_out(found, "linear"), ways(found["simulated, truth-rmse"]), raced(found), sep="\n\n")
         write("log10", held_out(found, "log10"))
-        write("linear", held_out(found, "linear"))
-        write("ways", ways(found["simulated, truth-rmse"]))
-        write("racing", raced(found))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Bayesian optimization beside the other optimizers: at equal evaluations, and at equal processor seconds.
 
-    python benchmarks/few_evaluations.py [--drives ../shared/drives] [--seeds 5] [--write]
+    python benchmarks/few_evaluations.py [--drives ../shared/drives] [--seeds 5]
 
 Needs the extra bo. Takes some minutes, nearly all of them Bayesian optimization's own. Seconds are the processor's, of
 one thread that runs the filters too; neither reading nor pictures count.
@@ -23,7 +23,6 @@ from sigmaswarm.tuning.config import TuneConfig, validated_config
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.problem import CarProblem, car_problem
 
-PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 RIVALS = ("de", "cma-es", "pso", "sobol")
 FEW, BATCH = 100, 10
 """Evaluations, and of a generation."""
@@ -122,33 +121,21 @@ HEAD = [
 ]
 
 
-def write(section: str, text: str) -> None:
-    begin, end = f"<!-- written by benchmarks/few_evaluations.py: {section} -->", "<!-- end -->"
-    before, rest = PAGE.read_text().split(begin)
-    after = rest.split(end, 1)[1]
-    PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--drives", type=Path, default=Path("../shared/drives"))
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--write", action="store_true", help="write docs/optimizers.md")
     options = parser.parse_args()
     warnings.simplefilter("ignore", SigmaswarmWarning)
     cases = {"simulated": simulated}
     if options.drives.is_dir():
         cases["colorado-1"] = lambda: colorado(options.drives)
     for case, load in cases.items():
-        lines = [HEAD, ["---"] * len(HEAD)]
+        print(case, *HEAD, sep=" | ")
         for row in rows(*load(), options.seeds):
             print(case, *row, sep=" | ", flush=True)
-            lines.append(row)
-        if options.write:
-            table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-            write(case, f"{table}\n\n{options.seeds} seeds: median; worst.")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How good the optimizers are, and how good by others, written into docs/optimizers.md.
+"""Compare the optimizers with other implementations on test functions; docs/optimizers.md summarizes the tables.
 
     python benchmarks/optimizers.py [--seeds 20] [--budget 3000] [--only "each other"|rivals]
 
@@ -20,7 +20,6 @@ from oracles.landscapes import HIGH, LANDSCAPES, LOW, ellipsoid_at_bounds
 from oracles.rival_optimizers import RIVALS
 from sigmaswarm.tuning.optimizers import OPTIMIZERS, create_optimizer
 
-PAGE = Path(__file__).parents[1] / "docs" / "optimizers.md"
 POPULATION = 30
 POLISH = 300
 PACKAGES = ("numpy", "scipy", "cma", "cmaes", "pymoo")
@@ -81,13 +80,6 @@ def against_each_other(budget: int, seeds: int) -> str:
     return table(["optimizer", *landscapes], rows)
 
 
-def write(section: str, text: str) -> None:
-    begin, end = f"<!-- written by benchmarks/optimizers.py: {section} -->", "<!-- end -->"
-    before, rest = PAGE.read_text().split(begin)
-    after = rest.split(end, 1)[1]
-    PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
@@ -102,7 +94,7 @@ def main() -> None:
     }
     for section, text in sections.items():
         if options.only in (None, section):
-            write(section, text())
+            print(text())
 
 
 if __name__ == "__main__":

@@ -130,7 +130,15 @@ def tuned(model: str, kind: str, interval: float, *, everything: bool = True) ->
     p = FilterParameters(0.5, 2.0, 0.0, q, (1.0, 1.2), model, kind=kind, nominal_interval=interval)
     if not everything:
         return p
-    return replace(p, lateral_noise=0.05, rear_axle=0.8, standstill_noise=1e-3, gate=9.2, velocity_noise=0.25)
+    return replace(
+        p,
+        lateral_noise=0.05,
+        rear_axle=0.8,
+        tire_slip=0.004,
+        standstill_noise=1e-3,
+        gate=9.2,
+        velocity_noise=0.25,
+    )
 
 
 def jumping(drive: Drive) -> Drive:

@@ -14,11 +14,11 @@ KINDS = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 OPTIONS = {
     "plain": {},
     "velocity": {"velocity_noise": 0.1},
-    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2},
+    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2, "tire_slip": 0.004},
     "gate": {"gate": 2.0},
     "latency": {"latency": 0.1},
-    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "gate": 6.0, "latency": 0.05,
-            "standstill_noise": 1e-3},
+    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "tire_slip": 0.01, "gate": 6.0,
+            "latency": 0.05, "standstill_noise": 1e-3},
 }  # fmt: skip
 
 WEIGHED = {

@@ -83,7 +83,7 @@ def test_they_show_the_numbers(shown: dict[str, Page]):
     assert str(len(DRIVE.imu)) in shown["drive"].texts
     last = ss.run_filter(DRIVE, SET).mean[-1]
     assert [f"{value:.3g}" for value in last if f"{value:.3g}" not in shown["estimate"].texts] == []
-    assert {"q_theta", "Before you trust it:"} <= set(shown["tuning"].texts)
+    assert {"q_theta", "Warnings:"} <= set(shown["tuning"].texts)
 
 
 def test_numbers_are_short():

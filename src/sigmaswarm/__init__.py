@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from sigmaswarm.filters.custom.run import (
         smooth_model as smooth_model,
     )
+    from sigmaswarm.filters.dating_back import dated_back as dated_back
     from sigmaswarm.filters.live import LiveFilter
     from sigmaswarm.filters.parameters import FilterParameters
     from sigmaswarm.filters.presets import baseline
@@ -197,6 +198,7 @@ _ADVANCED = {
         "run_model",
         "smooth_model",
     ),
+    "filters.dating_back": ("dated_back",),
     "filters.presets": ("preset",),
     "filters.run": (
         "Innovations",

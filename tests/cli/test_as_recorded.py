@@ -26,7 +26,7 @@ def test_the_command_line_keeps_to_what_was_tuned(sigmaswarm, tmp_path: Path, as
         means.append(np.loadtxt(out, delimiter=",", skiprows=1))
     same = means[0].tobytes() == means[1].tobytes()
     assert same is as_recorded
-    said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder)).out
+    said = sigmaswarm("evaluate", str(tmp_path / "tuned"), str(folder), "--verbose").out
     assert ("no filter used 5 of the fixes" in said) is not as_recorded
 
 

@@ -48,6 +48,15 @@ def test_each_command_s_help_has_an_example_and_json(sigmaswarm, command: str):
     assert "--json" in ended.out
 
 
+def test_help_is_short():
+    for name in (name for name in app if not name.startswith("-")):
+        summary, *_ = app[name].help.strip().split("\n\n")
+        assert len(summary) <= 76, summary
+        for argument in app[name].assemble_argument_collection(parse_docstring=True):
+            text = argument.parameter.help or ""
+            assert len(text.split()) <= 20, f"{name} {argument.name}: {text}"
+
+
 @pytest.mark.parametrize("command", ["tune", "import"])
 def test_help_shows_twelve_options_and_help_all_the_rest(sigmaswarm, command: str):
     options = re.compile(r"^│ .{3}(--[a-z-]+)|^│ (--[a-z-]+)", re.MULTILINE)
@@ -181,6 +190,8 @@ def test_evaluate_says_the_same_as_the_library(sigmaswarm, drives: Path, tuned: 
 def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tuned: Path, here: Path, caplog):
     ended = sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4)
     assert ended.code == 0
+    assert sum(max(1, -(-len(line) // 80)) for line in ended.out.splitlines()) <= 25
+    assert "urban-clear-01" not in ended.out
     said = json.loads(Path("e/scores.json").read_text())
     for method in METHODS:
         value = said["mean"][method]["position_rmse_m"]
@@ -193,7 +204,7 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
     careful = sum(c["mean_nis"] < c["nis_band_95"][0] for c in consistent.values())
     assert careful
     assert (
-        f"On {careful} of 2 drives the filter is too careful of its forecasts: they miss the fixes by less"
+        f"On {careful} of 2 drives the filter is too cautious: the sigmas of its predictions are "
         in ended.out
     )
     assert ended.out.endswith("next: sigmaswarm report e\n")
@@ -206,7 +217,8 @@ def test_evaluate_prints_a_table_and_writes_files(sigmaswarm, drives: Path, tune
         f"urban-clear-0{i}-{kind}.png" for i in range(2) for kind in ("track", "error", "consistency")
     }
     assert all(is_picture(p) for p in Path("e").glob("*.png"))
-    assert all(name in ended.out for name in names)
+    whole = sigmaswarm("evaluate", tuned, drives, "--out", "e", "--outage-length", 4, "--verbose").out
+    assert all(name in whole for name in [*names, "urban-clear-01 ", "whiteness"])
     assert [record.getMessage() for record in caplog.records] == []  # matplotlib has nothing to complain of
 
 
@@ -252,7 +264,7 @@ def test_evaluate_a_drive_without_truth(sigmaswarm, drives: Path, tuned: Path, h
     scores = json.loads(Path("e/scores.json").read_text())["consistency"]["urban-clear-03"]
     assert f"{scores['own_sigma_m']:.2g} m (RMS)" in far
     assert "raw GPS" not in alone
-    shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00").out
+    shown = sigmaswarm("evaluate", tuned, "blind", drives / "urban-clear-00", "--verbose").out
     assert "RMSE" in shown
     assert "raw GPS" in shown
     assert "\nurban-clear-03: without truth there are no errors of position and heading." in shown
@@ -295,7 +307,7 @@ def test_run_tells_of_restarts(sigmaswarm, tuned: Path, here: Path):
     assert json.loads(ended.out)["restarts_s"] == restarts
     said = sigmaswarm("run", "gated.toml", "aside", "--out", "e.csv").out
     assert f"the filter diverged and was reset at t = {restarts[0]:.2f}" in said
-    assert "was reset" in sigmaswarm("evaluate", "gated.toml", "aside").out
+    assert "was reset" in sigmaswarm("evaluate", "gated.toml", "aside", "--verbose").out
 
 
 def test_run_writes_tum(sigmaswarm, drives: Path, tuned: Path, here: Path):
@@ -325,10 +337,10 @@ def test_a_second_tuning_of_the_same_drives_says_how_the_two_compare(sigmaswarm,
     )
     assert said == "evaluate second HELD_OUT_DRIVE... --against first"
     words = said.replace("HELD_OUT_DRIVE...", str(drives / "urban-clear-00")).split()
-    table = sigmaswarm(*words).out
+    table = sigmaswarm(*words, "--verbose").out
     assert "other UKF" in table and "tuned EKF, tilted12" in table and "baseline" in table
     assert "To compare with another tuning" not in table
-    assert "To compare with another tuning" in sigmaswarm("evaluate", "second", drives).out
+    assert "To compare with another tuning" in sigmaswarm("evaluate", "second", drives, "--verbose").out
 
 
 def test_the_tuning_to_compare_with_is_found_from_where_one_stands(
@@ -357,7 +369,7 @@ def test_what_asks_for_action_comes_first_and_begins_alike(sigmaswarm, drives: P
     assert any("tune with 'truth-rmse + 0.2 nees'" in line for line in asked)
     result = tomllib.loads(Path("t/tuning.toml").read_text())["result"]
     assert [r for r in result["remarks"] if r.startswith("TO DO")] == asked == result["remarks"][: len(asked)]
-    assert "TO DO: tune with" in sigmaswarm("evaluate", "t", drives).out
+    assert "TO DO: tune with" in sigmaswarm("evaluate", "t", drives, "--verbose").out
 
 
 def test_run_says_why_the_beginning_is_missing_and_writes_its_fixes(sigmaswarm, tuned: Path, here: Path):

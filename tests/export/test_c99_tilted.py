@@ -21,14 +21,14 @@ from support import DRIVES, make_drive, needs_shared
 OPTIONS = {
     "plain": {},
     "velocity": {"velocity_noise": 0.1},
-    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2},
+    "lateral": {"lateral_noise": 0.05, "rear_axle": 1.2, "tire_slip": 0.004},
     "standstill": {"standstill_noise": 1e-3},
     "gate": {"gate": 2.0},
     "latency": {"latency": 0.1},
     "accuracy": {"accuracy_scale": 0.4},
     "robust": {"robust_dof": 4.0},
-    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "latency": 0.05, "standstill_noise": 1e-3,
-            "accuracy_scale": 0.4, "robust_dof": 2.0},
+    "all": {"velocity_noise": 0.1, "lateral_noise": 0.05, "rear_axle": -0.7, "tire_slip": 0.01, "latency": 0.05,
+            "standstill_noise": 1e-3, "accuracy_scale": 0.4, "robust_dof": 2.0},
 }  # fmt: skip
 
 

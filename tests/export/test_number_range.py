@@ -27,7 +27,7 @@ EXPORTABLE: list[dict[str, Any]] = [
     {"alpha": 1, "beta": 2, "kappa": 0},
     {"beta": -1e308},
     {"velocity_noise": 1e300},
-    {"lateral_noise": 1e-300, "rear_axle": -1e300},
+    {"lateral_noise": 1e-300, "rear_axle": -1e300, "tire_slip": SEVENTEEN},
     {"standstill_noise": 5e-324},
     {"gate": 1e308},
     {"latency": -SEVENTEEN},
@@ -76,7 +76,15 @@ def test_the_script_states_the_same_numbers(tmp_path: Path, change: dict[str, An
     assert stated["PROCESS_NOISE"] == list(p.process_noise)
     assert stated["MEASUREMENT_NOISE"] == list(p.measurement_noise)
     assert stated["(ALPHA, BETA, KAPPA)"] == (p.alpha, p.beta, p.kappa)
-    for name in ("velocity_noise", "lateral_noise", "rear_axle", "standstill_noise", "gate", "latency"):
+    for name in (
+        "velocity_noise",
+        "lateral_noise",
+        "rear_axle",
+        "tire_slip",
+        "standstill_noise",
+        "gate",
+        "latency",
+    ):
         assert stated[name.upper()] == getattr(p, name)
 
 

@@ -1,13 +1,16 @@
 """What robot_localization gets: its order, its units, and numbers that YAML reads as numbers."""
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
 import yaml
 
 from exported import tuned
+from sigmaswarm.errors import InputError
 from sigmaswarm.exports.robot_localization import robot_localization, yaml_number
+from sigmaswarm.exports.targets import Target, export_texts
 from sigmaswarm.filters.parameters import FilterParameters
 
 ORDER = ["x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az"]
@@ -32,11 +35,17 @@ def test_process_noise_is_per_second_and_in_its_order():
         assert (diagonal["z"], diagonal["ax"], diagonal["az"]) == (0.06, 0.01, 0.015)
 
 
-def test_sigma_points_keep_their_spread():
-    read_, _ = read(replace(tuned("planar8", "ukf", 0.01), kappa=1.0))
-    assert (read_["alpha"], read_["beta"]) == (0.5, 2.0)
-    assert 15 + read_["kappa"] == 8 + 1.0
+def test_its_ukf_has_narrow_sigma_points():
+    read_, text = read(replace(tuned("planar8", "ukf", 0.01), kappa=1.0))
+    assert (read_["alpha"], read_["beta"], read_["kappa"]) == (0.001, 2.0, 0.0)
+    assert "NaN" in text
     assert "alpha" not in read(tuned("planar5", "ekf", 0.01))[0]
+
+
+def test_it_does_not_fuse_ay():
+    assert dict(zip(ORDER, read(tuned("planar5", "ekf", 0.01))[0]["imu0_config"], strict=True)) == {
+        name: name in ("vyaw", "ax") for name in ORDER
+    }
 
 
 def test_the_gate_is_a_distance_there():
@@ -59,6 +68,58 @@ def test_it_says_what_it_is_and_what_it_can_not_have():
     assert "[1.0, 0.0, 0.0,  0.0, 1.2, 0.0,  0.0, 0.0, 2.2]" in text
     _, plain = read(tuned("planar5", "ukf", 0.01, everything=False))
     assert "biases" not in plain and "lateral" not in plain and "latency" not in plain
+
+
+KNOWN = re.compile(
+    r"frequency|sensor_timeout|two_d_mode|smooth_lagged_data|history_length|dynamic_process_noise_covariance"
+    r"|(map|odom|base_link|world)_frame|(odom|pose|twist|imu)0(_config|_differential|_relative)?"
+    r"|odom0_pose_rejection_threshold|imu0_remove_gravitational_acceleration|initial_state"
+    r"|initial_estimate_covariance|process_noise_covariance"
+)
+"""Fields that robot_localization reads."""
+ROBOT = FilterParameters(
+    1.0, 0.0, 0.0, (1e-5, 1e-5, 3e-4, 5e-4, 7e-8, 2e-3, 1e-2, 4e-5), (1.5, 1.5), model="robot-localization",
+    kind="ekf", nominal_interval=0.01, imu_noise=(2e-4, 0.5), lateral_noise=0.03, gate=9.0,
+)  # fmt: skip
+
+
+def test_its_own_model_is_written_as_the_same_filter():
+    texts = robot_localization(ROBOT, 0.01)
+    assert list(texts) == ["ekf.yaml", "ekf.launch.py", "README.md"]
+    inside = yaml.safe_load(texts["ekf.yaml"])["ekf_filter_node"]["ros__parameters"]
+    assert [name for name in inside if not KNOWN.fullmatch(name)] == []
+    diagonal = dict(zip(ORDER, inside["process_noise_covariance"][::16], strict=True))
+    own = ("x", "y", "vx", "vy", "yaw", "ax", "ay", "vyaw")
+    assert tuple(0.01 * diagonal[name] for name in own) == pytest.approx(ROBOT.process_noise, rel=1e-15)
+    assert inside["odom0_pose_rejection_threshold"] == 3.0
+    fused = {name: [k for k, on in zip(ORDER, inside[f"{name}_config"], strict=True) if on]
+             for name in ("odom0", "imu0", "twist0")}  # fmt: skip
+    assert fused == {"odom0": ["x", "y"], "imu0": ["vyaw", "ax"], "twist0": ["vy"]}
+    start = inside["initial_estimate_covariance"]
+    assert len(inside["initial_state"]) == 15 and len(start) == 225 and min(start[::16]) > 0
+    for stated in ("0.0002 rad2/s2", "0.5 m2/s4", "1.5 and 1.5 m2", "0.03 m2/s2"):
+        assert stated in texts["README.md"]
+    compile(texts["ekf.launch.py"], "ekf.launch.py", "exec")
+    (message,) = re.findall(r'NO_SLIP = "(.*)"', texts["ekf.launch.py"])
+    assert yaml.safe_load(message)["twist"]["covariance"][7] == 0.03
+
+
+def test_what_its_own_model_does_not_use_is_left_out():
+    texts = robot_localization(replace(ROBOT, lateral_noise=None, gate=None, accuracy_scale=0.5), 0.01)
+    inside = yaml.safe_load(texts["ekf.yaml"])["ekf_filter_node"]["ros__parameters"]
+    assert "twist0" not in inside and "odom0_pose_rejection_threshold" not in inside
+    assert "no_slip" not in texts["README.md"] + texts["ekf.launch.py"].replace("NO_SLIP", "")
+    assert "0.5 times the receiver's variance, plus 1.5" in texts["README.md"]
+
+
+@pytest.mark.parametrize("target", ["c99", "filterpy"])
+def test_its_own_model_is_for_ros_alone(target: Target):
+    with pytest.raises(InputError, match=f"{target} does not support robot-localization; use planar8"):
+        export_texts(ROBOT, target)
+
+
+def test_a_hyphen_will_do():
+    assert export_texts(ROBOT, "robot-localization") == export_texts(ROBOT, "robot_localization")  # pyright: ignore
 
 
 @pytest.mark.parametrize("value", [1e-5, 1.5e-12, 1e22, 0.1, 3.0, 0.0, 5e-324])

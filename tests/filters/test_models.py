@@ -2,6 +2,7 @@
 
 import importlib
 from dataclasses import replace
+from itertools import pairwise
 from typing import get_args
 
 import numpy as np
@@ -21,12 +22,15 @@ from sigmaswarm.filters.textbook.car import TextbookCar
 from sigmaswarm.tuning.space import search_space
 
 EACH_MODEL = pytest.mark.parametrize("name", MODELS)
+DRIVEN = [name for name, model in MODELS.items() if not model.measures_imu]
+EACH_DRIVEN = pytest.mark.parametrize("name", DRIVEN)
+"""Models that the IMU drives; test_robot_localization.py tests the other one."""
 
 
 def test_every_model_has_a_name_a_kernel_and_its_states_first():
     assert get_args(ModelName) == tuple(MODELS)
-    for small, large in zip(list(MODELS.values()), list(MODELS.values())[1:], strict=False):
-        assert large.names[: len(small.names)] == small.names
+    for small, large in pairwise(DRIVEN):
+        assert MODELS[large].names[: len(MODELS[small].names)] == MODELS[small].names
     for model in MODELS.values():
         assert model.names[THETA] == "theta"
         assert model.gyro_bias is None or model.names[GYRO_BIAS] == "gyro_bias_z"
@@ -46,17 +50,18 @@ def test_rows_are_numbered_by_their_names_without_gaps():
     assert [getattr(R, f"Q_{letter}") for letter in layout.MEAN] == list(range(layout.Q0, layout.Q0 + n))
 
 
-@EACH_MODEL
+@EACH_DRIVEN
 def test_constants_stand_in_the_rows_of_their_names(name: str):
     kind = MODELS[name].kinds[min(2, len(MODELS[name].kinds) - 1)]
     p = parameters(name, gate=7.0, latency=0.125, velocity_noise=0.3, lateral_noise=0.4, rear_axle=1.25,
-                   standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
+                   tire_slip=0.004, standstill_noise=0.6, odometer_noise=0.7, odometer_scale=0.5, odometer_latency=0.2,
                    kind=kind, forgetting=0.875)  # fmt: skip
     rows = KernelArray((p,)).start([initial_state(equipped())], [0.01])[0, :, 0]
     n, second = p.n_states, 0.0 if kind == "ekf" else 1.0
     wanted = {"RX": 0.25, "RY": 0.36, "GATE": 7.0, "LATENCY": 0.125, "R_VELOCITY": 0.3, "R_LATERAL": 0.4,
               "R_ODOMETER": 0.7, "ODOMETER_SCALE": 2.0, "ODOMETER_LATENCY": 0.2,
-              "REAR_AXLE": 1.25, "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FADING": -1.0,
+              "REAR_AXLE": 1.25, "TIRE_SLIP": 0.004,
+              "R_STANDSTILL": 0.6, "R_RATE": STANDSTILL_RATE_NOISE, "FADING": -1.0,
               "FORGETTING": 0.875 if kind == "adaptive-ukf" else 1.0, "SECOND": second,
               "QUARTER_GAMMA": second * np.sqrt(0.25 * (n + 1)) / 4, "SHORTENS": -second * 8 / (0.25 * (n + 1)),
               "SPREAD": 0.25 * n + 2.0, "OK": 1.0, "DET": 1.0, "RECENT": -1.0}  # fmt: skip
@@ -64,7 +69,7 @@ def test_constants_stand_in_the_rows_of_their_names(name: str):
     assert tuple(rows[layout.Q0 : layout.Q0 + n]) == p.process_noise
 
 
-@EACH_MODEL
+@EACH_DRIVEN
 def test_all_forms_start_from_the_same_state(name: str):
     seen, p = initial_state(equipped()), parameters(name, bias_std=(0.2, 0.004))
     initial = replace(seen, gyro=None)

@@ -30,6 +30,7 @@ ANGLES = [*tilted.ATTITUDE]
 ALL = {
     "lateral_noise": 0.05,
     "rear_axle": 1.2,
+    "tire_slip": 0.004,
     "standstill_noise": 1e-3,
     "velocity_noise": 0.1,
     "latency": 0.05,

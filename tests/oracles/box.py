@@ -10,9 +10,10 @@ from sigmaswarm.filters.parameters import FilterParameters
 LOWER = np.array([1e-3, 0, 0, *[1e-5] * 5, *[1e-5] * 2])
 UPPER = np.array([1, 3, 5, *[10] * 5, *[10] * 2])
 
-# Besides: bias_std (2), velocity_noise, lateral_noise, rear_axle, standstill_noise, gate, latency, forgetting.
+# Besides: bias_std (2), velocity_noise, lateral_noise, rear_axle, tire_slip, standstill_noise, gate, latency, and
+# forgetting.
 _MORE = np.array([
-    [1e-3, 1], [1e-5, 0.1], [1e-4, 10], [1e-4, 10], [-1, 4], [1e-6, 1], [4, 100], [0, 0.5], [0.9, 0.9999]
+    [1e-3, 1], [1e-5, 0.1], [1e-4, 10], [1e-4, 10], [-1, 4], [0, 0.02], [1e-6, 1], [4, 100], [0, 0.5], [0.9, 0.9999]
 ]).T  # fmt: skip
 
 
@@ -99,6 +100,7 @@ def _equipped(row: np.ndarray, states: int, model: str, kind: str) -> FilterPara
         "velocity_noise",
         "lateral_noise",
         "rear_axle",
+        "tire_slip",
         "standstill_noise",
         "gate",
         "latency",

@@ -134,6 +134,7 @@ class ExtendedCar:
         self.r = np.array([p.measurement_noise for p in sets], dtype=Extended)
         self.velocity_noise, self.lateral_noise = column("velocity_noise"), column("lateral_noise")
         self.standstill_noise, self.axle = column("standstill_noise"), column("rear_axle")
+        self.tire_slip = column("tire_slip")
         self.odometer_noise, self.odometer_scale = column("odometer_noise"), column("odometer_scale")
         self.odometer_latency = column("odometer_latency")
         self.gate, self.latency = column("gate", np.inf), column("latency")
@@ -172,7 +173,7 @@ class ExtendedCar:
             if happens & VELOCITY:
                 self._absorb(self.car.linear(z[2:4], [2, 3]), self.velocity_noise)
         if happens & LATERAL:
-            self._absorb(self.car.lateral(line.gz[i], self.axle), self.lateral_noise)
+            self._absorb(self.car.lateral(line.gz[i], self._arm()), self.lateral_noise)
         if happens & ODOMETER and wheels is not None:
             speed, age, more = wheels.astype(Extended)
             told = self.car.odometer(speed / self.odometer_scale, line.ax[i], self.odometer_latency + age)
@@ -196,6 +197,10 @@ class ExtendedCar:
         if self.n == 12:
             added[8, 8] = added[9, 9] = GAP_TILT**2 * gap * dt
         return added
+
+    def _arm(self) -> np.ndarray:
+        """Distance from the point without lateral velocity forward to the IMU, (s,) m."""
+        return self.axle - self.tire_slip * np.sum(self.mean[:, 2:4] ** 2, axis=1)
 
     def _absorb(self, z: Measurement, variance: np.ndarray, gate: float = np.inf) -> None:
         r = variance[:, None, None] * np.eye(z.jacobian(self.mean).shape[1], dtype=Extended)

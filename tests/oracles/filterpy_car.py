@@ -101,8 +101,9 @@ class FilterPyCar:
             if happens & VELOCITY:
                 self._update(z[2:4], _velocity, linear(none, [2, 3]), p.velocity_noise * np.eye(2))
         if happens & LATERAL:
-            by_hand = lateral(gz, np.array([p.rear_axle]))
-            self._update(none[:1], lambda s: self._sideways(s, gz), by_hand, p.lateral_noise * np.eye(1))
+            arm = p.rear_axle - p.tire_slip * float(self.mean[2:4] @ self.mean[2:4])
+            by_hand = lateral(gz, np.array([arm]))
+            self._update(none[:1], lambda s: self._sideways(s, gz, arm), by_hand, p.lateral_noise * np.eye(1))
         if happens & STANDSTILL:
             self._update(none, _velocity, linear(none, [2, 3]), p.standstill_noise * np.eye(2))
             if len(self.mean) == 8:
@@ -114,9 +115,9 @@ class FilterPyCar:
         arm = np.array([cos * forward - sin * left, sin * forward + cos * left])
         return s[:2] + arm - self.p.latency * s[2:4]
 
-    def _sideways(self, s: np.ndarray, gz: float) -> np.ndarray:
+    def _sideways(self, s: np.ndarray, gz: float, arm: float) -> np.ndarray:
         rate = gz - s[7] if len(s) == 8 else gz
-        return np.array([s[3] * np.cos(s[4]) - s[2] * np.sin(s[4]) - self.p.rear_axle * rate])
+        return np.array([s[3] * np.cos(s[4]) - s[2] * np.sin(s[4]) - arm * rate])
 
     def _predict(self, i: int) -> None:
         line, ours = self.line, self.filter

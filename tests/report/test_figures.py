@@ -176,9 +176,13 @@ def test_comparison_has_bars_for_every_method():
         values = [m[measure] for m in said.values()]
         known = [(n, v) for n, v in zip(names, values, strict=True) if v is not None]
         assert [t.get_text() for t in ax.get_yticklabels()] == [n for n, _ in known]
-        assert [patch.get_width() for patch in ax.patches] == [v for _, v in known]
-        assert [t.get_text().strip() for t in ax.texts] == [f"{v:.3g}" for _, v in known]
-        assert ax.get_xscale() == "log"
+        longest = max(v for n, v in known if n not in ("IMU only", "fixes alone"))
+        beyond = [" →" * (v > longest) for _, v in known]
+        assert [patch.get_width() for patch in ax.patches] == [min(v, longest) for _, v in known]
+        assert [t.get_text().strip() for t in ax.texts] == [
+            f"{v:.3g}{end}" for (_, v), end in zip(known, beyond, strict=True)
+        ]
+        assert (ax.get_xscale(), ax.get_xlim()[0]) == ("linear", 0.0)
 
 
 def test_comparison_without_truth_has_no_empty_panels():

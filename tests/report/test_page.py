@@ -289,7 +289,7 @@ def test_without_truth_the_page_says_what_can_be_told_and_has_no_empty_columns(
         for table in section.tables:
             for i, column in enumerate(table.columns):
                 assert any(row[i] is not None for row in table.rows), column
-    scores, spread = report.sections[0].tables
+    scores, spread = report.sections[1].tables
     assert " placements; a single placement gives" in report.lead[0]
     assert [c.title for c in spread.columns[2:]] == ["outages", "5 s outage drift", "a single placement"]
     for row in spread.rows:

@@ -80,28 +80,28 @@ def test_the_verdicts_count_the_drives_of_each_kind():
     right = (2.0, band, float("nan"), 0.0)
     said = verdicts([optimistic, pessimistic, pessimistic, right, None])
     assert {kind: line.split(":")[0] for kind, line in said.items()} == {
-        "optimistic": "on 1 of 5 drives the filter is too sure of its forecasts",
-        "pessimistic": "on 2 of 5 drives the filter is too careful of its forecasts",
+        "optimistic": "on 1 of 5 drives the filter is overconfident",
+        "pessimistic": "on 2 of 5 drives the filter is too cautious",
         "consistent": "on 1 of 5 drives the filter is consistent",
-        "unknown": "on 1 of 5 drives the filter failed or saw too few fixes to judge its consistency",
+        "unknown": "on 1 of 5 drives the filter failed or had too few fixes to judge its consistency",
     }
     alone = verdicts([pessimistic])["pessimistic"]
-    assert "they miss the fixes by less than its covariances say" in alone
-    assert "not errors" not in alone  # there is truth
+    assert alone.endswith("are 41% too large (mean NIS 1, should be 2)")
+    assert "without truth" not in alone  # there is truth
     blind = verdicts([(1.0, band, None, 0.4)])["pessimistic"]
-    assert "by less than its covariances say (these are forecasts of fixes, not errors" in blind
+    assert "(this covers predictions of the fixes; position errors cannot be judged without truth)" in blind
     assert verdicts([]) == {}
     alike = verdicts([(1.0, band, None, 0.6), (1.0, band, None, 0.4), (2.0, band, None, 0.6)])
     assert list(alike) == ["pessimistic", "alike", "correlated"]
-    assert "That is no sign of safety" in alike["alike"]
+    assert "cannot be estimated without truth" in alike["alike"]
 
 
 def test_a_truth_that_contradicts_the_fixes_is_told():
     """Errors that neighbouring fixes share hide from NIS."""
     said = verdicts([(0.43, (1.8, 2.2), 15.4, 0.9)])
     assert list(said) == ["pessimistic", "optimistic_position"]
-    assert "too careful" in said["pessimistic"]
-    assert "too sure of its position all the same" in said["optimistic_position"]
+    assert "too large by a factor of 2.2" in said["pessimistic"]
+    assert "too small by a factor of 2.8" in said["optimistic_position"]
     assert list(verdicts([(3.0, (1.8, 2.2), 15.4, 0.9)])) == ["optimistic"]
 
 
@@ -111,7 +111,7 @@ def test_a_right_size_is_not_all():
     said = verdicts([(2.0, band, None, 0.3), (2.0, band, None, 0.1)])
     assert list(said) == ["correlated", "consistent"]
     assert "on 1 of 2 drives" in said["correlated"]
-    assert "in part like the one before" in said["correlated"]
+    assert "of the right size but correlated" in said["correlated"]
     assert list(verdicts([(2.0, band, 2.1, 0.3)])) == ["consistent"]  # the truth bears it out
 
 
@@ -120,7 +120,7 @@ def test_fixes_whose_errors_last_are_told():
     band = (1.8, 2.2)
     said = verdicts([(0.2, band, 2.1, 0.9)])
     assert list(said) == ["lasting"]
-    assert "low NIS with the right NEES: the fixes' errors last" in said["lasting"]
+    assert "low NIS with the right NEES: neighboring fixes share their errors" in said["lasting"]
     for nis, nees in (
         (0.2, 0.3),
         (0.9, 1.6),

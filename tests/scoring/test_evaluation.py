@@ -127,6 +127,8 @@ def test_where_the_tuned_filter_failed_no_drift_of_it_is_told(
     assert bool(failed.record.drift_said("outage_drift_m")) is not in_an_outage
     assert failed.record.drift_said("outage_drift_m", "untuned")
     print_evaluation(failed)
+    assert "The tuned filter failed on drive-1." in capsys.readouterr().out
+    print_evaluation(failed, verbose=True)
     said = capsys.readouterr().out
     assert "(failed)" in said
     assert "drift of the tuned filter" not in said

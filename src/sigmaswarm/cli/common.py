@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from sigmaswarm.errors import SigmaswarmWarning
 
 
+MOST_SENTENCES = 3
+"""Sentences of an evaluation or a tuning that the terminal shows by default."""
+
+
 def read_known(place: "Location") -> "Drive":
     """Read a drive that was imported, checked or tuned on before, without warning of its gaps again."""
     from sigmaswarm.drives.reader import read_with_warnings
@@ -125,30 +129,29 @@ def print_remarks(remarks: "Iterable[str]", indent: str = "") -> None:
         stdout().print(f"{indent}{'' if remark.startswith(TO_DO) else 'note: '}{remark}")
 
 
-def print_evaluation(evaluation: "Evaluation") -> None:
-    """Print the scores of every drive, the mean, the consistency, and the remarks on them."""
+def print_evaluation(evaluation: "Evaluation", *, verbose: bool = False, more: "Iterable[str]" = ()) -> None:
+    """Print the mean scores and the most important sentences, or with ``verbose`` all tables and sentences.
+
+    ``more``: further sentences, such as the warnings of the tuning.
+    """
     from dataclasses import replace
 
     from sigmaswarm.scoring.remarks import said_of_drives
 
     console, view = stdout(), evaluation.view
-    scores, mean = view.drive_table(), view.mean_table()
-    if len(view.scores.drives) > 1:
-        strong = scores.strong | {len(scores.rows) + i for i in mean.strong}
-        scores = replace(scores, rows=scores.rows + mean.rows, strong=strong)
+    several = len(view.scores.drives) > 1
+    each, mean, sentences = view.drive_table(), view.mean_table(), view.sentences(more)
+    table = mean if several else each
+    if verbose and several:
+        strong = each.strong | {len(each.rows) + i for i in mean.strong}
+        table = replace(each, rows=each.rows + mean.rows, strong=strong)
     title = f"On {said_of_drives(view.setup.data)} (lower is better)"
-    console.print(replace(scores, caption=title).to_rich(grouped=True))
-    consistency = replace(
-        view.consistency_table(), caption="Consistency of the tuned filter (NIS and NEES: 2)"
-    )
-    for text in view.coverage():
+    console.print(replace(table, caption=title).to_rich(grouped=True))
+    if verbose:
+        caption = "Consistency of the tuned filter (NIS and NEES should be 2)"
+        console.print(replace(view.consistency_table(), caption=caption).to_rich())
+    for text in sentences if verbose else sentences[:MOST_SENTENCES]:
         console.print(text)
-    console.print(consistency.to_rich())
-    for text in (
-        *view.verdicts().values(),
-        view.result(),
-        *view.drifts(),
-        *view.explanations(),
-        *view.warnings(),
-    ):
-        console.print(text)
+    if not verbose:
+        left = f", {len(sentences) - MOST_SENTENCES} more remarks" if len(sentences) > MOST_SENTENCES else ""
+        console.print(f"--verbose adds {'each drive, ' if several else ''}consistency{left}")

@@ -8,7 +8,7 @@ from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
 APART = ("seed", "optimizer", "scale", "prior", "inflation")
-"""What is compared, and what only guards a tuning's result."""
+"""Options of the comparison, and those that only guard a tuning's result."""
 
 
 @options_of(

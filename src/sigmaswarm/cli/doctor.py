@@ -78,7 +78,7 @@ def doctor(
 
 
 def _read(paths: list[Path]) -> "list[Drive]":
-    """Read the drives; what reading finds implausible is left to the diagnosis, which looks closer."""
+    """Read the drives without the warnings of reading, since the diagnosis checks more."""
     import warnings
 
     from sigmaswarm.cli.common import read_drives

@@ -26,6 +26,7 @@ def evaluate(
     smooth: bool = False,
     swarm: bool = False,
     cluster: Cluster = None,
+    verbose: bool = False,
     json: Json = False,
 ) -> None:
     """Evaluate a tuned filter on drives.
@@ -62,6 +63,8 @@ def evaluate(
         Also evaluate the smoothed estimates of the tuned filter.
     swarm
         Also evaluate a filter bank: sixteen variants of the tuned filter and their mixture.
+    verbose
+        Also print each drive, the consistency, all remarks and the files.
     """
     from functools import partial
 
@@ -70,7 +73,6 @@ def evaluate(
         cluster_at,
         print_evaluation,
         print_json,
-        print_remarks,
         read_datasets,
         stdout,
         tuned_as_recorded,
@@ -112,11 +114,11 @@ def evaluate(
     if json:
         print_json(result.to_dict())
         return
-    print_evaluation(result)
-    if (tuned := load_record(TuningRecord, file).result) is not None:
-        print_remarks(tuned.warnings)
-    for path in written:
-        stdout().print(f"wrote {path}")
+    tuned = load_record(TuningRecord, file).result
+    print_evaluation(result, verbose=verbose, more=tuned.warnings if tuned else ())
+    if written:
+        names = ", ".join(path.name for path in written) if verbose else f"{len(written)} files"
+        stdout().print(f"wrote {names} to {out}")
     page = f"sigmaswarm report {out}" if out else "the same with --out evaluation, for pictures and a page"
     stdout().print(f"next: {page}")
 

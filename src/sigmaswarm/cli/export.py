@@ -17,7 +17,7 @@ def export(
     tuning: Annotated[Path, Parameter(name="TUNING")],
     /,
     *,
-    to: Literal["filterpy", "c99", "robot_localization"],
+    to: Literal["filterpy", "c99", "robot_localization", "robot-localization"],
     out: Path,
     replay: Path | None = None,
     check: list[Path] | None = None,
@@ -41,7 +41,8 @@ def export(
     tuning
         A tuning.toml, or the folder that holds it.
     to
-        filterpy: a Python script. c99: a C library. robot_localization: initial parameters for its model.
+        filterpy: a Python script. c99: a C library. robot_localization: parameters, initial ones unless tuned with
+        --model robot-localization.
     out
         Folder to write to; created if missing.
     replay
@@ -93,11 +94,13 @@ def _found(checked: "Checked", lanes: int) -> str:
 
 
 def _next_step(to: str, out: Path, *, replay: bool) -> str:
-    """How to go on with what was written."""
+    """Return the next step after an export."""
     if to == "filterpy":
         return f"python {out / 'run_filter.py'} DRIVE estimate.csv"
     if to == "c99":
         build = f"cd {out} && cc -std=c99 -O2 ins_gps.c ins_gps_align.c replay.c -lm -o replay"
         return build + (" && ./replay < replay.csv > estimate.csv" if replay else "")
+    if (out / "ekf.yaml").exists():
+        return f"read {out / 'README.md'}, then ros2 launch {out / 'ekf.launch.py'}"
     file = out / "robot_localization.yaml"
     return f"read what {file} says, then give it to robot_localization with --params-file"

@@ -54,6 +54,7 @@ def import_(
     odometer_offset: Annotated[float | None, MORE] = None,
     origin: Annotated[_Values, MORE] = None,
     lever_arm: Annotated[_Values, MORE] = None,
+    heading_from_north: Annotated[float | None, MORE, Parameter(allow_leading_hyphen=True)] = None,
     gps_from_truth: Annotated[_Values, MORE] = None,
     max_rows: Annotated[int | None, MORE] = None,
     max_columns: Annotated[int | None, MORE] = None,
@@ -127,6 +128,8 @@ def import_(
         lat,lon,alt of the local frame; the first fix by default.
     lever_arm
         From the IMU to the antenna, m forward,left,up.
+    heading_from_north
+        Heading at the first IMU sample, degrees clockwise from north; written as heading_deg. For slow vehicles.
     gps_from_truth
         rate,noise: make fixes from the truth, Hz and m of white noise, as 5,1.
     max_rows
@@ -180,12 +183,15 @@ def import_(
         part=part,
         definitions=msg or (),
     )
+    if heading_from_north is not None and not abs(heading_from_north) <= 360:
+        raise InputError(f"--heading-from-north {heading_from_north:g} is no angle; give degrees, 0 to 360")
     if show:
         _show(request, save_recipe, json)
         return
     if out is None:
         raise InputError("--out is missing: name the drive's folder to be made, or use --show to look first")
-    _import(request, out, name or out.resolve().name, save_recipe, overwrite, json)
+    stated = {} if heading_from_north is None else {"heading_deg": (90.0 - heading_from_north) % 360.0}
+    _import(request, (out, name or out.resolve().name), stated, save_recipe, overwrite=overwrite, json=json)
 
 
 def _limits(**given: int | None) -> "Limits":
@@ -205,9 +211,17 @@ def _with(recipe: "Recipe", settings: dict[str, Any]) -> "Recipe":
 
 
 def _import(
-    request: Any, out: Path, name: str, save_recipe: Path | None, overwrite: bool, json: bool
+    request: Any,
+    target: tuple[Path, str],
+    stated: dict[str, float],
+    save_recipe: Path | None,
+    *,
+    overwrite: bool,
+    json: bool,
 ) -> None:
     """Import and write; print the assumptions."""
+    from dataclasses import replace
+
     from sigmaswarm.cli.common import print_json, stdout
     from sigmaswarm.cli.findings import mending, print_diagnosis
     from sigmaswarm.cli.progress import percent_bar
@@ -215,10 +229,13 @@ def _import(
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
 
+    out, name = target
     require_replaceable(out.resolve(), overwrite, "add --overwrite, or name another folder")
     with percent_bar("importing") as progress:
         imported = import_drive(request, name, progress)
-    write_drive(imported.drive, out, overwrite=overwrite)
+    drive = replace(imported.drive, metadata={**imported.drive.metadata, **stated})
+    imported = replace(imported, drive=drive)
+    write_drive(drive, out, overwrite=overwrite)
     if save_recipe:
         imported.recipe.save(save_recipe)
     diagnosis = diagnose(imported.drive)

@@ -22,11 +22,12 @@ def learn(
     resume: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
 ) -> None:
-    """Train a network that helps a tuned filter, as a rival of the filter alone. No truth is needed.
+    """Train a network that helps a tuned filter.
 
     outage-lstm forecasts displacements during outages. noise-gru scales Q and R by the latest innovations, and is
     trained through planar5 and planar8. OUT includes the filter: `sigmaswarm run` and `evaluate` read it as a tuning.
-    Training needs the extra `learned`; a trained network does not.
+    Training needs the extra `learned`; a trained network does not. By default the last quarter of each drive is held
+    out; outage-lstm holds out the last third of three drives or more.
 
     Examples:
 
@@ -46,8 +47,7 @@ def learn(
     out
         Folder for learned.toml, weights.npz and the filter.
     validation
-        Held-out drives for early stopping and calibration; by default the last quarter of each drive, or for
-        outage-lstm, of three drives or more, the last third of them.
+        Held-out drives for early stopping and calibration; by default a part of the drives.
     search
         Number of further settings (units, window, learning rate) to try.
     seed

@@ -1,4 +1,4 @@
-"""Options that several commands share, options from a pydantic model, and what a short help leaves out."""
+"""Options that several commands share, options from a pydantic model, and the options of the short help."""
 
 import inspect
 import sys
@@ -123,7 +123,7 @@ def _annotation(name: str, field: FieldInfo, old: str | None, shown: bool, const
 
 
 def _plain(annotation: Any) -> Any:
-    """The first type of a union: None and what only Python can pass are left out."""
+    """Return the first type of a union, without None and types that only Python can pass."""
     if get_origin(annotation) in (Union, UnionType):
         return next(member for member in get_args(annotation) if member is not NoneType)
     return annotation

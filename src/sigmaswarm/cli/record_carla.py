@@ -30,7 +30,9 @@ def record_carla(
     brake_sweep: _Flag = False,
     resume: _Flag = False,
 ) -> None:
-    """Record drives with known truth from a CARLA server: the paper's maneuvers and weathers, a Tesla Model 3.
+    """Record drives with known truth from a CARLA server.
+
+    The maneuvers and weathers are the paper's, the car is a Tesla Model 3.
 
     By default the paper's 25 conditions, 20 runs of each. Needs `pip install carla==0.9.16` for CARLA 0.9.16;
     for an older server `python -m sigmaswarm_carla.pack carla_recorder.pyz` writes the recorder as one file, to be run
@@ -56,7 +58,7 @@ def record_carla(
     seed
         Decides routes, driver and noise.
     map
-        Town to load, say Town06; the one that is there by default.
+        Town to load, such as Town06; by default the loaded one.
     accel_noise, gyro_noise
         m/s2 and rad/s, standard deviation of each sample.
     gyro_bias
@@ -86,7 +88,7 @@ def record_carla(
     for name, values in (("maneuver", maneuver), ("environment", environment)):
         arguments += [f"--{name}", *values] if values else []
     arguments += [f"--{name}" for name, on in (("brake-sweep", brake_sweep), ("resume", resume)) if on]
-    # A process of its own: the client may kill it, and what it says then is for us to tell.
+    # A separate process: the client may kill it, and this one reports that.
     process = subprocess.Popen([sys.executable, "-m", "sigmaswarm_carla", *arguments])
     while True:
         try:

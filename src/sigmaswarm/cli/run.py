@@ -33,7 +33,10 @@ def run(
     """Run a tuned filter over a drive and write its estimates.
 
     The file's ending names the format: .csv (t, x, y, vx, vy, theta and their standard deviations), .mat (MATLAB),
-    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder).
+    .tum and .kitti (poses, for evo), .geojson, .gpx and .kml (maps), .ros2 (a ROS 2 bag, which is a folder). A filter
+    that was tuned without preprocessing runs without it. Smoothing ends and restarts at a reset. The bank adapts to
+    changes of sensors or surroundings; with NAME.csv it also writes NAME.swarm.csv, a log of the bank each second, and
+    NAME.swarm.toml, its last filter.
 
     Examples:
 
@@ -47,33 +50,27 @@ def run(
     Parameters
     ----------
     tuning
-        A tuning.toml, or the folder that holds it; of `sigmaswarm learn` too, whose network then helps the filter,
-        unless with --smooth or --bank.
+        A tuning.toml or its folder. A network of `sigmaswarm learn` helps the filter, except with --smooth or --bank.
     drive
         A drive folder.
     out
         NAME.csv, .mat, .tum, .kitti, .geojson, .gpx, .kml or .ros2.
     origin
-        LAT,LON in degrees of x = y = 0, for maps of a drive that does not say it.
+        LAT,LON of x = y = 0, degrees, for maps of a drive without an origin.
     truth
         Also write the drive's truth, in the format that this file's ending names.
     beside
-        For --out NAME.ros2: the ROS 2 bag that the drive was imported from; its messages are copied into the new bag
-        beside the estimate, byte for byte.
+        With --out NAME.ros2: the drive's original ROS 2 bag; its messages are copied unchanged into the new bag.
     before
         Also write what is known before the filter's start, the fixes, to NAME.csv, .geojson, .gpx or .kml.
     as_recorded
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis. A filter that
-        was tuned so is run so.
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     smooth
-        Smoothed estimates: each uses all fixes, later ones too. Smoothing ends, and begins again, where the filter was
-        reset.
+        Write smoothed estimates: each uses all fixes, also later ones.
     bank
-        Run a bank of sixteen filters with different parameters. Their mixture is the estimate; it follows a change of
-        sensors or surroundings. Next to --out NAME.csv it writes NAME.swarm.csv, a log of the bank each second, and
-        NAME.swarm.toml, the filter that it settled on. --swarm is the deprecated name.
+        Estimate with a bank of sixteen filters with different parameters. --swarm is the deprecated name.
     json
-        Print a summary for machines.
+        Print a summary as JSON.
     """
     import sigmaswarm
     from sigmaswarm.cli.common import print_json, read_known, stdout, tuned_as_recorded

@@ -30,14 +30,20 @@ def study(
     resume: _Flag = False,
     json: _Flag = False,
 ) -> None:
-    """Run the paper's experiment, and write its tables next to the paper's.
+    """Run the paper's experiment.
 
     Each trial tunes on another 70% of the simulated drives and scores all methods on the rest: IMU only, raw GPS,
     manual EKF, adaptive UKF and UKF, PSO-UKF as in the paper, EKF, adaptive UKF and planar8 tuned with the same
     budget, and the default filter of `tune`. There are two protocols. paper: cost against the GPS, linear search.
     honest: cost against truth, logarithmic search.
 
-    A killed study continues with --resume and ends in the same bytes.
+    Racing is the default with 96 training drives or more. --rivals tunes a fuzzy UKF, and a UKF by Bayesian
+    optimization (at most 100 evaluations), and trains outage-lstm and noise-gru for planar8 in each trial. It adds
+    drift over 15, 30 and 60 s, data and times, drives of another sensor grade and another car, and learning curves.
+    It needs pip install 'sigmaswarm[learned,bo]'.
+
+    The tables stand next to the paper's. A killed study continues with --resume and ends in the same bytes, which do
+    not depend on the number of workers.
 
     Examples:
 
@@ -51,14 +57,13 @@ def study(
     Parameters
     ----------
     out
-        Folder for study.toml, results.json, scores.csv, tables, figures, the data of `sigmaswarm report`, and the
-        tunings of all trials.
+        Folder for study.toml, results.json, scores.csv, tables, figures and the tunings of all trials.
     config
         A study.toml to start from; the paper's study by default.
     quick
         Run the study in small: 50 drives and 3 trials, in about half a minute.
     drives
-        Your own drive folders, with truth, instead of simulated drives; or URLs of such.
+        Folders or URLs of your own drives with truth, instead of simulated ones.
     trials
         Number of repetitions, each with its own split and swarm; 20 by default.
     runs
@@ -72,24 +77,17 @@ def study(
     per_condition
         Tune one filter for each condition instead of one for all.
     racing
-        Drop the worse candidates of a generation after a few drives; it takes a fifth of the time. The default with
-        96 training drives or more; --no-racing runs all on all drives, as the paper does.
+        Drop the worse candidates after a few drives: a fifth of the time. --no-racing as in the paper.
     rivals
-        Also tune a UKF with fuzzy rules for its noises, and a UKF by Bayesian optimization with at most 100
-        evaluations, and train the networks outage-lstm and noise-gru for planar8 in each trial. Adds drift over 15, 30
-        and 60 s, data and times, drives of another sensor grade and another car, and learning curves. Needs JAX, Optax
-        and scikit-learn: pip install 'sigmaswarm[learned,bo]'.
+        Compare with fuzzy rules, Bayesian optimization and two networks, also on other sensors and another car.
     learn_minutes
-        Minutes of driving that a network learns from, drawn from the training drives; 20 by default. With --rivals.
+        With --rivals: minutes of training data for a network; 20 by default.
     elsewhere
-        With --rivals, drives with truth of other sensors or another car than those of --drives; simulated by default
-        without --drives.
+        With --rivals: drives with truth from other sensors or another car. Simulated without --drives.
     workers
-        Processes on Linux, else threads; all cores by default. With --cluster, tunings at a time. The result does not
-        depend on it.
+        Processes on Linux, else threads; all cores by default. With --cluster, tunings at a time.
     cluster
-        A Dask cluster whose workers make or read the drives and do the work: tcp://host:8786, a scheduler file, or
-        local:4 for four processes of this machine. The result does not depend on it.
+        Dask cluster: tcp://host:8786, a scheduler file, or local:4 for four processes of this machine.
     resume
         Continue an interrupted study.
     json

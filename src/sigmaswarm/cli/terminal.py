@@ -1,4 +1,4 @@
-"""Text for a terminal that may be narrow, ASCII only or gone: what is shown changes nothing there but what is seen."""
+"""Output on terminals that may be narrow, ASCII only or closed, without control characters."""
 
 import logging
 import os
@@ -18,7 +18,7 @@ NARROWEST = 20
 
 
 def prepare() -> None:
-    """Have streams show what they can't encode as an escape, and forget a width that nothing fits in."""
+    """Escape characters that the streams cannot encode, and ignore a useless width."""
     for stream in (sys.stdout, sys.stderr):
         if reconfigure := getattr(stream, "reconfigure", None):  # neither if the stream is closed
             reconfigure(errors="backslashreplace")
@@ -57,14 +57,14 @@ def console(**options: Any) -> "Console":
 
 
 def one_line(text: object) -> str:
-    """What is told in one line of a length that can be read."""
+    """Shorten a message to one readable line."""
     line = visible(" ".join(str(text).split()))
     half = LONGEST_LINE // 2
     return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 def mute() -> None:
-    """Drop what is still to be printed: nobody reads it, and Python would complain at its end."""
+    """Discard the remaining output of a closed stream, about which Python would complain at exit."""
     if sys.stdout is not None:
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -64,7 +64,14 @@ def tune(
     from functools import partial
 
     import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, print_json, print_remarks, read_datasets, stdout
+    from sigmaswarm.cli.common import (
+        MOST_SENTENCES,
+        cluster_at,
+        print_json,
+        print_remarks,
+        read_datasets,
+        stdout,
+    )
     from sigmaswarm.cli.progress import tuning_progress
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.scoring.jobs import cores
@@ -104,7 +111,9 @@ def tune(
     _print_costs(tuning)
     if position := said_of_first_look(look):
         stdout().print(f"position: {position}")
-    print_remarks(tuning.remarks)
+    print_remarks(tuning.remarks[:MOST_SENTENCES])
+    if (left := len(tuning.remarks) - MOST_SENTENCES) > 0:
+        stdout().print(f"note: {left} more remarks in tuning.toml")
     stdout().print(f"filter:   {out / 'tuning.toml'}")
     stdout().print(f"pictures: {', '.join(str(p) for p in pictures)}")
     alone = len(read) == 1 and not len(held_back)

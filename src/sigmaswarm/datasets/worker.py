@@ -1,4 +1,4 @@
-"""What runs on a worker of a cluster: one task function, and a cache of drives for each worker process."""
+"""Code of a worker of a cluster: one task function, and a cache of drives for each worker process."""
 
 import pickle
 import threading

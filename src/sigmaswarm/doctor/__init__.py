@@ -1,5 +1,5 @@
-"""The doctor: says what is wrong with a log before anybody tunes on it, and mends what can be mended.
+"""The doctor: finds the faults of a log before a tuning, and repairs some of them.
 
-The fixes show how the car moved; the IMU says how it felt. Where the two can't be brought together by the log as it
-stands, but can with a column turned, scaled or moved in time, that is the finding. Truth is never looked at.
+It compares the motion of the fixes with the IMU. Where the two disagree, but agree after a column is rotated, scaled or
+shifted in time, that is a finding. Truth is never used.
 """

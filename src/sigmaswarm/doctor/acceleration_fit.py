@@ -4,7 +4,7 @@ Within a window of some seconds the path is that of the IMU, integrated from an 
 
     p(t) = p0 + v0 t + e^(i theta) (double integral of M u + b),   u = (ax, ay) as recorded
 
-seen ``late`` s after it happened. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all
+observed ``late`` s later. theta is known from course and gyro; M (2, 2) and ``late`` are the same in all
 windows, p0, v0 and b (tilt, slope, bias) belong to each. For a good log M is the identity.
 """
 
@@ -21,20 +21,20 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.sensors import white_noise
 
 WINDOW = 10.0
-"""s: long enough to see accelerations, short enough for tilt and slope to stay."""
+"""s: long enough for accelerations, short enough for constant tilt and slope."""
 BIAS_SPREAD = (0.1, 0.5)
-"""m/s2: how much tilt, slope and bias differ between windows, at least and at most."""
+"""m/s2: bounds of the spread of tilt, slope and bias between windows."""
 FEW = 8.0
-"""Windows: with so few, twice the variance is allowed for what they say."""
+"""Number of windows at which their variances are doubled."""
 LEAST_NOISE = 0.03
-"""m: no IMU follows a path over some seconds more closely."""
+"""m: lowest deviation of an IMU from a path over some seconds."""
 Heading = Callable[[float], Array]
 
 LATENESS = np.arange(-0.8, 0.81, 0.1)
-"""s by which fixes may be later than the gyro says, tried one after the other."""
+"""s: delays of the fixes that are tried one by one."""
 DRIFT_SPAN = 6.0
 BIN = 3.0
-"""s: gyro and course are brought together over a bell of that deviation, in bins of that length."""
+"""s: deviation of the Gaussian over which gyro and course are aligned, and length of its bins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +43,10 @@ class AccelerationFit:
 
     Attributes
     ----------
-    matrix : (2, 2), M: what turns (ax, ay) as recorded into forward and left, m/s2
+    matrix : (2, 2), M: rotates recorded (ax, ay) to forward and left, m/s2
     covariance : (5, 5), of M's rows, one after the other, and of ``late``
     late : s, by which the fixes are late
-    bias : (k, 2) m/s2, forward and left, of each window: what is left of the recorded accelerations
+    bias : (k, 2) m/s2, forward and left, of each window: residuals of the recorded accelerations
     time : (k,) s, the middles of the windows
     rows : (k, n), the fixes of each window
     residual : (k, n) m, east + i north
@@ -62,7 +62,7 @@ class AccelerationFit:
 
 
 def heading_of(time: Array, course: Course, rate: Array, late: float) -> Array:
-    """Heading (n,), rad, at the IMU's times: the gyro's turns, held to the course over some seconds.
+    """Heading (n,), rad, at the IMU's times: the gyro's integral, aligned with the course over some seconds.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def _windows(drive: Drive, course: Course) -> NDArray[np.intp]:
 
 
 class _Fit:
-    """The regression at a given lateness, with what the last one taught: M, and how the windows' biases spread."""
+    """Regression at a given delay, with M and the spread of the windows' biases from the last one."""
 
     def __init__(self, drive: Drive, course: Course, heading: Heading, rows: NDArray[np.intp], noise: float):
         self._drive, self._course, self._heading = drive, course, heading

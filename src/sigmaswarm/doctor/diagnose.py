@@ -34,11 +34,11 @@ CHECKS = (
     observability,
     use,
 )
-"""In the order in which findings of one severity are told."""
+"""Order of findings of one severity."""
 
 
 def diagnose(drive: Drive) -> Diagnosis:
-    """Say what is wrong with a drive. Its truth, if any, is not looked at.
+    """Find the faults of a drive. Its truth is not used.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def diagnose(drive: Drive) -> Diagnosis:
     """
     if shortage := shortage_of(drive):
         raise DriveError(f"{drive.name}/{shortage}")
-    if spoiled := spoiled_times(drive):  # nothing else can be said of such a log
+    if spoiled := spoiled_times(drive):  # no other check works on such a log
         ends = float(drive.imu.time[0]), float(drive.imu.time[-1])
         return Diagnosis(drive.name, tuple(finding_of(wrong, "serious", ends, 0.999) for wrong in spoiled))
     evidence = gather(drive)

@@ -16,14 +16,14 @@ from sigmaswarm.drives.frozen import frozen_fixes
 from sigmaswarm.drives.sensors import white_noise
 
 SEARCHED = 2.3
-"""s: an offset near the end of those that the fit tries is not believed."""
+"""s: an offset this close to the bounds of the fit is not used."""
 FEWEST = 20
-"""Fixes; with fewer, only what needs no motion is checked."""
+"""Fixes; with fewer, only checks without motion run."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A drive and what was found out about it.
+    """A drive and the quantities computed from it.
 
     Attributes
     ----------
@@ -31,8 +31,8 @@ class Evidence:
         Its IMU turned by ``mounting``, where that is ``mounted``: what follows is about these axes.
     mounting : Mounting or None
         How the IMU sits in the vehicle, of a log with six axes.
-    stale, outlying : (n,) bool: frozen fixes, which only repeat an earlier one; fixes that lie far off the path
-    used : (m,) int: the numbers of the fixes that ``course`` is made of
+    stale, outlying : (n,) bool: fixes that repeat an earlier one; fixes far off the path
+    used : (m,) int: indices of the fixes in ``course``
     course : Course or None
     yaw_fit, yaw : the regression of the course on the gyro, and its reading
     acceleration, mount : the regression of the path on the accelerometers, and its reading

@@ -1,5 +1,6 @@
 """Findings, each with its place, confidence, remedy and perhaps a repair."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -37,7 +38,7 @@ class Repair:
     ----------
     action : str
     values : tuple of float
-        What the action needs; see `repairs.py`.
+        Parameters of the action; see `repairs.py`.
     """
 
     action: Action
@@ -54,7 +55,7 @@ class Finding:
         Short and lasting, for programs: "gyro-sign", "clock-offset" and so on (docs/doctor.md has all).
     severity : {"note", "warning", "serious"}
     what : str
-        A sentence: what is wrong, with figures.
+        A sentence: the fault, with figures.
     where : str
         File and columns.
     span : (float, float)
@@ -62,9 +63,9 @@ class Finding:
     confidence : float
         0 to 1.
     remedy : str
-        What to do.
+        The remedy.
     repair : Repair or None
-        What ``repair`` does about it; None where nothing can be done.
+        The action of ``repair``; None where there is none.
     """
 
     code: str
@@ -129,3 +130,17 @@ class Diagnosis:
             "visible_clock_offset_s": self.visible_clock_offset,
             "findings": [finding.to_dict() for finding in self.findings],
         }
+
+
+_HIGHEST_CONFIDENCE = 0.999
+"""Limit of a confidence: a log may have faults that no check considers."""
+
+
+def confidence_of(deviations: float) -> float:
+    """Return the confidence, 0 to 1, in a value that differs by so many standard deviations."""
+    return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
+
+
+def confidence_by_margin(margin: float) -> float:
+    """Return the confidence, 0 to 1, in a reading that lowers chi-square by a margin."""
+    return round(min(1 - math.exp(-max(margin, 0.0) / 2), _HIGHEST_CONFIDENCE), 3)

@@ -12,9 +12,9 @@ from sigmaswarm.drives.sensors import white_noise
 Mask = NDArray[np.bool_]
 
 NEIGHBORS = 3
-"""Fixes on each side that say where the one between them should be."""
+"""Fixes on each side that predict the one between them."""
 HARDEST = 8.0
-"""m/s2: no car accelerates harder; what that does between fixes is no jump."""
+"""m/s2: largest acceleration of a car, whose effect between fixes is not a jump."""
 SPAN = (3.0, 6.0)
 """s: the shortest and longest stretch of fixes that one velocity is taken from."""
 SPEED_STD = 0.5
@@ -32,7 +32,7 @@ class Course:
     time : (n,) s
     position : (n,) m, east + i north
     velocity : (n,) m/s, east + i north; the mean over about ``span``, weighted by a parabola
-    std : m/s per axis, what the fixes' white noise leaves unknown of it
+    std : m/s per axis, its deviation from the fixes' white noise
     angle : (n,) rad, the course, unwrapped
     moving : (n,) bool: fast enough that noise does not make the course
     slowest : m/s, that speed

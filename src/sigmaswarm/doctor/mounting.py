@@ -2,7 +2,7 @@
 
 Roll and pitch of the sensor follow from the direction of the specific force, less the vehicle's own motion, and from
 the axis about which it turns. Yaw follows from the regression of the path on the levelled accelerations. Each round
-turns the recorded axes by what the last one found, until nothing is left to turn.
+rotates the recorded axes by the result of the last one, until the rotation is zero.
 """
 
 import math
@@ -25,23 +25,23 @@ ROUNDS = 6
 SURE, LIKELY = math.radians(3.0), math.radians(8.0)
 """rad: the total deviation up to which a mounting is sure, and likely."""
 LEAST_TURN = 0.05
-"""rad: a course that changes less, RMS within 20 s, does not show the yaw of the mounting."""
+"""rad: RMS change of the course within 20 s, below which the mounting's yaw is unknown."""
 LEAST_SHARE = 0.5
-"""Of the course's changes that the levelled gyro explains at least."""
+"""Share of the course's changes that the levelled gyro must explain."""
 OTHER_WAY = 25.0
 """Chi-square by which the mounting must be better than any that is turned by 90 degrees or more."""
 TILT_FLOOR = math.radians(1.0), math.radians(1.0)
-"""rad: springs leave the axis of turning no better known; roads and biases, the direction of gravity."""
+"""rad: lowest uncertainty of the turning axis (springs) and of gravity (roads, biases)."""
 YAW_FLOOR = math.radians(0.8)
 ALIKE = 0.025
-"""Tolerance of an entry of M, for tilt that goes with the maneuvers, and slip."""
+"""Tolerance of an entry of M, for tilt that follows the maneuvers, and slip."""
 ANGLES = np.radians(np.arange(-180.0, 180.0, 1.0))
 GYRO_WINDOW = 10.0
 """s: over which the axis of turning is fitted."""
 WANDERS = math.radians(8.0)
-"""rad: gravity that wanders more from window to window is no constant mounting."""
+"""rad: change of gravity between windows above which the mounting is not constant."""
 LEAST_TILT, LEAST_YAW, CLEAR = math.radians(4.0), math.radians(5.0), 3.5
-"""rad and deviations: a mounting that is turned by less is taken as it is."""
+"""rad and deviations: smaller rotations of the mounting are ignored."""
 SERIOUS = math.radians(7.0)
 AXES = [
     m
@@ -78,7 +78,7 @@ class Mounting:
 
     @property
     def repair(self) -> Array:
-        """(3, 3): the part of the rotation that is beyond doubt.
+        """(3, 3): the certain part of the rotation.
 
         Axes that are merely exchanged are exchanged exactly; what is left is levelled, and turned about the vertical,
         only where that stands out.
@@ -109,7 +109,7 @@ class Mounting:
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """What one look at the turned axes shows; angles in rad."""
+    """Result of one round on the rotated axes; angles in rad."""
 
     yaw_fit: YawFit
     fit: AccelerationFit
@@ -205,7 +205,7 @@ def _in_si_units(drive: Drive, course: Course) -> Imu | None:
 
 
 def _converged(drive: Drive, course: Course, imu: Imu, rotation: Array) -> tuple[Array, _Round | None]:
-    """Turn the axes by what each round finds until nothing is left to turn; the rotation and the last round."""
+    """Rotate the axes in rounds until the rotation is zero; return the rotation and the last round."""
     seen = None
     for _ in range(ROUNDS):
         seen = _look(replace(drive, imu=turned(imu, rotation)), course, seen)
@@ -337,7 +337,7 @@ def _follows(turns: YawFit) -> bool:
 
 
 def _confidence(seen: _Round, std: Array) -> tuple[Confidence, str]:
-    """How sure the mounting is, and what speaks against more."""
+    """Confidence in the mounting, and the reason why it is not higher."""
     if seen.yaw_fit.course_change < LEAST_TURN:
         return "no", "the course hardly turns"
     if not _follows(seen.yaw_fit):

@@ -1,4 +1,4 @@
-"""Mending a drive as its findings say. The drive handed in stays as it is; what truth says stays as it is."""
+"""Repair of a drive by its findings. The given drive and its truth stay unchanged."""
 
 import math
 from collections.abc import Callable
@@ -101,7 +101,7 @@ def _drop_samples(drive: Drive, values: Values) -> Drive:
 
 
 def _state_noise(drive: Drive, values: Values) -> Drive:
-    """m per axis, what the median of the stated deviations should be."""
+    """m per axis, target of the median of the stated deviations."""
     gps = drive.gps
     if gps.std_x is not None and gps.std_y is not None:
         factor = values[0] / float(np.median(np.concatenate([gps.std_x, gps.std_y])))

@@ -1,4 +1,4 @@
-"""From fits with their covariances to what is the case: units, signs, axes, mounting, and the clocks' offset."""
+"""Decisions from fits with covariances: units, signs, axes, mounting, and the clocks' offset."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ CERTAIN = 12.0
 CLEARLY = 16.0
 """Of chi-square: how much better than the log as it stands another reading must be."""
 ALIKE = 0.05
-"""Tolerance of M's entries off the axes, for other reasons: tilt that goes with the maneuvers, slip."""
+"""Tolerance of M's entries off the axes, for other reasons: tilt that follows the maneuvers, slip."""
 SCALE = 0.12
 """The same along the axes; besides, a body that rolls and pitches makes accelerometers feel 5 to 10% more."""
 SHOWN = 0.25
@@ -45,7 +45,7 @@ class Yaw:
 
 
 def yaw_of(yaw_fit: YawFit | None) -> Yaw:
-    """The gyro's column, sign and unit that the course agrees with; in doubt those of the format."""
+    """Column, sign and unit of the gyro that agree with the course; if unclear those of the format."""
     size = 0.0 if yaw_fit is None else abs(yaw_fit.gain) / max(yaw_fit.std, 1e-12)
     if yaw_fit is None or size < 6 or (yaw_fit.share < LEAST_SHARE and size < CERTAIN):
         return Yaw("gz", 1.0, known=False)
@@ -66,8 +66,8 @@ class Mount:
     unit : 1, or m/s2 per g
     angle, angle_std : rad: the axes, so read, are turned about z by -angle against the car
     margin : how much better (chi-square) this reading is than the log as it stands
-    known : (forward, left): whether the drive shows that axis
-    scale : (forward, left): what is left to multiply by, and its deviation
+    known : (forward, left): True if the drive shows that axis
+    scale : (forward, left): remaining factor, and its deviation
     """
 
     axes: Array
@@ -146,7 +146,7 @@ def _signed_permutations() -> list[Array]:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """By how many s the fixes are late, the standard deviation of that, and how far off 0 it was searched."""
+    """Delay of the fixes, s, its standard deviation, and the largest one searched."""
 
     late: float
     std: float

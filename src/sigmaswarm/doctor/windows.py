@@ -70,7 +70,7 @@ def regress(
 def _solve(
     y: Complex, columns: Sequence[Complex], own: Sequence[Complex], weight: Array, robust: Array
 ) -> Regression:
-    """Project each window's own columns out of everything (QR), then solve for what the windows share."""
+    """Project out the columns of each window (QR), then solve for the shared unknowns."""
     root = weight * np.sqrt(robust)
     q = np.linalg.qr(np.stack([root * c for c in own], axis=-1))[0]
 

@@ -4,8 +4,8 @@ A car's heading can't be seen at standstill, and a GPS fix has none. Once the ca
 its course over ground shows the heading; the gyro takes out the turns and the accelerometer the speed
 changes in between. `initial_state` looks back over the last seconds of fixes and fits all of it: `alignment_fit`.
 
-What the gyro's own bias would change is kept beside it: see `gyro_seen`. Only where the fixes contradict a gyro
-without one is its bias taken off, and the fit done again.
+The effect of the gyro's bias is stored separately: see `gyro_seen`. The bias is subtracted, and the fit repeated, only
+where the fixes contradict a gyro without bias.
 """
 
 from dataclasses import dataclass
@@ -17,53 +17,73 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.alignment_fit import Fit, InitialState
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import frozen_fixes
-from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS
+from sigmaswarm.drives.gyro_seen import CONTRADICTS, MOST_BIAS, GyroSeen
 from sigmaswarm.errors import AlignmentError
+from sigmaswarm.geodesy import wrap_angle
 
 MIN_DURATION = 4.0
-"""s between the first and the last of the fixes that an alignment looks at, at least."""
+"""s, at least, between the first and the last fix of an alignment."""
 MAX_DURATION = 6.0
-"""s, at most: older fixes tell little about the heading now, since the gyro's bias adds up."""
+"""s, at most: older fixes say little about the heading, since the gyro's bias adds up."""
 MIN_TRAVEL = 20.0
-"""m of forward travel in that time: less tells no heading. A slower car than 12 km/h never gets there."""
+"""m of forward travel in that time, for an accurate heading; it needs 12 km/h."""
 FEWEST_FIXES = 4
-"""In that time: a receiver that gives a fix every 3 s never gets there."""
+"""In that time; one fix every 3 s is not enough."""
 WORTH_TRAVEL = 0.5 * MIN_TRAVEL
-"""m between the first and the last of them: a cheap look before the fit."""
+"""m between the first and the last of them: a cheap test before the fit."""
 MAX_MISFIT = 0.3
-"""Share of the travel: where a fix lies farther off the fit, the fixes jumped rather than the car moved."""
+"""Largest residual as a share of the travel; larger ones are jumps of the fixes."""
 MAX_HEADING_STD = np.radians(6.0)
-"""rad: a worse fit is not travel but scattered fixes; the next fix is tried."""
+"""rad: a worse fit is one of scattered fixes; the next fix is tried."""
 REFITS = 3
-"""Of a way that a biased gyro bent: by then the bias stays where it is."""
+"""Fits with a new gyro bias, after which it has converged."""
+
+SLOW_DURATIONS = 15.0, 30.0, 60.0, 90.0
+"""s: longer windows, for a drive that nowhere travels `MIN_TRAVEL` within `MAX_DURATION`."""
+SLOW_TRAVEL, SLOW_SPEED = 10.0, 0.15
+"""m and m/s on average: the fixes of a parked receiver drift by less."""
+SLOW_CHORD = 1.5 * MIN_TRAVEL
+"""m between fixes within `MAX_DURATION`: a drive that reaches it is not slow."""
+SLOW_HEADING_STD = np.radians(12.0)
+"""rad: largest standard deviation of the heading in such a window, that of the gyro's bias included."""
+SLOW_FIXES, SLOW_INTERVAL, SLOW_STEP = 8, 1.0, 2.0
+"""Fewest fixes, s between them at least (errors of closer ones are alike), s between the windows that are tried."""
+SLOW_BIAS_STD = np.radians(1.0)
+"""rad/s: prior of the gyro's bias in such a window."""
+
+STATED_HEADING_STD = np.radians(5.0)
+"""rad: standard deviation of a heading that the user states."""
+STATED_POSITION_STD, STATED_SPEED_STD, STATED_LATERAL_STD = 3.0, 10.0, 1.0
+"""m per axis; m/s forward and to the left: of the first fix, while the speed is unknown."""
 
 
 @dataclass(frozen=True)
 class NoStart:
-    """Why no filter can start on a drive, and the remedy, as people read them."""
+    """The reason why no filter can start on a drive, and the remedy."""
 
     what: str
     remedy: str
 
 
 def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
-    """The first moment at which the drive itself tells position, speed and heading.
+    """Find the first moment at which position, speed and heading are known.
 
-    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster), told by
-    four fixes or more. It is found from earlier samples only, so a filter on board could have started at the same
-    moment with the same state.
+    The start is the first fix with 20 m of forward travel in the 4 to 6 s before it (12 km/h or faster) and four
+    fixes or more in that time. A drive that is nowhere that fast starts at the first fix with 10 m of travel in up to
+    90 s, more where the fixes are noisy. Where ``heading_deg`` is in the metadata (degrees counter-clockwise from
+    east, at the first IMU sample), the start is the first fix. The state follows from earlier samples only.
 
     Parameters
     ----------
     drive : Drive
-        Its truth, if any, is not looked at.
+        Its truth is not used.
     as_recorded : bool
-        Take frozen fixes as positions, too: see `drives.frozen`.
+        Also use stale fixes as positions: see `drives.frozen`.
 
     Raises
     ------
     AlignmentError
-        If there is none: the message says which of this is missing.
+        If there is none; the message gives the reason.
     """
     found = find_start(drive, as_recorded=as_recorded)
     if isinstance(found, NoStart):
@@ -72,14 +92,47 @@ def initial_state(drive: Drive, *, as_recorded: bool = False) -> InitialState:
 
 
 def find_start(drive: Drive, *, as_recorded: bool = False) -> InitialState | NoStart:
-    """The same as `initial_state`, or what is missing."""
+    """Find the start as `initial_state` does, or the reason for none."""
     # Later code may start a filter only where IMU samples follow.
     usable = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time < drive.imu.time[-1])
-    alignments = Alignments(drive, usable if as_recorded else usable & ~frozen_fixes(drive.gps))
+    usable = usable if as_recorded else usable & ~frozen_fixes(drive.gps)
+    if drive.heading is not None:
+        return _stated_start(drive, drive.heading, usable)
+    alignments = Alignments(drive, usable)
     for k in range(len(alignments.time)):
         if found := alignments.at(k):
             return found
-    return alignments.why_none()
+    slow = _slow_start(drive, usable) if alignments.slow else None
+    return slow or alignments.why_none()
+
+
+def _slow_start(drive: Drive, usable: NDArray[np.bool_]) -> InitialState | None:
+    """The first alignment of a slow vehicle, over the shortest window that gives one."""
+    windows = [Alignments(drive, usable, longest) for longest in SLOW_DURATIONS]
+    tried = -np.inf
+    for k, time in enumerate(windows[0].time):
+        if time - tried >= SLOW_STEP:
+            tried = time
+            for alignments in windows:
+                if found := alignments.at(k):
+                    return found
+    return None
+
+
+def _stated_start(drive: Drive, heading: float, usable: NDArray[np.bool_]) -> InitialState | NoStart:
+    """The start at the first fix, with a heading (rad) that is known at the first IMU sample; the speed is not."""
+    gps, imu = drive.gps, drive.imu
+    fixes = np.flatnonzero(usable & np.isfinite(gps.x + gps.y))
+    if not len(fixes):
+        return NoStart("no filter can start: no fix lies within the IMU's time", "use a longer drive")
+    first, time = fixes[0], float(gps.time[fixes[0]])
+    theta = wrap_angle(heading + float(np.interp(time, imu.time, _integrated(drive)[0])))
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    x, y = np.array([gps.x[first], gps.y[first]]) - turn @ drive.lever_arm
+    covariance = np.diag([STATED_POSITION_STD**2] * 2 + [0.0] * 2 + [STATED_HEADING_STD**2])
+    covariance[2:4, 2:4] = turn @ np.diag([STATED_SPEED_STD**2, STATED_LATERAL_STD**2]) @ turn.T
+    unknown = GyroSeen(np.zeros(3), np.full(3, np.inf), 0.0, np.zeros(5))
+    return InitialState(np.array([x, y, 0.0, 0.0, theta]), covariance, time, unknown)
 
 
 class Alignments:
@@ -90,6 +143,8 @@ class Alignments:
     drive : Drive
     usable : ndarray of bool, shape (number of fixes,), optional
         The fixes that are looked at; of them those after the first IMU sample and up to the last one. All by default.
+    longest : float
+        s: the longest time between the first and the last fix of an alignment; a longer one is for slow vehicles.
 
     Attributes
     ----------
@@ -97,18 +152,22 @@ class Alignments:
         s, of those fixes.
     """
 
-    def __init__(self, drive: Drive, usable: NDArray[np.bool_] | None = None) -> None:
+    def __init__(
+        self, drive: Drive, usable: NDArray[np.bool_] | None = None, longest: float = MAX_DURATION
+    ) -> None:
         self._drive = drive
+        self._slowly = longest > MAX_DURATION
         inside = (drive.gps.time > drive.imu.time[0]) & (drive.gps.time <= drive.imu.time[-1])
         inside &= np.isfinite(drive.gps.x + drive.gps.y)
         fixes = np.flatnonzero(inside if usable is None else inside & usable)
         self.time = drive.gps.time[fixes]
         self._position = (drive.gps.x + 1j * drive.gps.y)[fixes]
         # The fixes of the last seconds before each.
-        self._first = np.searchsorted(self.time, self.time - MAX_DURATION, side="left")
+        self._first = np.searchsorted(self.time, self.time - longest, side="left")
         count = np.arange(len(fixes)) - self._first + 1
         self._chord = np.abs(self._position - self._position[self._first])
-        self._many = (self.time - self.time[self._first] >= MIN_DURATION) & (count >= FEWEST_FIXES)
+        shortest, fewest = (longest / 2, SLOW_FIXES) if self._slowly else (MIN_DURATION, FEWEST_FIXES)
+        self._many = (self.time - self.time[self._first] >= shortest) & (count >= fewest)
         self._worth = self._many & (self._chord >= WORTH_TRAVEL)
         self._found: dict[int, InitialState | None] = {}
 
@@ -119,19 +178,27 @@ class Alignments:
         """
         if k not in self._found:
             with np.errstate(all="ignore"):  # what overflows is no alignment
-                self._found[k] = self._fitted(k) if self._worth[k] else None
+                fitted = self._fitted_slow if self._slowly else self._fitted
+                self._found[k] = fitted(k) if self._worth[k] else None
         return self._found[k]
 
+    @property
+    def slow(self) -> bool:
+        """True where there are fixes enough, and the vehicle is nowhere fast, with some room for noise."""
+        return bool(self._many.any()) and not np.any(self._chord[self._many] >= SLOW_CHORD)
+
     def why_none(self) -> NoStart:
-        """What is missing on a drive on which there is no alignment anywhere."""
+        """Return the reason why a drive has no alignment."""
         time, travel = f"{MAX_DURATION:g} s", f"{MIN_TRAVEL:g} m"
         if not self._many.any():
             return self._too_few()
         if not np.any(self._chord[self._many] >= MIN_TRAVEL):
-            slowest = f"{3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for {time}"
             return NoStart(
-                f"never travels {travel} within {time}, so the heading can't be found",
-                f"use a longer drive, or one that gets up to speed ({slowest})",
+                f"never travels {travel} within {time}, nor far enough beyond the fixes' noise within "
+                f"{SLOW_DURATIONS[-1]:g} s, so the heading can't be found",
+                f"use a longer drive, or one that gets up to speed ({3.6 * MIN_TRAVEL / MAX_DURATION:.0f} km/h for "
+                f"{time}), or state the heading at the first IMU sample in drive.toml, as heading_deg = 90 "
+                "(degrees counter-clockwise from east)",
             )
         return NoStart(
             f"its fixes move {travel} within {time}, but nowhere the way that the IMU felt, so the heading can't be "
@@ -140,7 +207,7 @@ class Alignments:
         )
 
     def _too_few(self) -> NoStart:
-        """What is missing where no fix has enough others in the seconds before it."""
+        """Return the reason why no fix has enough others in the seconds before it."""
         time = f"{MAX_DURATION:g} s"
         every = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
         if every > MAX_DURATION / (FEWEST_FIXES - 1):
@@ -167,6 +234,28 @@ class Alignments:
         smooth = fit.misfit <= MAX_MISFIT * fit.travel
         usable = fit.travel >= MIN_TRAVEL and fit.heading_std <= MAX_HEADING_STD and smooth
         return fit.state(self._leaning(float(self.time[self._first[k]]), fit.time)) if usable else None
+
+    def _fitted_slow(self, k: int) -> InitialState | None:
+        """Without the accelerometer, whose bias adds up in the longer time; the gyro's bias is fitted, too."""
+        first = int(self._first[k])
+        interval = float(self.time[k] - self.time[first]) / (k - first)
+        rows = np.arange(k, first - 1, -max(1, round(SLOW_INTERVAL / interval)))[::-1]
+        turned, sped = self._integrals
+        seen = self._drive, turned, np.zeros_like(sped), self.time[rows], self._position[rows]
+        if len(rows) < SLOW_FIXES:
+            return None
+        try:
+            fit, share = Fit.of(*seen), 0.0
+            for _ in range(REFITS):
+                share = float(1.0 / (1.0 + (fit.bias_std / SLOW_BIAS_STD) ** 2))
+                fit = Fit.of(*seen, share * fit.yaw_bias)
+        except np.linalg.LinAlgError:
+            return None
+        fit = fit.with_bias_variance(share * fit.bias_std**2)
+        far = fit.travel >= max(SLOW_TRAVEL, SLOW_SPEED * fit.span) and fit.misfit <= MAX_MISFIT * fit.travel
+        if not (far and fit.heading_std <= SLOW_HEADING_STD and abs(fit.yaw_bias) < MOST_BIAS):
+            return None
+        return fit.state(self._leaning(float(self.time[first]), fit.time))
 
     def _leaning(self, first: float, last: float) -> Array:
         """The mean rates about forward and left (rad/s) between two moments, (2,); NaN where the IMU has none."""

@@ -26,7 +26,7 @@ SLIP_STD = np.radians(1.0)
 ACCELERATION_BIAS_STD = 0.5
 """m/s2: tilt and bias of the forward accelerometer, the prior of b."""
 MIN_POSITION_STD = 0.05
-"""m per axis: no fit is believed to be better than this."""
+"""m per axis: lowest deviation of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,9 @@ class InitialState:
     covariance : ndarray, shape (5, 5)
         Positive definite, of ``mean``.
     time : float
-        s: the time of the fix that was absorbed last. Filters and scores start here.
+        s: time of the last fix used. Filters and scores start here.
     gyro : GyroSeen or None
-        What is seen of the gyro's bias, which a filter that estimates it starts with. None: it starts with 0.
+        Evidence on the gyro's bias, for filters that estimate it. None: they start with 0.
     """
 
     mean: Array
@@ -53,13 +53,13 @@ class InitialState:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """What the IMU saw of the way from each fix to the last one, (f,) each, in the body's frame at the last one.
+    """Motion from each fix to the last one by the IMU, (f,) each, in the body's frame at the last one.
 
     Attributes
     ----------
     per_speed : s, of a car that drives 1 m/s now
     per_bias : s2, of 1 m/s2 that tilt and bias add
-    seen : m, what the accelerometer saw
+    seen : m, by the accelerometer
     """
 
     per_speed: Complex
@@ -80,7 +80,7 @@ class Way:
         return Way(anew(self.per_speed), anew(self.per_bias), anew(self.seen))
 
     def carrying(self, arm: Complex) -> "Way":
-        """To the antenna, which lies beside the IMU, m at each fix."""
+        """Offset of the antenna from the IMU, m at each fix."""
         return Way(self.per_speed, self.per_bias, self.seen - arm)
 
 
@@ -89,7 +89,7 @@ class Fit:
     """A least-squares fit of the last seconds of fixes; unknowns east, north, theta, v, b at ``time``.
 
     ``taken`` is what was taken off the gyro (rad/s), ``yaw_bias`` what should have been, as unsure as ``yaw_std``;
-    ``turns`` is what that changes in the unknowns, per rad/s.
+    ``turns`` is what that changes in the unknowns, per rad/s. ``bias_std`` is that of the fit alone, rad/s.
     """
 
     time: float
@@ -102,6 +102,7 @@ class Fit:
     yaw_std: float
     turns: Array
     span: float
+    bias_std: float
 
     @property
     def heading_std(self) -> float:
@@ -145,9 +146,15 @@ class Fit:
         arm = np.interp(time, grid, direction) * complex(*drive.lever_arm) * np.exp(-1j * taken * since)
         way = (straight.turned(np.exp(-1j * taken * middle)) if taken else straight).carrying(arm)
         change = straight.turned(-1j * middle * np.exp(-1j * taken * middle)).carrying(-1j * since * arm)
-        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, what the speed changes alone add
+        coasting = float(np.trapezoid(gained - gained[-1], grid))  # m, the contribution of changes of speed
         fit = cls._solve(end, position, way, change, float(-since[0]), coasting, taken)
         return replace(fit, yaw_std=fit._doubted(psi, grid))
+
+    def with_bias_variance(self, variance: float) -> "Fit":
+        """With what a variance of the gyro's bias, (rad/s)^2, adds to the unknowns' covariance."""
+        covariance = self.covariance.copy()
+        covariance[:4, :4] += variance * np.outer(self.turns, self.turns)
+        return replace(self, covariance=covariance)
 
     def _doubted(self, psi: Array, grid: Array) -> float:
         """``yaw_std`` with what no fit sees: a turn may be taken for bias in part."""
@@ -196,7 +203,7 @@ class Fit:
         solution = np.array([p.real, p.imag, theta, v, b])
         bends = np.append(_real(-np.exp(1j * theta) * change.at(v, b)), 0.0)
         more, std, turns = _one_more(jacobian, residual, bends)
-        return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span)
+        return cls(end, solution, covariance, forward, worst, taken, taken + more, std, turns[:4], span, std)
 
     def state(self, leaning: Array) -> InitialState:
         """The start; ``leaning`` (2,) is what the gyro shows about forward and left, rad/s."""

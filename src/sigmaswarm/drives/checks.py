@@ -1,6 +1,6 @@
 """Plausibility of a drive: shortages that make it unusable, and units, axes and gaps that only look wrong.
 
-The doctor looks closer at most of it; what both say is said here.
+The doctor checks most of this in more detail; common messages are here.
 """
 
 from collections.abc import Iterator
@@ -30,12 +30,12 @@ IMPOSSIBLE_RATE = 3.0
 TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 """Per s."""
 _SLOWEST = (2.0, 60.0)
-"""s from sample to sample and from fix to fix: what takes longer is in another unit."""
+"""s between samples and between fixes; longer intervals are in another unit."""
 _USUAL = (0.5, 20.0)
 """The same, in the right unit."""
 
 _JUMP = 3600.0
-"""s between two rows: no log rests that long and goes on; a time stamp is corrupt, or the clock was set."""
+"""s between two rows, above which a time stamp is corrupt or the clock was set."""
 _WINDOW = 5.0
 """s over which fixes give speed and course: long enough for metres of noise, short enough for turns."""
 
@@ -91,7 +91,7 @@ def shortage_of(drive: Drive) -> str | None:
     return None
 
 
-@np.errstate(all="ignore")  # values at the ends of the number range are the doctor's to tell
+@np.errstate(all="ignore")  # the doctor reports values at the ends of the number range
 def remarks_of(drive: Drive) -> list[Remark]:
     """All that looks wrong: times in another unit, gaps, angular rates in deg/s, accelerations in g, gravity astray.
 
@@ -215,7 +215,7 @@ def _gaps(drive: Drive) -> Iterator[Remark]:
 
 
 def _seen_by_fixes(drive: Drive, body_rate: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-    """Motion over consecutive windows as the fixes show it, beside the integral of an IMU column.
+    """Motion over consecutive windows from the fixes, and the integral of an IMU column.
 
     Windows without fixes are left out: there are never more of them than fixes, however far the times go.
 
@@ -262,12 +262,12 @@ def _angular_rate(drive: Drive) -> Iterator[Remark]:
 
 
 def _acceleration(drive: Drive) -> Iterator[Remark]:
-    """Without az to tell: a column ax in g, which explains a tenth of the changes of speed."""
+    """Check for ax in g without az: it explains a tenth of the changes of speed."""
     if drive.imu.az is not None:
         return
     velocity, gained, _ = _seen_by_fixes(drive, drive.imu.ax)
     change = np.abs(np.diff(np.abs(velocity)))
-    strong = change > 2.0  # m/s, above what the fixes' noise makes
+    strong = change > 2.0  # m/s, above the fixes' noise
     if np.count_nonzero(strong) >= 3 and np.abs(gained[strong]).sum() < 0.3 * change[strong].sum():
         what = "column ax explains too little of the speed, as if in g"
         yield Remark("accelerometer-unit", "imu.csv", "ax, ay", what, f"multiply ax, ay by {GRAVITY}")

@@ -18,6 +18,7 @@ POSITIONS: dict[Frame, tuple[str, str]] = {"enu": ("x", "y"), "wgs84": ("lat", "
 _NUMBERS: dict[str, tuple[tuple[int, ...], str]] = {
     "gps_lever_arm_m": ((2, 3), "[1.2, 0.0, 0.5]"),
     "gps_std_m": ((0,), "1.5"),
+    "heading_deg": ((0,), "90.0"),
     "accel_noise_density": ((0,), "0.004"),
     "gyro_noise_density": ((0,), "0.0001"),
 }
@@ -75,7 +76,10 @@ def _require_numbers(value: Any, key: str, lengths: tuple[int, ...], example: st
     said = f"{path}: {key} = {value_shown(value)}"
     if not plain or length not in lengths or not numbers:
         raise DriveError(f"{said} can't be used; write for example {key} = {example}")
-    if lengths == (0,) and not numbers[0] > 0:
+    if key == "heading_deg":
+        if abs(numbers[0]) > 360:
+            raise DriveError(f"{said} is no angle; give degrees counter-clockwise from east, -360 to 360")
+    elif lengths == (0,) and not numbers[0] > 0:
         raise DriveError(f"{said} must be positive; leave it out where it is not known")
 
 

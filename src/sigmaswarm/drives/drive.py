@@ -157,7 +157,7 @@ class Truth(_Table):
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One journey: what the sensors said and, where known, what was true.
+    """One journey: the measurements and, where known, the truth.
 
     Attributes
     ----------
@@ -261,12 +261,18 @@ class Drive:
         return float(arm[2]) if len(arm) > 2 else 0.0
 
     @property
+    def heading(self) -> float | None:
+        """Heading at the first IMU sample, rad, as ``heading_deg`` of drive.toml states it; None if it does not."""
+        stated = self.metadata.get("heading_deg")
+        return None if stated is None else float(np.radians(float(stated)))
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last IMU sample, s."""
         return float(self.imu.time[-1] - self.imu.time[0])
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: what was recorded, and where the fixes and the truth lie."""
+        """Return HTML for a notebook: the recorded data, and a map of fixes and truth."""
         tables: dict[str, _Table | None] = {"IMU": self.imu, "fixes": self.gps, "truth": self.truth}
         rows = [
             (name, len(each), _rate(each.time), _span(each.time)) for name, each in tables.items() if each

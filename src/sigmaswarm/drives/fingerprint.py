@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 from sigmaswarm.drives.drive import Drive
 
 START_RULE = (
-    "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster), which tell the "
-    "heading"
+    "the first fix with 20 m of forward driving in the 4 to 6 s before it (12 km/h or faster); of a slower drive, "
+    "10 m or more in up to 90 s; with a stated heading, the first fix"
 )
 """The rule of `alignment` that gives `DriveRecord.scored_from_s`, for messages and pages."""
 
@@ -52,6 +52,8 @@ def fingerprint(drive: Drive) -> str:
         digest.update(b"lever arm" + drive.lever_arm.tobytes())
     if drive.antenna_height:
         digest.update(b"antenna height" + repr(drive.antenna_height).encode())
+    if drive.heading is not None:
+        digest.update(b"heading" + repr(drive.heading).encode())
     for table in (drive.imu, drive.gps, drive.truth):
         for name, column in sorted(vars(table).items()) if table is not None else ():
             if column is not None:

@@ -1,8 +1,8 @@
-"""Frozen fixes: a receiver that has lost its satellites repeats its last position bit for bit while the car drives on.
+"""Stale fixes: a receiver without satellites repeats its last position bit for bit while the car drives on.
 
-A receiver with static hold does the same at a red light, and there it is right. What tells the two apart are the fixes
-before: whether they show a car that has come to rest by the time of the first repeat. So a fix is judged from fixes
-alone, from none after it, and by no parameter of a filter. The same function serves a whole drive and a live filter.
+A receiver with static hold also repeats its position at a red light, correctly. The earlier fixes distinguish the two:
+they show if the car had stopped by the first repeat. So the decision uses only this fix and earlier ones, and no
+parameter of a filter. The same function serves a drive and a live filter.
 """
 
 import math
@@ -14,26 +14,26 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array, Gps
 
 NEW, HELD, FROZEN, FROZEN_MOVING = range(4)
-"""What a fix is: a position of its own; a repeat while the car rests; a repeat while it may move (FROZEN: by less than
+"""Kinds of fixes: a new position; a repeat at rest; a repeat while the car may move (FROZEN: by less than
 `NO_REST`; FROZEN_MOVING: by more, so that the repeat is no evidence of a standstill either)."""
 
 BEFORE = 3.0
-"""s before a fix in which the one that it repeats is looked for; the last fix before it is looked at in any case."""
+"""s before a fix in which a repeated one is searched; the last fix before it is always compared."""
 SPEED_WINDOW = 2.5
-"""s of fixes that tell the car's speed; two at least. At 1 Hz that is three, which still show a braking."""
+"""s of fixes that give the speed, at least two. At 1 Hz that is three, which still show a braking."""
 REST = 0.8
-"""m/s: a car that is slower, as the fixes tell it, rests: the standstill's `FIX_SPEED`."""
+"""m/s: speed of the fixes below which the car rests: the standstill's `FIX_SPEED`."""
 NO_REST = 2.0
 """m/s: a repeat that begins above is no evidence of a standstill."""
 BRAKING = 4.0
-"""m/s2: what the fixes show of a harder braking is their noise."""
+"""m/s2: harder braking in the fixes is noise."""
 ENOUGH = 3
 """New fixes that show a braking; fewer show a mean speed only."""
 
 
 def judged(gps: Gps) -> Array:
-    """What each fix is, shape (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
-    # As a live filter has them, so that what judges a fix is compiled once.
+    """Classify all fixes, shape (n,): `NEW`, `HELD`, `FROZEN` or `FROZEN_MOVING`."""
+    # The array of a live filter, so that `kind_of` is compiled once.
     fixes = np.column_stack([gps.time, gps.x, gps.y, np.zeros(len(gps.time))])
     kinds = fixes[:, 3]
     if len(kinds):
@@ -42,7 +42,7 @@ def judged(gps: Gps) -> Array:
 
 
 def frozen_fixes(gps: Gps) -> NDArray[np.bool_]:
-    """Fixes that repeat one of a car that may have moved since, shape (n,): no filter takes them for positions."""
+    """Return the stale fixes, shape (n,): no filter uses them as positions."""
     return judged(gps) >= FROZEN
 
 
@@ -54,7 +54,7 @@ def _judge_all(fixes: Array, kinds: Array) -> None:
 
 @cached
 def kind_of(fixes: Array, kinds: Array, k: int) -> int:
-    """What fix k is; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
+    """Classify fix k; rows of ``fixes`` begin with t, x, y, by time, and ``kinds`` has those of the rows before.
 
     It is compared with all fixes of the seconds before, so that of two receivers each is compared with itself, whether
     they share a clock or not. A run of repeats is judged once, at the first.

@@ -1,7 +1,7 @@
-"""Gaps in the IMU: intervals of which no sample tells what the car did.
+"""Gaps in the IMU: intervals without samples.
 
-An interval is a gap beside the ones before it, so that a live filter on an IMU of any rate finds the same gaps as one
-over a whole drive.
+An interval is a gap relative to the ones before it, so a live filter finds the same gaps as one over a drive, at any
+rate of the IMU.
 """
 
 import numpy as np
@@ -10,17 +10,17 @@ from sigmaswarm.compilation import cached
 from sigmaswarm.drives.drive import Array
 
 MANY = 5.0
-"""A gap is longer than so many usual intervals,"""
+"""Usual intervals that a gap exceeds."""
 SHORTEST = 0.05
-"""s, and longer than this: in less no car does much."""
+"""s: length that a gap exceeds."""
 OVER = 32.0
-"""Intervals, about, over which the usual one is a mean."""
+"""Number of intervals, about, in the mean that is the usual one."""
 MOST = 3.0
 """An interval counts at most so many times the usual one in that mean, so that a gap does not become usual."""
 
 
 def gaps_before(time: Array) -> Array:
-    """How long the gap is that ends at each sample, shape (n,) s; 0 where none does. ``time``: (n,) s."""
+    """Return the length of the gap that ends at each sample, shape (n,) s, else 0. ``time``: (n,) s."""
     gaps = np.zeros(len(time))
     _find_gaps(np.ascontiguousarray(time, dtype=np.float64), gaps)
     return gaps
@@ -37,7 +37,7 @@ def _find_gaps(time: Array, gaps: Array) -> None:
 
 @cached
 def gap_of(interval: float, usual: float) -> float:
-    """The interval (s) if it is a gap beside the usual one (s; 0: not known yet), else 0."""
+    """Return the interval (s) if it is a gap relative to the usual one (s; 0: not known yet), else 0."""
     return interval if usual > 0.0 and interval > max(MANY * usual, SHORTEST) else 0.0
 
 

@@ -1,8 +1,8 @@
-"""What the last seconds before a start show of the gyro's bias, and what a filter makes of it.
+"""Gyro bias from the last seconds before a start, and its use by filters.
 
-A cheap gyro may be off by 20 deg/s when it is turned on. Then the way that it bends is not the way that the fixes went,
-and a car that hardly leans seems to roll over. Both show the bias, to about a degree per second: less than a filter's
-``bias_std`` says of a good gyro, which stays what it is, and far more than is known of a cheap one.
+A cheap gyro may have a bias of 20 deg/s when it is turned on. Then its path bends differently from the fixes, and its
+roll angle runs away. Both measure the bias to about 1 deg/s: worse than the ``bias_std`` of a good gyro, whose start
+remains unchanged, and far better than the prior knowledge of a cheap one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,23 +18,23 @@ UP = 2
 CONTRADICTS = 5.0
 """Standard deviations of the bias about up, from which on an alignment takes it off."""
 STRANGE = 1e-5
-"""How likely it is that a filter gets a gyro far worse than what it was tuned for: five sigmas make it sure. More would
-make each start less sure of a good gyro: by 0.07 deg/s with a thousandth."""
+"""Prior probability of a gyro far worse than that of the tuning; five sigmas confirm it. A larger one would widen the
+uncertainty of a good gyro: 1e-3 by 0.07 deg/s."""
 STRANGE_STD = 0.2
-"""rad/s: of the biases of such ones; uncalibrated, an MPU-6050 may be off by 20 deg/s."""
+"""rad/s: standard deviation of the bias of such a gyro; uncalibrated, an MPU-6050 may be off by 20 deg/s."""
 YAW_STD = np.radians(1.0)
-"""rad/s: no way shows the bias better, for the car slips, and receivers smooth their fixes."""
+"""rad/s: lowest standard deviation of the bias, since the car slips and receivers smooth their fixes."""
 TURN_SHARE = 0.3
-"""Of the mean rate of a turn: by so much it may be taken for bias, since fixes lag behind, and the car slips more."""
+"""Share of the mean rate of a turn that may look like bias, since fixes lag and the car slips."""
 LEAN_STD = np.radians(8.0)
-"""rad: how much roll and pitch change within some seconds, on a road that begins to climb, say."""
+"""rad: change of roll and pitch within some seconds, such as where a road begins to climb."""
 MOST_BIAS = 0.5
-"""rad/s: no gyro is off by more, so what shows more are fixes that jumped."""
+"""rad/s: largest bias of a gyro; fixes that show a larger one have jumped."""
 
 
 @dataclass(frozen=True, eq=False)
 class GyroSeen:
-    """What an alignment shows of the gyro; or what several show: see `together`.
+    """Evidence of one alignment on the gyro bias, or of several: see `together`.
 
     Attributes
     ----------
@@ -105,6 +105,6 @@ class GyroSeen:
 
 
 def together(seen: Sequence[GyroSeen]) -> GyroSeen:
-    """What m alignments show, to be told to the filters of each, means (m, r, n): every array has shape (m, 1, ...)."""
+    """Evidence of m alignments for the filters of each, means (m, r, n); arrays have shape (m, 1, ...)."""
     stacked = (np.array([getattr(one, f.name) for one in seen])[:, np.newaxis] for f in fields(GyroSeen))
     return GyroSeen(*stacked)  # pyright: ignore[reportArgumentType] (of many ``taken`` is an array, too)

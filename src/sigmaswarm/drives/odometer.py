@@ -1,8 +1,8 @@
-"""What the wheels tell a filter, and when: readings put together, ten times a second at most.
+"""Odometer measurements of a filter: readings averaged over at least a tenth of a second.
 
-A reading's error is not white (the scale, the quantization, the tires), so readings of 83 Hz tell no more than their
-mean over a tenth of a second; the mean takes off what quantization adds. It is absorbed at an IMU sample, as that of a
-moment between: its age counts like a latency. Slow wheels give few pulses and read zero while the car still creeps.
+Errors of readings are not white (scale, quantization, tires), so readings of 83 Hz contain no more than their mean over
+a tenth of a second, which reduces the quantization error. The mean is used at an IMU sample with its age as latency.
+Slow wheels give few pulses and read zero while the car still creeps.
 """
 
 from dataclasses import dataclass
@@ -13,24 +13,24 @@ from numpy.typing import NDArray
 from sigmaswarm.drives.drive import Array, Odometer
 
 INTERVAL = 0.1
-"""s: between two looks at the odometer, at least, and the age of the oldest reading that one takes."""
+"""s: shortest time between two measurements, and age of the oldest reading in one."""
 SLOW = 0.5
-"""m/s: at a mean reading below it the car may be as fast as that, whatever the wheels say."""
+"""m/s: at lower mean readings the car may be as fast as this."""
 STALE = 1.0
-"""s: an older reading says nothing of whether the wheels turn."""
+"""s: readings older than this do not show if the wheels turn."""
 
 SPEED, AGE, MORE = range(3)
-"""Columns of what is absorbed: the mean of the readings, m/s, their mean age, s, and what is added to R, m2/s2."""
+"""Columns of a measurement: mean of the readings, m/s, their mean age, s, and additional variance in R, m2/s2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Wheels:
-    """What the steps of a time line take of an odometer.
+    """Odometer measurements of the steps of a time line.
 
     Attributes
     ----------
-    absorbs : (k,) bool: the wheels' speed is absorbed at the step's end
-    rows : (o, 3) in the order in which steps absorb them: see SPEED ... MORE
+    absorbs : (k,) bool: the step ends with a measurement
+    rows : (o, 3) measurements in the order of the steps: see SPEED ... MORE
     turn : (k,) bool: at the step's end the wheels turn, so the car does not stand
     """
 
@@ -40,9 +40,9 @@ class Wheels:
 
 
 def put_together(odometer: Odometer, start: float, end: Array, sampled: NDArray[np.bool_]) -> Wheels:
-    """What each step absorbs; ``end`` (k,) s says when it ends, ``sampled`` (k,) where that is at an IMU sample.
+    """Compute the measurements; steps end at ``end`` (k,) s, at an IMU sample where ``sampled`` (k,).
 
-    A look is taken at the first sample of each interval with a new reading; it takes the readings since the last look.
+    The first sample of each interval with a new reading uses the readings since the last measurement.
     """
     time, speed = odometer.time, odometer.speed
     steps = np.flatnonzero(sampled)

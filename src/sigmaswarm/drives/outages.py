@@ -1,4 +1,4 @@
-"""Artificial GPS outages: windows of time whose fixes a filter does not get.
+"""Artificial GPS outages: windows of time whose fixes are hidden from a filter.
 
 Windows are arrays of shape (k, 2): the start and end of each in s.
 """
@@ -67,7 +67,7 @@ def random_windows(
     apart : float
         s from one window's end to the next one's start at least.
     count : int, optional
-        How many at most: as many as fit. By default one per 15 s of what is available, at least one.
+        Largest number. By default one per 15 s of the available time, at least one.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def random_windows(
     ends = np.cumsum(lengths) + apart * np.arange(len(lengths))
     fitting = int(np.count_nonzero(ends <= available))
     ends, lengths = ends[:fitting], lengths[:fitting]
-    # what time remains is dealt out by sorted uniforms: every division of it is equally likely
+    # the remaining time is divided by sorted uniforms: every division is equally likely
     slack = np.sort(rng.uniform(0.0, available - ends[-1], fitting)) if fitting else ends
     ends = np.minimum(start + first_after + slack + ends, end)
     return np.stack([ends - lengths, ends], axis=1)
@@ -127,7 +127,7 @@ def balanced_windows(
             f"outages of length {length} s, apart {apart:g} s, one in every {every:g} s can't be drawn; "
             "use a positive length (shortest first), and as many seconds for each as it needs"
         )
-    # One slot for each window; what is left of the drive makes all of them longer.
+    # One slot for each window; the remaining time makes all of them longer.
     count = int((end - start) / every) or int(end - start >= apart + length[1])
     slot = (end - start) / max(count, 1)
     lengths = rng.uniform(*length, count)

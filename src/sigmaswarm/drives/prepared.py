@@ -58,7 +58,7 @@ class PreparedDrive:
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
-        """Whether each fix is stale, (number of fixes,): filters don't use it as a position."""
+        """Stale fixes, (number of fixes,): filters don't use them as positions."""
         return self.kinds >= FROZEN
 
     def timeline(self, hidden: NDArray[np.bool_] | None = None, *, removed: bool = False) -> Timeline:
@@ -69,7 +69,7 @@ class PreparedDrive:
         hidden : ndarray of bool, shape (number of fixes,), optional
             Fixes that the filter does not get; none by default.
         removed : bool
-            Remove the hidden fixes, so that no step ends at one. Otherwise the steps are those of the whole drive; all
+            Remove the hidden fixes, so that no step ends at one. Otherwise the steps are those of the drive; all
             such time lines share its arrays, and the hidden fixes can be forecast.
         """
         if hidden is None or not hidden.any():

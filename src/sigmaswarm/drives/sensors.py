@@ -64,7 +64,7 @@ class Sensors:
     attitude : bool
         See `has_attitude`.
     odometer, accuracy, velocity : bool
-        Whether the log has wheel speed, the receiver's deviations, and its speed and course.
+        True if the log has wheel speed, the receiver's deviations, and its speed and course.
     spread : (float, float) or None
         See `stated_spread`.
     white : bool

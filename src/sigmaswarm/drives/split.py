@@ -1,14 +1,16 @@
-"""Splitting into training and test drives: by whole drives, or by time within one."""
+"""Splitting into training and test drives: by drive, or by time within one."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
+from sigmaswarm.drives.alignment import NoStart, find_start
 from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.fingerprint import fingerprint
-from sigmaswarm.errors import DriveError, InputError
+from sigmaswarm.errors import DriveError, InputError, SigmaswarmWarning
 
 T = TypeVar("T")
 
@@ -48,10 +50,15 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
     at : float, optional
         s on the drive's clock: split there instead, as where a logger paused.
 
+    Warns
+    -----
+    SigmaswarmWarning
+        No filter can start on a part.
+
     Returns
     -------
     (Drive, Drive)
-        ``cut_from`` in their metadata says of which drive (name, fingerprint) each is which part (s on its clock).
+        ``cut_from`` in their metadata has the drive (name, fingerprint) and the part of it (s on its clock).
     """
     _require_fraction(train_fraction)
     cut = drive.imu.time[0] + train_fraction * drive.duration if at is None else at
@@ -59,6 +66,10 @@ def split_time(drive: Drive, train_fraction: float = 0.7, *, at: float | None = 
         clip(drive, end=cut, name=f"{drive.name}-train"),
         clip(drive, start=cut, name=f"{drive.name}-test"),
     )
+    for part in parts:
+        if isinstance(start := find_start(part), NoStart):
+            message = f"{part.name} can't be used by itself: {start.what}; split elsewhere, or {start.remedy}"
+            warnings.warn(message, SigmaswarmWarning, stacklevel=2)
     sha256 = fingerprint(drive)
     return _said_whence(parts[0], drive.name, sha256), _said_whence(parts[1], drive.name, sha256)
 
@@ -99,6 +110,7 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
         )
     truth = drive.truth and drive.truth.select(inside(drive.truth.time))
     odometer = drive.odometer and drive.odometer.select(inside(drive.odometer.time))
+    begins = imu.time[0] == drive.imu.time[0]  # later, a stated heading no longer holds
     return replace(
         drive,
         name=drive.name if name is None else name,
@@ -106,6 +118,7 @@ def clip(drive: Drive, start: float = -np.inf, end: float = np.inf, name: str | 
         gps=drive.gps.select(inside(drive.gps.time)),
         truth=truth or None,  # a table without rows is no truth
         odometer=odometer or None,
+        metadata={k: v for k, v in drive.metadata.items() if begins or k != "heading_deg"},
     )
 
 

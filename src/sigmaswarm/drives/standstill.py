@@ -1,14 +1,13 @@
-"""Standstills of the car, told from the IMU's calm and from fixes that stay where they are; causally.
+"""Causal detection of standstills from a calm IMU and constant fixes.
 
-A smooth road at constant speed is as calm as a standstill, so the fixes must agree; a car that departs is slow for the
-fixes at first, so the IMU must agree. A gentle departure is calm, too, but it tilts and accelerates: so the
-acceleration must stay what it was when the stop began. The same functions serve a whole drive and a live filter.
+A smooth road at constant speed is as calm as a standstill, so the fixes must agree. Fixes see a departure late, so the
+IMU must agree. A gentle departure is calm, too, but changes the acceleration, which must therefore stay as it was when
+the stop began. The same functions serve a drive and a live filter.
 
-Samples are kept as blocks of 50 ms, each with its number, means and squares: what a sample costs does not depend on the
-IMU's rate, nor does the memory. The last second is the block of the latest sample, as far as it has got, and the 20
-before it; the last quarter is that block and the 5 before. Blocks are put together by the formulas of Chan, Golub and
-LeVeque (Updating formulae and a pairwise algorithm for computing sample variances, 1979), which lose no digits; what is
-whole is put together anew whenever a block ends, so that no rounding adds up.
+Samples are summed in blocks of 50 ms (count, means, squares), so cost and memory do not depend on the IMU's rate. The
+last second is the current, incomplete block and the 20 before it, the last quarter that block and the 5 before. Blocks
+are merged by the formulas of Chan, Golub and LeVeque (Updating formulae and a pairwise algorithm for computing sample
+variances, 1979). Complete blocks are merged again whenever a block ends, so that rounding does not accumulate.
 """
 
 import math
@@ -21,31 +20,31 @@ from sigmaswarm.drives.drive import Array, Drive
 from sigmaswarm.drives.frozen import FROZEN_MOVING
 
 BLOCK = 0.05
-"""s of samples that are put together."""
+"""s: length of a block."""
 SECOND = 20
-"""Whole blocks that must be calm, with the one that grows."""
+"""Complete blocks that must be calm, next to the current one."""
 MOST_OF_IT = 16
-"""The oldest of them must be so many blocks back, or less than a second is known."""
+"""Blocks since the oldest of them, at least, for a full second."""
 QUARTER = 5
-"""Whole blocks, with the one that grows, in which a departure shows."""
+"""Complete blocks, next to the current one, that show a departure."""
 CALM = 2.5
-"""A second is calm if it is at most that many times as restless as the car is when it is calm."""
+"""Largest ratio of the deviations of a calm second to the usual ones of calm."""
 SETTLES = 0.5
-"""s in which the notion of calm follows a calmer second."""
+"""s: time constant with which the level of calm falls."""
 RISES = 0.1
-"""per s: how fast it rises while the car is about calm, so that one lucky second does not set it for good."""
+"""per s: rate at which it rises while the car is nearly calm, so that no single second fixes it."""
 DEPARTS = 0.12
-"""m/s2: an acceleration, forward or left, that is so far from what it was in the stop is a departure's."""
+"""m/s2: change of the acceleration, forward or left, that shows a departure."""
 FOLLOWS = 1.0
-"""s in which the stop's acceleration follows what is measured, while no departure shows: sensors warm up."""
+"""s: time constant with which the stop's acceleration follows the sensors, which warm up."""
 FORGETS = 3.0
-"""s after the last moment of calm and of fixes that stay: what comes then is another stop."""
+"""s after the last moment of calm and constant fixes, after which another stop begins."""
 FIX_WINDOW = 3.0
-"""s of fixes that must stay where they are."""
+"""s of fixes that must be constant."""
 FILLED = 1.5
-"""Mean intervals of fixes by which the first of them may come after the window's beginning."""
+"""Mean intervals of fixes between the start of the window and the first fix, at most."""
 FIX_SPEED = 0.8
-"""m/s: the speed that the fixes may show while the car stands."""
+"""m/s: highest speed of the fixes at standstill."""
 TURNING = math.radians(1.5)
 """rad/s: a car that stands does not turn; a gyro's bias stays below this."""
 
@@ -55,18 +54,18 @@ WHOLE, PART, FLOOR, MEANS = range(SECOND + 1, SECOND + 5)
 N_MEMORY = SECOND + 5
 # Columns of a block: its number, how many samples, means of ax, ay, gz, sums of squares about the means.
 NUMBER, COUNT, MEAN, SQUARES = 0, 1, 2, 5
-# What is remembered of a stop, shape (N_STOP,): the last moment of calm and of fixes that stay, and ax, ay in it.
+# Memory of a stop, shape (N_STOP,): the last moment of calm and constant fixes, and ax, ay at it.
 LAST, STOP_X, STOP_Y = range(3)
 N_STOP = 3
 
 PIECE = 100_000
-"""Samples that are put side by side at once: all of a long drive's would be held twice."""
+"""Samples per copy, to limit the memory."""
 
 
 def standing(drive: Drive, kinds: Array) -> NDArray[np.bool_]:
     """Standstill at each IMU sample, shape (n,); from that sample and earlier data only.
 
-    ``kinds`` says what each fix is: see `frozen`.
+    ``kinds``: of the fixes, see `frozen`.
     """
     imu, gps = drive.imu, drive.gps
     stands = np.zeros(len(imu.time), dtype=np.bool_)
@@ -111,7 +110,7 @@ def _find_standstills(
 
 @cached
 def is_calm(memory: Array, t: float, ax: float, ay: float, gz: float) -> bool:
-    """Take a sample, and tell whether the last second is calm."""
+    """Add a sample; return True if the last second is calm."""
     number = np.floor(t / BLOCK)
     if not abs(number) < 1e15:  # no time of any clock
         return False

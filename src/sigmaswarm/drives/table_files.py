@@ -203,7 +203,7 @@ def _require_few_columns(path: Path, count: int) -> None:
 
 
 def leap(time: Array) -> int:
-    """Find the first row (n,) that lies absurdly far after the one before; 0 if there is none."""
+    """Find the first row (n,) after an implausibly long time; 0 if there is none."""
     if len(time) < 3:
         return 0
     interval = np.diff(time)
@@ -254,7 +254,7 @@ def _plain_numbers(path: Path) -> pl.DataFrame | None:
 
 
 def _has_lone_quote(path: Path) -> bool:
-    """Whether a cell is nothing but a quotation mark, which makes polars print a trace where it looks for a number."""
+    """Return True if a cell is a single quotation mark, on which polars prints a trace."""
     if path.stat().st_size == 0:
         return False
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
@@ -267,7 +267,7 @@ def _empty(path: Path) -> DriveError:
 
 
 def _shape_fault(path: Path, otherwise: DriveError | None = None) -> DriveError:
-    """The first row whose number of cells is not the header's, looked for only once something is wrong."""
+    """Return the first row whose number of cells differs from the header's, to explain an error."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         rows = csv.reader(file)
         try:

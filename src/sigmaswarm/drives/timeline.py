@@ -1,4 +1,4 @@
-"""The merged time line: which step a filter takes when, and what it absorbs at the step's end.
+"""The merged time line: the steps of a filter, and the measurements at their ends.
 
 The IMU sample at t_k drives the filter from t_(k-1) to t_k. A fix in between splits that step in two, both
 driven by the same sample, and is absorbed at its own time. Two fixes of one moment, as two receivers give them, are
@@ -121,28 +121,28 @@ class Timeline:
         return AXES[: self.driving.shape[1]]
 
     def imu(self, axes: Sequence[str]) -> Array:
-        """What drives each step, (k, len(axes)) m/s2 and rad/s."""
+        """Inputs of each step, (k, len(axes)) m/s2 and rad/s."""
         return self.driving[:, [AXES.index(axis) for axis in axes]][self.sample]
 
     @property
     def frozen(self) -> NDArray[np.bool_]:
-        """Which fixes of the drive are frozen, (g,): no filter gets to see them as positions."""
+        """Stale fixes of the drive, (g,): no filter uses them as positions."""
         return self.kinds >= FROZEN
 
     @cached_property
     def stands(self) -> NDArray[np.bool_]:
-        """Standstill at the step's end, (k,); found out only for a filter that asks."""
+        """Standstill at the step's end, (k,); computed on first use."""
         return standing(self.drive, self.kinds)[self.sample]
 
     @cached_property
     def wheels(self) -> Wheels | None:
-        """What the steps take of the odometer, where the drive has one; put together only for a filter that asks."""
+        """Odometer measurements of the steps, if the drive has any; computed on first use."""
         odometer = self.drive.odometer
         return None if odometer is None else put_together(odometer, self.start, self.end, self.sampled)
 
     @cached_property
     def alignments(self) -> Alignments:
-        """Of the fixes that a filter absorbs; only for one that may be lost."""
+        """Of the fixes that a filter uses; for the divergence monitor."""
         return Alignments(self.drive, usable=self.kinds < FROZEN)
 
     def hiding(self, hidden: NDArray[np.bool_]) -> "Timeline":
@@ -204,9 +204,9 @@ def build_timeline(
     drive : Drive
     start : float
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+        Without preprocessing: use stale fixes, treat IMU gaps as ordinary steps.
     kinds : (g,), optional
-        What each fix is, where that was judged on a drive with more fixes.
+        Kinds of the fixes, if they were found on a drive with more fixes.
     driving : (n, 3) or (n, 6), optional
         As `driving_of` gives it for the drive's IMU, where that is known.
     """
@@ -224,7 +224,7 @@ def build_timeline(
     dt = np.diff(ends, prepend=start)
     nominal = drive.nominal_interval
     driving = driving_of(drive, as_recorded=as_recorded) if driving is None else driving
-    steps = np.zeros((len(ends), FIRST_AXIS))  # filled column by column: those of ten hours are held once
+    steps = np.zeros((len(ends), FIRST_AXIS))  # filled by column, to save memory
     steps[:, DT], steps[:, Q_SCALE] = dt, dt / nominal
     if not as_recorded:
         steps[:, GAP] = gaps_before(imu.time)[sample]
@@ -253,7 +253,7 @@ def _is_last(ends: Array) -> NDArray[np.bool_]:
 
 
 def _fixes_of(drive: Drive, usable: NDArray[np.bool_]) -> dict[str, Any]:
-    """What a time line says of the fixes that it has."""
+    """Attributes of the fixes of a time line."""
     gps = drive.gps.select(usable)
     velocity, has_velocity = np.zeros((2, len(gps))), gps.speed is not None and gps.course is not None
     if gps.speed is not None and gps.course is not None:
@@ -268,7 +268,7 @@ def _fixes_of(drive: Drive, usable: NDArray[np.bool_]) -> dict[str, Any]:
 
 
 def driving_of(drive: Drive, *, as_recorded: bool = False) -> Array:
-    """What drives filters up to each of the IMU's samples: see `Timeline.driving`."""
+    """Inputs up to each sample of the IMU: see `Timeline.driving`."""
     axes = _axes(drive)
     driving = np.empty((len(drive.imu), len(axes)))
     gaps = np.zeros(len(drive.imu)) if as_recorded else gaps_before(drive.imu.time)
@@ -284,7 +284,7 @@ def _axes(drive: Drive) -> list[Array]:
 
 
 def _stated_variance(gps: Gps) -> tuple[Array, bool]:
-    """What the receiver states of each fix, (2, f) m2 east and north, and whether it does of all of them."""
+    """Stated variances of the fixes, (2, f) m2 east and north, and if all fixes have them."""
     if gps.std_x is None or gps.std_y is None:
         return np.zeros((2, len(gps))), False
     variance = np.square([gps.std_x, gps.std_y])
@@ -299,7 +299,7 @@ def _usable(drive: Drive, start: float, kinds: Array) -> NDArray[np.bool_]:
 
 
 def _across(gaps: Array, column: Array) -> Array:
-    """What drives the filter up to each sample: the sample, or the mean of the two around a gap."""
+    """Inputs up to each sample: the sample, or the mean of the two around a gap."""
     ends = np.flatnonzero(gaps)
     if not len(ends):
         return column

@@ -1,4 +1,4 @@
-"""Writing a drive's folder, whole or not at all."""
+"""Writing a drive's folder atomically."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -46,7 +46,7 @@ def write_drive(drive: Drive, path: str | Path, *, overwrite: bool = False, form
     Raises
     ------
     DriveError
-        Something is there already, or the drive holds what the files can't, or what ``read_drive`` refuses.
+        The folder exists, or the drive has values that the files cannot hold or ``read_drive`` rejects.
     """
     folder = Path(path).resolve()  # "." has no name to rename
     require_replaceable(folder, overwrite)

@@ -1,1 +1,1 @@
-"""sigmaswarm.experiments: many tunings over seeds, splits and methods, and the statistics of what they found."""
+"""sigmaswarm.experiments: tunings over seeds, splits and methods, and statistics of their results."""

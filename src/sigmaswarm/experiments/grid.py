@@ -116,7 +116,7 @@ def run_grid(
 
 def _submitted(pool: Executor, run: Callable[[int], R], order: Sequence[int]) -> dict[int, Future[R]]:
     try:
-        with warnings.catch_warnings():  # of a fork beside threads, which hold no lock that it needs
+        with warnings.catch_warnings():  # of a fork with threads, which hold no lock that it needs
             warnings.simplefilter("ignore", DeprecationWarning)
             return {k: pool.submit(run, k) for k in order}
     except OSError as error:
@@ -132,7 +132,7 @@ def _begin(run: Callable[[int], Any], stop: Any, parent: int) -> None:
     """Prepare a forked process, which ends at once with its parent or with the grid: files are written whole."""
     global _run
     _run = run
-    # Before the parent's end is seen by anyone: what a resumed run sweeps away must not be written any more.
+    # Before a resumed run removes unfinished files, which must not be written any more.
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     gc.freeze()  # a collection would copy all inherited objects

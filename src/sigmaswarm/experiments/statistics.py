@@ -19,7 +19,7 @@ from sigmaswarm.drives.drive import Array
 
 Interval = tuple[float, float]
 Known = dict[Hashable, tuple[Array, Any]]
-"""Cache of draws: what, and the state of the generator before it -> draw, state after it."""
+"""Cache of draws: (kind, state of the generator) -> (draw, next state)."""
 RESAMPLES = 2000
 """Resamples of each bootstrap."""
 LEVEL = 0.95

@@ -1,4 +1,4 @@
-"""The messages of a ROS 2 bag, to be written again beside an estimate: their bytes as they are, one after the other."""
+"""Copies the messages of a ROS 2 bag unchanged into the bag of an estimate."""
 
 import warnings
 from collections.abc import Generator, Iterator
@@ -54,7 +54,7 @@ class Recording:
         Warns
         -----
         SigmaswarmWarning
-            Of a topic whose type neither the bag nor the latest ROS defines: it is left out.
+            For a topic whose type neither the bag nor the latest ROS defines; it is omitted.
         """
         added: dict[tuple[str, str], Any] = {}
         for old in self.reader.connections:

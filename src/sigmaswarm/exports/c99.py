@@ -47,7 +47,7 @@ ALONE = Lanes()
 def c99(
     parameters: FilterParameters, interval: float, as_recorded: bool = False, lanes: Lanes = ALONE
 ) -> dict[str, str]:
-    """Headers, sources and the replaying program, by file name; ``interval`` (s) is what Q refers to.
+    """Headers, sources and the replaying program, by file name; ``interval`` (s) is that of Q.
 
     ``as_recorded``: see `PreparedDrive`.
 
@@ -82,7 +82,7 @@ def replay_rows(drive: Drive, model: ModelName = "planar5", *, as_recorded: bool
 def replay_events(
     drive: Drive, model: ModelName = "planar5", *, as_recorded: bool = False
 ) -> list[tuple[str, list[float]]]:
-    """What a filter is told of a drive, in the order of time: where it starts, then samples, fixes and readings.
+    """Inputs of a filter from a drive, in the order of time: its start, then samples, fixes and readings.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def replay_events(
 
 
 def _gyro(initial: InitialState) -> list[float]:
-    """What a start shows of the gyro, in the order of InsGpsGyro."""
+    """Gyro bias at a start, in the order of InsGpsGyro."""
     seen = initial.gyro
     assert seen is not None  # an alignment says it
     return [*seen.bias, *seen.variance, seen.taken, *seen.turns]
@@ -155,10 +155,18 @@ def _sigma_points(p: FilterParameters) -> tuple[float, float]:
 
 
 def fits_float(p: FilterParameters) -> bool:
-    """Whether C's float holds all numbers of a filter."""
+    """Return True if C's float holds all numbers of a filter."""
     options = [p.velocity_noise, p.lateral_noise, p.standstill_noise, p.odometer_noise]
     options += [p.gate, p.accuracy_scale, p.robust_dof, p.odometer_scale, p.odometer_latency]
-    numbers = [*p.process_noise, *p.measurement_noise, *p.bias_std, p.latency, p.rear_axle, p.forgetting]
+    numbers = [
+        *p.process_noise,
+        *p.measurement_noise,
+        *p.bias_std,
+        p.latency,
+        p.rear_axle,
+        p.tire_slip,
+        p.forgetting,
+    ]
     numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
     if p.kind != "ekf":

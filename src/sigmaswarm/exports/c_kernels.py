@@ -15,12 +15,14 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
     """The prediction and the measurements of a filter, in C."""
-    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]"))
+    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features))
     model = MODELS[p.model]
     n, tilted = len(model.states), int(model.tilts is not None)
     emitter.add(lanes._series, "sine_series")
     emitter.add(lanes._near, "sine_cosine_near")
     emitter.add(lanes.sincos, "sine_cosine")
+    if features["USE_SCALAR"]:
+        emitter.add(measurements._absorb_one, n=n)
     if tilted:
         _add_tilted(emitter, features)
     else:
@@ -28,8 +30,6 @@ def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mappin
             emitter.add(lanes.spread_of)
         _add_planar(emitter, p.model, features, n)
     both = {"n": n, "tilted": tilted}
-    if features["USE_SCALAR"]:
-        emitter.add(measurements._absorb_one, n=n)
     emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
     if features["USE_VELOCITY_OR_STANDSTILL"]:
         emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
@@ -54,10 +54,12 @@ def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: i
     emitter.add(measurements._turn_lever)
     emitter.add(measurements._measure_fix, n=n)
     has_biases = features["USE_BIASES"]
-    for name, bias, lateral in (("LATERAL", "W", 1), ("ODOMETER", "A", 0)):
-        if features[f"USE_{name}"]:
-            known = {"n": n, "lateral": lateral, "bias": MEAN.index(bias) if has_biases else -1}
-            emitter.add(measurements._measure_along, f"measure_{name.lower()}", **known)
+    along = measurements._measure_along
+    if features["USE_LATERAL"]:
+        emitter.add(along, "measure_lateral", n=n, lateral=1, bias=MEAN.index("W") if has_biases else -1)
+        emitter.add(measurements.absorb_lateral, tilted=0, measure_lateral=along)
+    if features["USE_ODOMETER"]:
+        emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
 
 
 def _add_tilted(emitter: Emitter, features: Mapping[str, bool]) -> None:
@@ -65,12 +67,14 @@ def _add_tilted(emitter: Emitter, features: Mapping[str, bool]) -> None:
         emitter.add(function)
     emitter.add(tilted12.measure_fix_tilted, "measure_fix")
     if features["USE_LATERAL"]:
-        emitter.add(tilted12.measure_lateral_tilted, "measure_lateral")
+        lateral = tilted12.measure_lateral_tilted
+        emitter.add(lateral, "measure_lateral")
+        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=lateral)
     if features["USE_ODOMETER"]:
         emitter.add(tilted12.measure_odometer_tilted, "measure_odometer")
 
 
-def _rows(p: FilterParameters, q: str, r: str) -> dict[str, str | float | None]:
+def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
     """What stands in C for the rows that hold parameters and memory."""
     spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
     if p.kind == "adaptive-ukf":
@@ -90,6 +94,7 @@ def _rows(p: FilterParameters, q: str, r: str) -> dict[str, str | float | None]:
         "LATENCY": "LATENCY" if p.latency else 0.0,
         "R_LATERAL": "LATERAL_NOISE",
         "REAR_AXLE": "REAR_AXLE",
+        "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
         "R_ODOMETER": "ODOMETER_NOISE",
         "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
         "ODOMETER_LATENCY": "ODOMETER_LATENCY",

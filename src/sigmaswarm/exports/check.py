@@ -1,4 +1,4 @@
-"""An exported C filter on this machine: built, called through its own Python module, and held against `run_filter`."""
+"""An exported C filter on this machine: built, called through its Python module, and compared with `run_filter`."""
 
 import importlib.util
 import os
@@ -47,7 +47,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Checked:
-    """What the exported C made of a drive: in double, and in float (None where float can't hold the filter)."""
+    """Results of the exported C on a drive: in double, and in float (None where float cannot hold the filter)."""
 
     drive: str
     double: Difference
@@ -63,19 +63,19 @@ def check_export(
     lanes: int = 1,
     seed: int = 0,
 ) -> list[Checked]:
-    """Build an exported C library as shared objects beside it, and run it over drives.
+    """Build an exported C library as shared objects next to it, and run it over drives.
 
     Parameters
     ----------
     folder : Path
-        What `export_filter` wrote for ``c99``; libins_gps.so and libins_gps_float.so come beside it.
+        Folder of `export_filter` for ``c99``; libins_gps.so and libins_gps_float.so are written into it.
     parameters : FilterParameters
         The filter that was exported.
     drives : sequence of Drive
     as_recorded : bool
         See `PreparedDrive`; as the filter was exported.
     lanes, seed
-        As the filter was exported. Several lanes are held against a `LiveFilterBank` without searches.
+        As the filter was exported. Several lanes are compared with a `LiveFilterBank` without searches.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def check_export(
     fits = all(fits_float(p) for p in side_by_side.filters(parameters))
     single = _shared_object(folder, "libins_gps_float.so", "-DINS_GPS_FLOAT") if fits else None
     checked: list[Checked] = []
-    # Where they are built they may be built anew, and a process loads what has one path only once.
+    # They may be rebuilt there, and a process loads a path only once.
     with tempfile.TemporaryDirectory() as loaded:
         libraries = [Path(shutil.copy(each, loaded)) for each in (double, single) if each is not None]
         for drive in drives:
@@ -102,7 +102,7 @@ def check_export(
 
 
 def _of_library(drive: Drive, parameters: FilterParameters, lanes: Lanes, *, as_recorded: bool) -> Array:
-    """The means (k, n) that the C is held against."""
+    """Reference means (k, n) of the C filter."""
     if lanes.n == 1:
         return run_filter(drive, parameters, recover=False, as_recorded=as_recorded).mean
     replay = replay_of(drive, as_recorded=as_recorded)

@@ -1,4 +1,4 @@
-"""What the templates of the exported filters ask for: which parts a filter uses, and its numbers."""
+"""Values of the templates of exported filters: the parts that a filter uses, and its numbers."""
 
 import math
 from collections.abc import Iterable
@@ -36,6 +36,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
         "STRETCH": tracking or p.robust_dof is not None,
         "VELOCITY": velocity,
         "LATERAL": lateral,
+        "SLIP": lateral and p.tire_slip != 0.0,
         "STANDSTILL": stands,
         "VELOCITY_OR_STANDSTILL": velocity or stands,
         "LATERAL_OR_STANDSTILL": lateral or stands,
@@ -48,7 +49,7 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
 
 
 def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
-    """A filter's parameters as text; ``interval`` (s) is what Q refers to."""
+    """A filter's parameters as text; ``interval`` (s) is that of Q."""
     numbers: dict[str, float | None] = {
         "NOMINAL_INTERVAL": interval,
         "LATENCY": p.latency,
@@ -72,6 +73,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
         "VELOCITY_NOISE": p.velocity_noise,
         "LATERAL_NOISE": p.lateral_noise,
         "REAR_AXLE": p.rear_axle,
+        "TIRE_SLIP": p.tire_slip,
         "LATERAL_INTERVAL": schedule.LATERAL_INTERVAL,
         "CORNERING": timeline.CORNERING,
         "STANDSTILL_NOISE": p.standstill_noise,
@@ -98,7 +100,7 @@ def values_of(p: FilterParameters, interval: float) -> dict[str, str]:
 
 
 def in_range(value: float, of: str) -> float:
-    """A number that is made of a filter's parameters, as it is.
+    """Check a number that is computed from a filter's parameters.
 
     Raises
     ------

@@ -21,7 +21,7 @@ FILE = "run_filter.py"
 
 
 def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = False) -> dict[str, str]:
-    """The script, by file name; ``interval`` (s) is what Q refers to, ``as_recorded`` as in `PreparedDrive`."""
+    """The script, by file name; ``interval`` (s) is that of Q, ``as_recorded`` as in `PreparedDrive`."""
     p = parameters
     if p.odometer_noise is not None:
         raise InputError(
@@ -33,7 +33,7 @@ def filterpy(parameters: FilterParameters, interval: float, as_recorded: bool = 
     used = ["THETA", *(["GYRO_BIAS"] if stands or features["USE_LATERAL"] else [])]
     used += [*dict.fromkeys(["planar5", p.model]), "gps_position"]
     used += ["velocity"] if features["USE_VELOCITY_OR_STANDSTILL"] else []
-    used += ["lateral_velocity"] if features["USE_LATERAL"] else []
+    used += ["lateral_arm", "lateral_velocity"] if features["USE_LATERAL"] else []
     used += ["gyro_bias"] if stands else []
     sources = [source_of(models, used), *([source_of(ekf, ["complex_step"])] if p.kind == "ekf" else [])]
     values = values_of(p, interval) | {
@@ -66,7 +66,7 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
     parts: list[str] = []
     kept = False
     for node in ast.parse(text).body[1:]:  # the module's docstring comes first
-        if isinstance(node, ast.Expr):  # what is said of the constant before it
+        if isinstance(node, ast.Expr):  # docstring of the constant before it
             if kept:
                 parts[-1] += "\n" + "\n".join(lines[node.lineno - 1 : node.end_lineno])
             continue
@@ -81,7 +81,7 @@ def source_of(module: ModuleType, names: list[str] | None = None) -> str:
 
 
 def _name(node: ast.stmt) -> str | None:
-    """What a statement defines, if it is a constant, a function or a class."""
+    """Return the name that a statement defines, if it is a constant, a function or a class."""
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         return node.name
     if not isinstance(node, ast.Assign):

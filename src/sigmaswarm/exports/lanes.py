@@ -1,4 +1,4 @@
-"""What the exported C of a swarm needs beside a filter's: a table of what its lanes differ in."""
+"""Table of the parameters in which the lanes of an exported filter bank differ."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from sigmaswarm.filters.parameters import FilterParameters
 
 @dataclass(frozen=True)
 class Lanes:
-    """How many filters run side by side, and the seed of what those differ in that are drawn.
+    """Number of filters of a bank, and the seed of their random parameters.
 
     The first of them are those of a `LiveFilterBank` of that seed without searches.
 
@@ -33,7 +33,7 @@ class Lanes:
             raise InputError(f"lanes = {self.n}: a swarm has 2 to {LANES}; 1 is the filter alone")
 
     def filters(self, tuning: FilterParameters) -> list[FilterParameters]:
-        """Each lane's; the first one is the tuning itself."""
+        """Of each lane; the first one is the tuning."""
         spread = Spread(tuning)
         return [tuning, *(spread.parameters(offsets) for offsets in self._offsets(spread)[1:])]
 
@@ -64,12 +64,12 @@ class Lanes:
         }
 
     def _biases(self, tuning: FilterParameters) -> dict[str, str]:
-        """What each lane expects of the gyro at the start."""
+        """Gyro bias of each lane at the start."""
         return {"GYRO_BIAS_STDS": listed([p.bias_std[1] for p in self.filters(tuning)])}
 
 
 def _numbers(p: FilterParameters) -> dict[str, float]:
-    """What lanes may differ in beside Q and R: those of these numbers that a filter has."""
+    """Further numbers in which lanes may differ, if the filter has them."""
     numbers = {
         "accel_bias_std": p.bias_std[0] if MODELS[p.model].sensors else None,
         "gyro_bias_std": p.bias_std[1] if MODELS[p.model].sensors else None,
@@ -77,6 +77,7 @@ def _numbers(p: FilterParameters) -> dict[str, float]:
         "velocity_noise": p.velocity_noise,
         "lateral_noise": p.lateral_noise,
         "rear_axle": None if p.lateral_noise is None else p.rear_axle,
+        "tire_slip": None if p.lateral_noise is None else p.tire_slip or None,
         "odometer_noise": p.odometer_noise,
         "standstill_noise": p.standstill_noise,
     }

@@ -93,7 +93,7 @@ def _timed_kml(time: Array, places: Array, path: Path, name: str) -> None:
 def cut(time: Array, places: Array) -> list[tuple[Array, Array]]:
     """A track in parts that do not cross the antimeridian: times (k,) s and places (k, 2) deg of each.
 
-    A part ends on the antimeridian and the next one begins there, between the two points that lie beside it.
+    A part ends on the antimeridian and the next one begins there, between the two adjacent points.
     """
     turned = np.unwrap(places[:, 1], period=360.0)
     if (turned == places[:, 1]).all():

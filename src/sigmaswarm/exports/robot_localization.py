@@ -1,6 +1,6 @@
-"""What of a filter transfers to ROS's robot_localization, as its parameter file.
+"""Configuration of ROS's robot_localization: of its own tuned model, or what transfers of another filter.
 
-Its UKF adds ``process_noise_covariance`` times the time step (ukf.cpp, predict), so ours, per nominal interval, is
+Its filters add ``process_noise_covariance`` times the time step (predict), so ours, per nominal interval, is
 divided by that interval; its gate is a Mahalanobis distance, the root of ours (filter_base.cpp); its state has 15
 elements. Read from https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
 """
@@ -9,7 +9,9 @@ import math
 
 from sigmaswarm.exports.features import features_of, in_range, values_of
 from sigmaswarm.exports.template import fill
+from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.versions import __version__
 
 FILE = "robot_localization.yaml"
 DEFAULT_PROCESS_NOISE = (
@@ -21,10 +23,16 @@ DEFAULT_PROCESS_NOISE = (
 )
 """Its defaults, per second: x, y, z; roll, pitch, yaw; their rates; accelerations (filter_base.cpp, reset)."""
 _X, _Y, _YAW, _VX, _VY = 0, 1, 5, 6, 7
+PLACES = (_X, _Y, _VX, _VY, _YAW, 12, 13, 11)
+"""Places of the states of the model robot-localization among the 15."""
+SMALL, FIRST_FIX = 1e-6, 1.0
+"""Variances at the start: of states that stay at 0; the least of x and y, m2."""
+START_VARIANCES = (0.25, 0.01, 0.0025, 1.0, 1.0, 0.1)
+"""At the start: vx, vy, yaw, ax, ay, yaw rate, if initial_state is set as README.md says."""
 
 
 def robot_localization(parameters: FilterParameters, interval: float, _: bool = False) -> dict[str, str]:
-    """The parameter file, by file name; ``interval`` (s) is what Q refers to.
+    """The parameter file, by file name; ``interval`` (s) is that of Q.
 
     ROS's filter has no rules that could be switched off.
 
@@ -34,14 +42,13 @@ def robot_localization(parameters: FilterParameters, interval: float, _: bool = 
         If a number of the filter is beyond the range of floating point once it is per second.
     """
     p, (r_east, r_north) = parameters, parameters.measurement_noise
+    if MODELS[p.model].measures_imu:
+        return _configuration(p, interval)
     numbers = {
         "R_EAST": r_east,
         "R_NORTH": r_north,
         "R_UP": in_range(r_east + r_north, "the sum of measurement_noise"),
         "FREQUENCY": in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval"),
-        "ALPHA": p.alpha,
-        "BETA": p.beta,
-        "KAPPA_15": p.kappa + p.n_states - len(DEFAULT_PROCESS_NOISE),
         "REJECTION_THRESHOLD": math.sqrt(p.gate or 0.0),
     }
     values = values_of(p, interval) | {name: yaml_number(value) for name, value in numbers.items()}
@@ -50,6 +57,36 @@ def robot_localization(parameters: FilterParameters, interval: float, _: bool = 
     return {
         FILE: fill("robot_localization.yaml.in", features_of(p) | {"USE_LATENCY": p.latency != 0}, values)
     }
+
+
+def _configuration(p: FilterParameters, interval: float) -> dict[str, str]:
+    """Files for the model robot-localization: the same filter there."""
+    of = "process_noise / nominal_interval"
+    noise, start = list(DEFAULT_PROCESS_NOISE), [SMALL] * len(DEFAULT_PROCESS_NOISE)
+    first = (*(max(r, FIRST_FIX) for r in p.measurement_noise), *START_VARIANCES)
+    for place, variance, unknown in zip(PLACES, p.process_noise, first, strict=True):
+        noise[place], start[place] = in_range(variance / interval, of), unknown
+    (r_gyro, r_accel), (r_x, r_y) = p.imu_noise, p.measurement_noise
+    lateral = yaml_number(p.lateral_noise or 1.0)
+    stated = (
+        "" if p.accuracy_scale is None else f"{p.accuracy_scale:.6g} times the receiver's variance, plus "
+    )
+    values = {
+        "VERSION": __version__,
+        "FREQUENCY": yaml_number(in_range(round(1 / interval, 3) or 1 / interval, "1 / nominal_interval")),
+        "REJECTION_THRESHOLD": yaml_number(math.sqrt(p.gate or 0.0)),
+        "REMOVE_GRAVITY": "false",
+        "INITIAL_COVARIANCE": _diagonal(start),
+        "PROCESS_NOISE": _diagonal(noise),
+        "TWIST_COVARIANCE": ", ".join(lateral if k % 7 == 0 else "0.0" for k in range(36)),
+        "R_GYRO": yaml_number(r_gyro),
+        "R_ACCEL": yaml_number(r_accel),
+        "R_LATERAL": lateral,
+        "FIX_COVARIANCE": f"{stated}{r_x!r} and {r_y!r} m2",
+    }
+    used = {"USE_GATE": p.gate is not None, "USE_LATERAL": p.lateral_noise is not None}
+    names = {"ekf.yaml": "ekf.yaml.in", "ekf.launch.py": "ekf.launch.py.in", "README.md": "ekf_readme.md.in"}
+    return {file: fill(template, used, values) for file, template in names.items()}
 
 
 def process_noise(p: FilterParameters, interval: float) -> list[float]:

@@ -1,4 +1,4 @@
-"""An estimate as a ROS 2 bag, perhaps beside the topics of one that was recorded; needs the extra ``ros``.
+"""An estimate as a ROS 2 bag, optionally with the topics of a recorded one; needs the extra ``ros``.
 
 The estimate is /sigmaswarm/odometry, nav_msgs/Odometry. Its pose is in ``map``, east-north-up; its twist in
 ``base_link``, forward and left along the road, as REP-105 and the message ask.
@@ -24,7 +24,7 @@ from sigmaswarm.filters.run import Estimate
 
 TOPIC = "/sigmaswarm/odometry"
 NOT_ESTIMATED = 1e6
-"""The variance that is stated for what a filter says nothing of: height, rates, and in the plane roll and pitch."""
+"""Variance of quantities that a filter does not estimate: height, rates, and in the plane roll and pitch."""
 
 
 def ros2(
@@ -47,7 +47,7 @@ def ros2(
     time_origin : float
         s on the bag's clock at which the estimate's times are 0.
     beside : Path, optional
-        A ROS 2 bag whose messages are copied into this one, byte for byte, in the order of their times.
+        A ROS 2 bag whose messages are copied unchanged into this one in the order of their times.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from sigmaswarm.exports.filterpy import filterpy
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.robot_localization import robot_localization
 from sigmaswarm.files import make_folder, staged_files, write_whole
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MODELS, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
@@ -23,6 +23,7 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
+ALIASES: dict[str, Target] = {"robot-localization": "robot_localization"}
 WITH_TILTS: frozenset[Target] = frozenset({"c99"})
 """Those that know models with tilts."""
 
@@ -43,15 +44,16 @@ def export_texts(
     parameters : FilterParameters
         With ``nominal_interval``, as every tuning has it.
     target : {"filterpy", "c99", "robot_localization"}
+        robot-localization stands for the last.
     replay : Drive, optional
         c99: also write this drive as replay.csv, the input of the program that replays.
     as_recorded : bool
-        filterpy, c99: absorb frozen fixes, and cross gaps in the IMU as if they were steps like others.
+        filterpy, c99: use stale fixes, treat IMU gaps as ordinary steps.
     lanes : int
         c99: so many filters, differently tuned, run side by side, and their mixture is the estimate: a `LiveFilterBank`
         without searches.
     seed : int
-        Of what the lanes differ in.
+        Of the parameters in which the lanes differ.
 
     Returns
     -------
@@ -63,12 +65,15 @@ def export_texts(
         If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
         variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
     """
+    target = ALIASES.get(target, target)
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and target not in WITH_TILTS:
         raise InputError(
             f"{target} does not know {parameters.model}; run it with `sigmaswarm run` or LiveFilter, or export planar8"
         )
+    if target != "robot_localization":
+        require_driven_by_imu(parameters.model, target)
     if parameters.nominal_interval is None:
         raise InputError(
             "the filter does not say which IMU interval its process noise refers to; add nominal_interval (s), for "

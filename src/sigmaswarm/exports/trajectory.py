@@ -47,9 +47,9 @@ def write_estimate(
         s at which the estimate's times are 0 on the clock of the log that it was made of, as `time_origin_of` a drive
         says it; for bags and maps, which have their times on that clock.
     beside : str or Path, optional
-        .ros2: a ROS 2 bag whose messages are copied beside the estimate, byte for byte.
+        .ros2: a ROS 2 bag whose messages are copied unchanged into the new one.
     name : str, optional
-        What a map calls the track: the drive's name, say; by default the file's.
+        Name of the track in a map, such as the drive's; by default the file's.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def write_pieces(
     beside: str | Path | None = None,
     name: str | None = None,
 ) -> None:
-    """Write an estimate that comes in pieces, which together are over ``span`` (s); the same bytes as whole.
+    """Write an estimate that comes in pieces over ``span`` (s); the bytes do not depend on the pieces.
 
     .csv, .tum, .kitti and .ros2 hold one piece at a time, maps all times and places, .mat everything. If a piece can't
     be had, nothing is written. Otherwise as `write_estimate`.
@@ -128,7 +128,7 @@ def check_fixes_target(path: Path, origin: Origin | None = None) -> None:
 
 
 def time_origin_of(drive: Drive) -> float:
-    """s on its log's clock at which a drive's times are 0: what an import took off, else 0."""
+    """Return the time on the log's clock, s, at which a drive's times are 0, as its import set it; else 0."""
     stated = drive.metadata.get("time_origin_s", 0.0)
     usable = isinstance(stated, int | float) and abs(stated) < _LATEST_ORIGIN  # not NaN
     return float(stated) if usable else 0.0
@@ -157,7 +157,7 @@ def check_target(path: Path, origin: Origin | None = None, beside: str | Path | 
 
 
 def true_trajectory(drive: Drive) -> Estimate:
-    """A drive's truth in the form of an estimate, to be written beside one.
+    """A drive's truth in the form of an estimate.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def _csv(pieces: Iterable[Estimate], file: BinaryIO) -> None:
 
 
 def _mat(pieces: Iterable[Estimate], file: BinaryIO) -> None:
-    """MATLAB's format tells an array's size before its numbers, so all pieces are held."""
+    """Write a MATLAB file; its format has an array's size before its numbers, so all pieces are held."""
     from scipy.io import savemat
 
     parts = [estimate.columns() | {"covariance": estimate.covariance} for estimate in pieces]

@@ -105,7 +105,7 @@ class Check:
 
     @property
     def position_contradicts(self) -> bool:
-        """True if the fix lies far off its prediction."""
+        """Return True if the fix is far off its prediction."""
         x, y, vx, vy, theta = self.mean[:5].tolist()
         back = self.latency + self.time - self.fix_time
         east, north = self.fix.tolist()  # plain numbers: nearly always it ends here
@@ -176,7 +176,7 @@ class DivergenceMonitor:
         self._position, self._heading = _Contradiction(), _Contradiction()
 
     def take(self, check: Check) -> InitialState | None:
-        """Where the filter is reset to after a check; None where it goes on, or is ``lost``."""
+        """Return the state for a reset after a check; None where it continues, or is ``lost``."""
         if not np.isfinite(check.mean).all():  # it has failed, which is reported elsewhere
             return None
         return self.take_all([check.time], lambda _: check)[1]
@@ -223,7 +223,7 @@ class _Contradiction:
         """Find the first check at which the contradiction has lasted; None where it has not.
 
         ``contradicts`` is slow. So it is called backwards from the next check at which the contradiction could have
-        lasted, until one without contradiction: what was before that one does not matter.
+        lasted, until one without contradiction; earlier ones do not matter.
         """
         begin = 0
         while begin < len(times):

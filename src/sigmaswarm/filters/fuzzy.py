@@ -12,7 +12,7 @@ turn "small", "right", "large" and "rises" into truths between 0 and 1:
 
 The factors are the consequents' mean, weighed by their rules' truths, which sum to 1: T. Takagi and M. Sugeno, Fuzzy
 identification of systems and its applications to modeling and control, IEEE Trans. SMC 15(1), 1985, of order zero, with
-the product for "and". That the ratio of innovation covariances is what such rules should look at is the principle of P.
+the product for "and". The rules use the ratio of innovation covariances by the principle of P.
 J. Escamilla-Ambrosio and N. Mort, Hybrid Kalman filter-fuzzy logic adaptive multisensor data fusion architectures, CDC
 2003, and of the filters after it; the rules, their edges and the two averages are ours.
 

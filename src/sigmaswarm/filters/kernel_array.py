@@ -1,4 +1,4 @@
-"""Parameter sets as columns of the compiled kernel's array: their constants, where they start, and what they sum up.
+"""Parameter sets as columns of the compiled kernel's array: their constants, starts and sums.
 
 The work of each drive and block takes time next to a kernel of 0.2 ms, and it holds Python's lock while other threads
 wait. So it is done for all sets, and all drives, together.
@@ -101,7 +101,7 @@ class KernelArray:
     size : int
         Number of sets.
     reads : tuple
-        What it needs of a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
+        Requirements on a drive: the axes of its model; whether fixes state their accuracy; its `Switches`.
 
     Raises
     ------
@@ -255,12 +255,12 @@ def _side_by_side(each: NDArray[Any], blocks: int) -> NDArray[Any]:
 def _constants(table: ParameterTable) -> Array:
     """The kernel's constants, shape (N_CONSTANTS, n). Q is per the sets' own interval; PATIENCE is left at 0."""
     constants = np.zeros((len(CONSTANTS), len(table)))
-    for row, value in _values(table.field).items():
+    for row, value in _values(table.field, table.like.model).items():
         constants[row - CONSTANT_ROWS.start] = value
     return constants
 
 
-def _values(of: Callable[[str], Any]) -> dict[int, Any]:
+def _values(of: Callable[[str], Any], model: ModelName) -> dict[int, Any]:
     """The value of each constant, by its row, of a function that gives a field's values."""
     kind, forgetting = of("kind"), of("forgetting")
     q = np.transpose(of("process_noise"))
@@ -269,8 +269,10 @@ def _values(of: Callable[[str], Any]) -> dict[int, Any]:
     rx, ry = np.transpose(of("measurement_noise"))
     width_ratio, width_trend = np.transpose(of("fuzzy_widths"))
     gain_r, gain_q = np.transpose(of("fuzzy_gains"))
+    r_gyro, r_accel = np.transpose(of("imu_noise"))
+    measures = MODELS[model].measures_imu
     return {
-        R.R_RATE: STANDSTILL_RATE_NOISE,
+        R.R_RATE: r_gyro if measures else STANDSTILL_RATE_NOISE,
         R.QUARTER_GAMMA: second * np.sqrt(gamma2) / 4,
         R.SHORTENS: -second * 8 / gamma2,
         R.SPREAD: alpha2 * (n_kappa - 1) + of("beta"),
@@ -285,13 +287,14 @@ def _values(of: Callable[[str], Any]) -> dict[int, Any]:
         R.WIDTH_TREND: width_trend,
         R.GAIN_R: gain_r,
         R.GAIN_Q: gain_q,
-        R.R_VELOCITY: of("velocity_noise"),
+        R.R_VELOCITY: r_accel if measures else of("velocity_noise"),
         R.R_LATERAL: of("lateral_noise"),
         R.R_STANDSTILL: of("standstill_noise"),
         R.R_ODOMETER: of("odometer_noise"),
         R.ODOMETER_SCALE: 1 / np.asarray(of("odometer_scale")),
         R.ODOMETER_LATENCY: of("odometer_latency"),
         R.REAR_AXLE: of("rear_axle"),
+        R.TIRE_SLIP: of("tire_slip"),
         R.LATENCY: of("latency"),
         R.GATE: of("gate"),
         R.ACCURACY: of("accuracy_scale"),

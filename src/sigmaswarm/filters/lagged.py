@@ -1,4 +1,4 @@
-"""What a live filter knows by now of a moment some seconds ago."""
+"""Fixed-lag smoothing of a live filter."""
 
 import numpy as np
 
@@ -13,13 +13,13 @@ from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.names import ModelName
 
 NEARLY = 1e-6
-"""s: what rounding may take off a lag."""
+"""s: rounding error of a lag."""
 
 
 class FixedLag:
-    """A fixed-lag smoother behind a live filter's memory: its last samples are taken again, on tape, and smoothed.
+    """A fixed-lag smoother on the memory of a live filter: it repeats and logs the last samples, then smooths them.
 
-    Late fixes have changed that memory already where they belong. What it holds has a fixed size.
+    The memory, of a fixed size, already includes late fixes.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class FixedLag:
         belief, counts, _, fixes, speeds, history, marks, _ = memory
         now, kept = float(belief[live.TIME]), int(counts[live.N_HISTORY])
         order = (int(counts[live.OLDEST]) + np.arange(kept)) % len(history)
-        # The belief before a sample is the one after the sample before it.
+        # The state before a sample is the one after the sample before it.
         moments = history[order, live.TIME]
         first = int(np.searchsorted(moments, now - self._lag + NEARLY, side="right")) - 1
         if not kept:

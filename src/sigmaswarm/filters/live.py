@@ -21,29 +21,29 @@ from sigmaswarm.filters.compiled.watch import WATCHED
 from sigmaswarm.filters.divergence import Check, DivergenceMonitor, aligned_by, at_fix, steps_since
 from sigmaswarm.filters.kernel_array import KernelArray
 from sigmaswarm.filters.lagged import FixedLag
-from sigmaswarm.filters.models import MODELS, THETA
+from sigmaswarm.filters.models import MODELS, THETA, require_driven_by_imu
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import LATERAL_INTERVAL, STANDSTILL_INTERVAL
 from sigmaswarm.geodesy import wrap_angle
 
 MOST_RESTARTS = 1000
-"""Whose times a live filter keeps."""
+"""Resets whose times are kept."""
 MOST_READINGS = 2000
-"""Of the odometer: those of ten seconds at 200 Hz."""
+"""Odometer readings: ten seconds at 200 Hz."""
 FASTER_IMU = 4
-"""Times as fast as it says an IMU may be, and is still watched for as long."""
+"""Ratio of an IMU's rate to the stated one, up to which the monitor covers the same time."""
 MOST_HISTORY = 100_000
 """Intervals between IMU samples that history and lag may take: 100 s at 1 kHz, and 0.2 GB."""
 MOST_WAITING = 1000
 """Fixes that may wait for an IMU sample, about; more of them mean that the IMU is silent."""
 _NO_NUMBERS = (TypeError, LookupError, OverflowError)
-"""What texts, None, too few numbers, or integers of 400 digits raise."""
+"""Errors of texts, None, too few numbers, or integers of 400 digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiveState:
-    """What the filter believes now.
+    """The state estimate.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class LiveState:
     mean : ndarray, shape (n,); heading wrapped to (-pi, pi]
     covariance : ndarray, shape (n, n)
     failed : bool: the covariance lost its definiteness, or something became NaN
-    lost : bool: the filter is lost and can't yet start anew; the position is that of the last fix
+    lost : bool: the filter has diverged and cannot be reset yet; the position is that of the last fix
     """
 
     time: float
@@ -62,58 +62,53 @@ class LiveState:
 
 
 class LiveFilter:
-    """A filter that is fed one sample at a time.
+    """A filter that receives one sample at a time.
 
-    A fix waits for the IMU sample that follows it, which drives the filter to the fix's time and on. A fix that comes
-    late, at most ``history`` seconds, takes the filter back to its time and forward again; so the state is the one
-    that `run_filter` gives for the same data in order. Fixes of one time, as two receivers give them, are absorbed one
-    after the other; one that is the same in all its numbers is the same message again, and is left out. A frozen fix is
-    kept and not absorbed: see `drives.frozen`.
+    A fix waits for the next IMU sample, which propagates the filter to the fix's time and on. A fix that is at most
+    ``history`` seconds late takes the filter back to its time and forward again, so the state is that of `run_filter`
+    for the same data in order. Fixes of the same time, as from two receivers, are used one after the other; an
+    identical fix is a repeated message and is ignored. A stale fix is stored but not used: see `drives.frozen`.
 
-    That the IMU is silent can't be known before it speaks again. The state stays that of the last sample meanwhile, and
-    fixes wait; the sample that ends the gap brings the filter through it (`drives.gaps`).
+    While the IMU is silent, the state stays that of the last sample and fixes wait; the next sample bridges the gap
+    (`drives.gaps`). A sample stamped more than 10 s ahead is held until a second one within a second of it confirms
+    it; then both are used, as after a silence. Otherwise it is dropped and counted. The same holds for fixes, which IMU
+    samples of that time also confirm.
 
-    One stamp alone is not believed if it lies more than 10 s ahead: such a sample is held back until a second one,
-    within a second of it, says the same; then both are taken, as after a silence. Else it is dropped and counted. So
-    are fixes, of which samples that have got there also say the same.
+    The divergence monitor compares the filter once a second with the latest fixes and resets it if it has diverged
+    (`divergence`), later than in a run by the delay of the fixes. Earlier fixes are then too late.
 
-    It is watched as a run is: once a second it is held against the fixes of the last seconds, and if it is lost it
-    starts anew (`divergence`): later than a run does by as much as fixes come late. From then on a fix from before that
-    moment comes too late.
-
-    What it keeps has a fixed size, and what happens at a sample or a fix is compiled: see `compiled.live`. The first
-    filter of a process loads or compiles that; no sample waits for it.
+    The memory has a fixed size, and samples and fixes are processed by compiled code (`compiled.live`), which the first
+    filter of a process loads or compiles.
 
     Parameters
     ----------
     parameters : FilterParameters
     initial : InitialState
-        Where and when it starts.
+        Start state and time.
     nominal_interval : float
         s between IMU samples.
     lever_arm : sequence of float
         m forward and left from the IMU to the antenna: a drive's ``lever_arm``. tilted12 reads a third number, up:
         ``[*drive.lever_arm, drive.antenna_height]``; without it the antenna is as high as the IMU.
     history : float
-        s that are kept for late fixes.
+        s: largest delay of a fix.
     recover : bool
-        Start anew where the filter is lost.
+        Reset the filter where it diverges.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     lag : float, optional
-        s: keep so much of the past that `smoothed` can say what is known now of the moment so long ago.
+        s: delay of the `smoothed` state.
 
     Attributes
     ----------
     restarts : list of float
-        s: when it did; the last `MOST_RESTARTS`.
+        s: times of resets, the last `MOST_RESTARTS`.
     too_late : int
-        Fixes and readings of the odometer that were left out: they came later than ``history``, or no IMU sample came
-        for too long.
+        Fixes and odometer readings that were ignored: later than ``history``, or no IMU sample came for too long.
     time_jumps : int
-        Samples, fixes and readings that were dropped, stamped far ahead as no other one was.
+        Samples, fixes and readings that were dropped since their stamps were far ahead and not confirmed.
     frozen : int
-        Fixes that repeated one of a car that may have moved since, and were not absorbed.
+        Stale fixes, which were not used.
     """
 
     def __init__(
@@ -140,6 +135,7 @@ class LiveFilter:
                 f"interval, and a history and lag of at most {MOST_HISTORY} intervals"
             )
         p = parameters
+        require_driven_by_imu(p.model, "a live filter or filter bank")
         self.parameters = p
         self._calls = live.live_calls()
         self._state = state_rows(p.model)
@@ -148,7 +144,7 @@ class LiveFilter:
         self._plausible = bool(KernelArray((p,)).plausible[0])
         self._takes_velocity = p.velocity_noise is not None
         self._takes_accuracy = p.accuracy_scale is not None
-        # More than the history takes: an IMU may run faster than it says.
+        # More than the history needs: an IMU may run faster than stated.
         samples = max(
             1, int(np.ceil(1.25 * max(history, (lag or -1.0) + nominal_interval) / nominal_interval))
         )
@@ -171,13 +167,13 @@ class LiveFilter:
         )
         self._interval, self._lever = nominal_interval, np.array(lever_arm[:2], dtype=np.float64)
         self._monitor = DivergenceMonitor() if recover else None
-        self._holds = False  # it is lost, and the estimate is a fix, anew at each sample
+        self._holds = False  # it has diverged, and the estimate is a fix, updated at each sample
         self._lag = None if lag is None else FixedLag(p.model, lag, most_steps=MOST_WAITING + seen + samples)
 
     def predict(self, t: float, imu: Sequence[float]) -> None:
-        """Take an IMU sample. One that is not after the last one is left out, one more than 10 s ahead held back.
+        """Process an IMU sample. One not after the last one is ignored, one more than 10 s ahead is held.
 
-        Samples before the start only teach the filter what calm is, for the standstill.
+        Samples before the start only set the level of calm for the standstill.
 
         Parameters
         ----------
@@ -219,7 +215,7 @@ class LiveFilter:
         Returns
         -------
         bool
-            False if it was left out (it lies before the start, came too late, or was there already) or is held back.
+            False if it was ignored (before the start, too late, or a repeat) or is held.
 
         Raises
         ------
@@ -314,7 +310,7 @@ class LiveFilter:
         return samples[max(0, int(np.searchsorted(samples[:, 0], samples[-1, 0] - WATCHED)) - 1) :]
 
     def _aligned(self, gyro_bias: float) -> InitialState | None:
-        """The alignment that ends at the last fix, if there is one."""
+        """Return the alignment that ends at the last fix, if there is one."""
         return aligned_by(self._samples, self._counted_fixes[:, : live.FIX_Y + 1], self._lever, gyro_bias)
 
     @property
@@ -326,7 +322,7 @@ class LiveFilter:
         return fixes[(fixes[:, live.KIND] < FROZEN) & finite]
 
     def _reset(self, start: InitialState) -> None:
-        """The filter as at a start; what is kept for late fixes is of the one that was lost."""
+        """Reset the filter; the history for late fixes is that of the diverged one."""
         rows = KernelArray((self.parameters,)).start([start], [self._interval])
         self._belief[:N_KEPT] = rows[0, :, 0]
         counts = self._memory.arrays.counts
@@ -363,16 +359,16 @@ class LiveFilter:
 
     @property
     def state(self) -> LiveState:
-        """What the filter believes after the last IMU sample and all fixes up to then."""
+        """The state estimate after the last IMU sample and all fixes up to then."""
         time, definite = float(self._belief[live.TIME]), self._calls.definite(self._memory.handle)
         return self._state_at(time, self._belief[self._state], definite)
 
     @property
     def smoothed(self) -> LiveState:
-        """What is known by now of the last IMU sample that lies ``lag`` s or more back: a fixed-lag smoother's state.
+        """The fixed-lag smoothed state at the last IMU sample that is ``lag`` s or more old.
 
-        It is the state that `smooth` gives for that moment, of the same data up to now. Its ``time`` says when it was;
-        it never lies before the start, or before the filter's last start anew. Computed when asked for.
+        It is the state of `smooth` at that moment with the data up to now. Its ``time`` is not before the start or the
+        last reset. It is computed on each access.
 
         Raises
         ------
@@ -385,7 +381,7 @@ class LiveFilter:
 
     def _state_at(self, time: float, packed: Array, definite: bool) -> LiveState:
         """``packed``: the model's state rows, (s,)."""
-        with np.errstate(all="ignore"):  # what overflows is reported as failed
+        with np.errstate(all="ignore"):  # overflow is reported as failed
             mean, covariance = (of[0] for of in state_estimate(packed[:, np.newaxis], self.parameters.model))
         lost = self._monitor is not None and self._monitor.lost
         sound = definite and self._belief[live.OK] == 1.0 and self._plausible
@@ -393,7 +389,7 @@ class LiveFilter:
 
 
 def told(time: float, mean: Array, covariance: Array, lost: bool, sound: bool) -> LiveState:
-    """A belief, as it is told: ``mean``, changed, with its heading wrapped."""
+    """Make a state with a wrapped heading; changes ``mean``."""
     sound = sound and bool(np.isfinite(mean).all() and np.isfinite(covariance).all())
     if np.pi < abs(mean[THETA]) < np.inf or mean[THETA] == -np.pi:
         mean[THETA] = wrap_angle(float(mean[THETA]))
@@ -417,7 +413,7 @@ def _squared(std: Sequence[float] | None) -> tuple[float, float]:
 def _believe(
     p: FilterParameters, initial: InitialState, nominal_interval: float, lever_arm: Sequence[float]
 ) -> Array:
-    """The belief at the start, and the settings behind it."""
+    """Return the state at the start, and the settings."""
     v = np.zeros(live.N_ALL)
     v[:N_KEPT] = KernelArray((p,)).start([initial], [nominal_interval])[0, :, 0]
     v[live.TIME] = v[live.START] = initial.time

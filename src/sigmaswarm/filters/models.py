@@ -3,9 +3,9 @@
 A new model is a function, a line in MODELS, and its closed form in `compiled/`. Its states begin with those of the
 models before it, so that measurements find them at the same places.
 
-`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled filter
-knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model whose attitude
-is more than a heading has a file of its own: `tilted`.
+`UnscentedKalmanFilter` and `ExtendedKalmanFilter` take any such functions; these are the ones that the compiled
+filter knows in closed form. Arrays: state (n,); imu (3,) = ax, ay (m/s2), yaw rate (rad/s), body frame. A model with
+a full attitude is in `tilted`.
 """
 
 import re
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sigmaswarm.errors import InputError
 from sigmaswarm.filters import tilted
 from sigmaswarm.filters.names import FilterKind
 
@@ -52,6 +53,15 @@ def planar8(state: Array, dt: float, imu: Array) -> Array:
     return np.concatenate([planar5(state[:5], dt, imu - state[5:]), state[5:]])
 
 
+def robot_localization(state: Array, dt: float, imu: Array) -> Array:
+    """Move as robot_localization does in ``two_d_mode``: see `filters.robot_localization`; the IMU is a measurement."""
+    x, y, vx, vy, theta, ax, ay, yaw_rate = state
+    a, b = vx * dt + ax * dt**2 / 2, vy * dt + ay * dt**2 / 2
+    c, s = np.cos(theta), np.sin(theta)
+    moved = [x + c * a - s * b, y + s * a + c * b, vx + ax * dt, vy + ay * dt, theta + yaw_rate * dt]
+    return np.array([*moved, ax, ay, yaw_rate])
+
+
 def gps_position(lever: Sequence[float] = (0.0, 0.0), latency: float = 0.0) -> Callable[[Array], Array]:
     """Predict a fix: where the antenna, ``lever`` m forward and left, was ``latency`` s ago."""
 
@@ -68,8 +78,17 @@ def velocity(state: Array) -> Array:
     return state[2:4].copy()
 
 
+def lateral_arm(state: Array, rear_axle: float, tire_slip: float) -> float:
+    """Distance (m) from the point of a car without lateral velocity forward to the IMU: rear_axle - tire_slip v^2.
+
+    The rear tires slip by an angle of ``tire_slip`` (s2/m) times the lateral acceleration, v yaw_rate. So the lateral
+    velocity at the rear axle is -tire_slip v^2 yaw_rate. The filters take v^2 from the mean before the update.
+    """
+    return rear_axle - tire_slip * float(state[2] * state[2] + state[3] * state[3])
+
+
 def lateral_velocity(yaw_rate: float, rear_axle: float) -> Callable[[Array], Array]:
-    """Velocity to the left (m/s) at the rear axle, ``rear_axle`` m behind the IMU: a car on its wheels has none."""
+    """Velocity to the left (m/s), ``rear_axle`` m behind the IMU: a car on its wheels has none at its rear axle."""
 
     def h(state: Array) -> Array:
         bias = state[GYRO_BIAS] if len(state) > GYRO_BIAS else 0.0
@@ -205,6 +224,11 @@ class CarModel:
         m2: box of R, the variance of a fix per axis.
     blind : bool
         East and north share their noise in the search.
+    measures_imu : bool
+        Acceleration and yaw rate are states that the IMU measures with `FilterParameters.imu_noise`, and the velocity
+        is in the body's frame: robot_localization. Such a model runs over drives; it is neither smoothed nor live.
+    options : tuple of str or None
+        Measurements and features that it can use; None: all.
     """
 
     states: tuple[State, ...]
@@ -218,6 +242,8 @@ class CarModel:
     odometer: Callable[[float, float], Any] = wheel_speed
     rates_at_rest: Callable[[Array], Array] = gyro_bias
     tilts: Tilts | None = None
+    measures_imu: bool = False
+    options: tuple[str, ...] | None = None
     kinds: tuple[FilterKind, ...] = ("ukf", "ekf", "adaptive-ukf", "strong-tracking-ukf", "fuzzy-ukf")
 
     @property
@@ -233,12 +259,12 @@ class CarModel:
     @property
     def accel_bias(self) -> int | None:
         """Index of the accelerometer's bias (forward), or None."""
-        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS else None
+        return ACCEL_BIAS if len(self.states) > ACCEL_BIAS and not self.measures_imu else None
 
     @property
     def gyro_bias(self) -> int | None:
         """Index of the gyro's bias (z), or None."""
-        return GYRO_BIAS if len(self.states) > GYRO_BIAS else None
+        return GYRO_BIAS if len(self.states) > GYRO_BIAS and not self.measures_imu else None
 
     @cached_property
     def gyro_axes(self) -> dict[str, int]:
@@ -290,6 +316,14 @@ _TILTED = (
     State("gyro_bias_x", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
     State("gyro_bias_y", "rad/s", _WALKS["gyro"], "gyro_bias_xy", "gyro", per_second=True),
 )
+_ROBOT = (
+    *(_per_second(state, (1e-8, 10.0)) for state in (_X, _Y)),
+    *(_per_second(state, (1e-6, 1e2), state.name) for state in (_VX, _VY)),
+    _HEADING,
+    State("ax", "m/s2", (1e-6, 1e3), "ax", per_second=True, start_std=1.0),
+    State("ay", "m/s2", (1e-6, 1e3), "ay", per_second=True, start_std=1.0),
+    State("yaw_rate", "rad/s", (1e-6, 1e2), "yaw_rate", per_second=True, start_std=0.316),
+)
 
 MODELS: dict[str, CarModel] = {
     "planar5": CarModel(_plane(VARIANCE), planar5, VARIANCE, blind=False),
@@ -307,5 +341,25 @@ MODELS: dict[str, CarModel] = {
         tilts=Tilts(tilted.plus, tilted.minus, tilted.transition, tilted.as_angles),
         kinds=("ekf",),
     ),
+    "robot-localization": CarModel(
+        _ROBOT,
+        robot_localization,
+        CITY_VARIANCE,
+        measures_imu=True,
+        options=("lateral", "gate", "accuracy"),
+        kinds=("ekf",),
+    ),
 }
 """By name. planar5 is the paper's, with the paper's box."""
+
+
+def require_driven_by_imu(model: str, use: str) -> None:
+    """Refuse a model that measures the IMU for a use that it does not support.
+
+    Raises
+    ------
+    InputError
+        With the remedy.
+    """
+    if MODELS[model].measures_imu:
+        raise InputError(f"{use} does not support {model}; use planar8 or tilted12")

@@ -15,7 +15,7 @@ from sigmaswarm.filters.compiled.layout import (
     R,
     state_rows,
 )
-from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.models import MODELS, THETA
 from sigmaswarm.filters.names import ModelName
 
 _FIRST_SHOWN, _LAST_SHOWN = R.SQ_POSITION, R.LOG_DET
@@ -27,6 +27,8 @@ def pack_states(mean: Array, covariance: Array, model: ModelName) -> Array:
     """State rows (..., N_STATE, lanes) of means (..., lanes, n) and covariances (..., lanes, n, n)."""
     rows, columns = _upper(mean.shape[-1])
     state = np.zeros((*mean.shape[:-2], N_STATE, mean.shape[-2]))
+    if MODELS[model].measures_imu:
+        mean, covariance = _turned(mean, covariance, -1.0)
     parts = [mean]
     if MODELS[model].tilts:
         parts = [mean.copy(), tilted.quaternion_of(mean)]
@@ -50,10 +52,27 @@ def unpack_states(state: Array, model: ModelName) -> tuple[Array, Array]:
 
 
 def state_estimate(state: Array, model: ModelName) -> tuple[Array, Array]:
-    """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error."""
+    """As `unpack_states`, with the covariance of the mean: of a tilted model's angles, not of its error.
+
+    Of a model that measures the IMU the five states of planar5, the velocity in m/s east and north.
+    """
     mean, covariance = unpack_states(state, model)
+    if MODELS[model].measures_imu:
+        return _turned(mean[..., : THETA + 1], covariance[..., : THETA + 1, : THETA + 1], 1.0)
     tilts = MODELS[model].tilts
     return mean, tilts.as_angles(mean, covariance) if tilts else covariance
+
+
+def _turned(mean: Array, covariance: Array, sign: float) -> tuple[Array, Array]:
+    """Turn the velocity by the heading, from the body to the map (sign 1) or back (-1); first order in P."""
+    c, s = np.cos(mean[..., THETA]), sign * np.sin(mean[..., THETA])
+    vx, vy = mean[..., 2], mean[..., 3]
+    turned, jacobian = mean.copy(), np.zeros_like(covariance) + np.eye(mean.shape[-1])
+    turned[..., 2], turned[..., 3] = c * vx - s * vy, s * vx + c * vy
+    jacobian[..., 2, 2], jacobian[..., 2, 3], jacobian[..., 2, THETA] = c, -s, -sign * turned[..., 3]
+    jacobian[..., 3, 2], jacobian[..., 3, 3], jacobian[..., 3, THETA] = s, c, sign * turned[..., 2]
+    turned_covariance = jacobian @ covariance @ jacobian.swapaxes(-1, -2)
+    return turned, (turned_covariance + turned_covariance.swapaxes(-1, -2)) / 2
 
 
 @cache

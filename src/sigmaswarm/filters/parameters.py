@@ -46,10 +46,11 @@ class FilterParameters:
         Diagonal of Q: the variance added per nominal IMU step, in the units of the state squared.
     measurement_noise : tuple of float, length 2
         Diagonal of R, m2 east and north.
-    model : {"planar5", "planar8", "tilted12"}
+    model : {"planar5", "planar8", "tilted12", "robot-localization"}
         planar5: x, y (m), vx, vy (m/s), theta (rad), driven by the IMU. planar8: and the biases of the accelerometer,
         forward and left (m/s2), and of the gyro (rad/s), as random walks. tilted12: and roll and pitch (rad), and the
         other two biases of the gyro; for an IMU with all six axes, and compiled as ``kind="ekf"`` only.
+        robot-localization: the filter of that name in ``two_d_mode``, see `filters.robot_localization`; an EKF.
     nominal_interval : float or None
         s: the IMU interval that ``process_noise`` refers to. None: each drive's own median interval. A tuning
         stores it, so that the same filter on an IMU of another rate adds the same variance per second.
@@ -64,12 +65,16 @@ class FilterParameters:
         At least 1: largest factors and divisors of R and Q by a fuzzy filter's rules.
     bias_std : tuple of float, length 2
         planar8, tilted12: standard deviation of the biases at the start, m/s2 and rad/s.
+    imu_noise : tuple of float, length 2
+        robot-localization: variances that the IMU's messages state, (rad/s)2 and (m/s2)2.
     velocity_noise : float or None
         m2/s2: variance of the receiver's velocity per axis, where the log has speed and course. None: not used.
     lateral_noise : float or None
-        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without slip. None: not used.
+        m2/s2: variance of the lateral velocity at the rear axle, which is 0 without tire slip. None: not used.
     rear_axle : float
         m from the rear axle forward to the IMU, for ``lateral_noise``.
+    tire_slip : float
+        s2/m (rad per m/s2): slip angle of the rear tires per lateral acceleration, for ``lateral_noise``. 0: no slip.
     standstill_noise : float or None
         m2/s2: variance of the velocity at detected standstills. None: not used.
     odometer_noise : float or None
@@ -107,9 +112,11 @@ class FilterParameters:
     fuzzy_widths: tuple[Positive, Positive] = _option((0.3, 0.3))
     fuzzy_gains: tuple[Gain, Gain] = _option((3.0, 3.0))
     bias_std: tuple[Positive, Positive] = _option((0.3, 0.01))
+    imu_noise: tuple[Positive, Positive] = _option((1e-4, 1e-2))
     velocity_noise: Positive | None = _option(None)
     lateral_noise: Positive | None = _option(None)
     rear_axle: Real = _option(0.0)
+    tire_slip: Real = _option(0.0)
     standstill_noise: Positive | None = _option(None)
     odometer_noise: Positive | None = _option(None)
     odometer_scale: Positive = _option(1.0)
@@ -132,6 +139,14 @@ class FilterParameters:
         used = [option for option, name in _EXCLUSIVE.items() if getattr(self, name) is not None]
         if reason := clash(self.kind, used):
             raise ValueError(reason)
+        known = MODELS[self.model].options
+        for field in (
+            () if known is None else ("velocity_noise", "standstill_noise", "odometer_noise", "robust_dof")
+        ):
+            if getattr(self, field) is not None:
+                raise ValueError(f"{self.model} has no {field}; leave it out")
+        if known is not None and self.latency:
+            raise ValueError(f"{self.model} has no latency; set smooth_lagged_data where fixes are late")
 
     @property
     def n_states(self) -> int:
@@ -153,11 +168,13 @@ class FilterParameters:
         if not 0 < factor < np.inf:
             raise InputError(f"factor = {factor:g}: must be positive and finite")
         given = {name: getattr(self, name) for name in _SCALED}
+        imu_factor = factor if MODELS[self.model].measures_imu else 1.0
         return replace(
             self,
             process_noise=tuple(factor * q for q in self.process_noise),
             measurement_noise=tuple(factor * r for r in self.measurement_noise),
             bias_std=tuple(factor**0.5 * std for std in self.bias_std),
+            imu_noise=tuple(imu_factor * r for r in self.imu_noise),
             **{name: factor * value for name, value in given.items() if value is not None},
         )
 
@@ -262,9 +279,11 @@ def units(parameters: FilterParameters) -> dict[str, Any]:
         "fuzzy_widths": "of ratio and trend, both within -1 and 1",
         "fuzzy_gains": "of R and Q, dimensionless",
         "bias_std": [sensor.unit for sensor in SENSORS.values()],
+        "imu_noise": ["rad2/s2", "m2/s4"],
         "velocity_noise": "m2/s2",
         "lateral_noise": "m2/s2",
         "rear_axle": "m",
+        "tire_slip": "s2/m",
         "standstill_noise": "m2/s2",
         "odometer_noise": "m2/s2",
         "odometer_scale": "reading over true speed",

@@ -1,6 +1,6 @@
 """Filters without tuning. The paper says "default parameters" and gives none.
 
-Three presets, planar5 UKFs, stand for what people set by hand:
+Three presets, planar5 UKFs, stand for settings by hand:
 
 ``defaults``
     A common first choice: Q = I, R = I, alpha 0.1, beta 2, kappa 0.
@@ -46,6 +46,8 @@ BY_HAND = {
     "robust_dof": 4.0,
 }
 """Usual values of parameters without a data sheet: m2/s2; the 99% gate; the receiver's statement taken as right."""
+ROBOT_LOCALIZATION_NOISE = (0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02)
+"""robot_localization's default process noise per second: x, y, vx, vy, yaw, ax, ay, yaw rate."""
 HALF_A_WHEELBASE = 1.3
 """m from the rear axle to an IMU in the middle of a car."""
 ACCURACY_FLOOR = 0.1**2
@@ -68,6 +70,8 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
     plain = _planar(drive)
     if like is None or like == plain:
         return plain
+    if MODELS[like.model].measures_imu:
+        return _robot_localization(drive, like, plain)
     dt, gyro = drive.nominal_interval, plain.process_noise[THETA]
     beyond = MODELS[like.model].states[len(plain.process_noise) :]
     walks = (BIAS_WALKS[state.bias_of] * dt if state.bias_of else gyro for state in beyond)
@@ -79,6 +83,22 @@ def baseline(drive: Drive, like: FilterParameters | None = None) -> FilterParame
         measurement_noise=plain.measurement_noise if like.accuracy_scale is None else (ACCURACY_FLOOR,) * 2,
         rear_axle=HALF_A_WHEELBASE if like.lateral_noise is not None else 0.0,
         **{name: value for name, value in BY_HAND.items() if getattr(like, name) is not None},
+    )
+
+
+def _robot_localization(drive: Drive, like: FilterParameters, plain: FilterParameters) -> FilterParameters:
+    """Its own default process noise, usual covariances of the IMU's messages, and the fixes' stated variances."""
+    states = accuracy = None
+    if like.accuracy_scale is not None:
+        accuracy, states = 1.0, (ACCURACY_FLOOR,) * 2
+    return replace(
+        plain,
+        model=like.model,
+        kind=like.kind,
+        process_noise=tuple(drive.nominal_interval * q for q in ROBOT_LOCALIZATION_NOISE),
+        measurement_noise=states or plain.measurement_noise,
+        accuracy_scale=accuracy,
+        lateral_noise=like.lateral_noise and 0.1**2,
     )
 
 

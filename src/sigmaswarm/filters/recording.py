@@ -107,7 +107,7 @@ class Recording:
     restarts : list of float
         s: times of the resets in the pieces so far.
     failure : str or None
-        What went wrong in the pieces so far, and when.
+        The failure in the pieces so far, and its time.
     """
 
     def __init__(

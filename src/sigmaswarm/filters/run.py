@@ -47,7 +47,7 @@ class Estimate:
         True where the filter had diverged and could not yet be reset: the estimate is the last fix. None where
         divergence is not monitored.
     failure : str or None
-        What went wrong and when; None where nothing did.
+        The failure and its time; None without one.
     """
 
     time: Array
@@ -81,7 +81,7 @@ class Estimate:
         return notebook.to_pandas(self.columns(std=True))
 
     def _repr_html_(self) -> str:
-        """Show the last estimate and its standard deviation, what went wrong, and the track in a notebook."""
+        """Return HTML for a notebook: the last estimate, its standard deviation, failures, and the track."""
         columns = self.columns(std=True)
         sound = np.flatnonzero(np.isfinite(self.mean).all(axis=1))
         last = int(sound[-1]) if len(sound) else -1
@@ -191,7 +191,7 @@ class Run(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """What went wrong in the pieces so far, and when."""
+        """The failure in the pieces so far, and its time."""
         ...
 
     def __iter__(self) -> Iterator[Piece]:

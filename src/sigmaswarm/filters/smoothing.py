@@ -23,7 +23,7 @@ from sigmaswarm.filters.compiled.run import NEXT_STEP, NO_INNOVATIONS, taped_ker
 from sigmaswarm.filters.compiled.smoothing import smooth_back
 from sigmaswarm.filters.compiled.tape import taped_rows
 from sigmaswarm.filters.divergence import DivergenceMonitor
-from sigmaswarm.filters.models import THETA
+from sigmaswarm.filters.models import THETA, require_driven_by_imu
 from sigmaswarm.filters.names import ModelName
 from sigmaswarm.filters.packing import state_estimate
 from sigmaswarm.filters.parameters import FilterParameters
@@ -97,6 +97,7 @@ class _Forward(Recording):
     """
 
     def __init__(self, replay: Replay, parameters: FilterParameters, *, samples: int, recover: bool) -> None:
+        require_driven_by_imu(parameters.model, "smoothing")
         super().__init__(replay, parameters, samples=samples, recover=recover)
         require_readable(replay, self._array)
         self.checkpoints: list[_Checkpoint] = []
@@ -167,7 +168,7 @@ class Smoothing:
     restarts : list of float
         s: times of the resets in the pieces so far.
     failure : str or None
-        What went wrong, and when.
+        The failure, and its time.
     initial : InitialState
         The start, smoothed: all states of the model.
     """

@@ -1,4 +1,4 @@
-"""A drive of joined columns: one clock, one frame, the IMU turned, and what the truth lacks."""
+"""A drive of joined columns: one clock, one frame, the IMU rotated, missing truth columns computed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -19,11 +19,11 @@ from sigmaswarm.importing.recipe import Recipe
 from sigmaswarm.importing.source import Role
 
 SEED = 0
-"""Of the noise of fixes that are made of the truth."""
+"""Seed of the noise of fixes that are made from the truth."""
 MOST_FIXES = 10_000_000
 """That are made of the truth."""
 REQUIRED: Mapping[Role, tuple[str, ...]] = {"imu": ("ax", "ay", "gz"), "odometer": ("speed",)}
-"""The columns without which a role makes no drive."""
+"""Required columns of each role."""
 LONGEST_OFFSET = 4e9
 """s: 126 years, beyond which times in ns leave 64 bits."""
 
@@ -36,16 +36,16 @@ def assemble(
     say: Say,
     recording: int | None = None,
 ) -> Drive:
-    """Make a drive of what was gathered; ``say`` takes a sentence on whatever was assumed or left out.
+    """Make a drive from gathered columns; ``say`` receives sentences on assumptions and omissions.
 
     Parameters
     ----------
-    recording : which one, from 1, where a clock starts anew within a table
+    recording : its number, from 1, if a clock restarts within a table
 
     Raises
     ------
     InputError
-        Something that a drive needs is missing or can't be right.
+        A required column is missing or implausible.
     """
     joined: dict[Role, tuple[Nanoseconds, Values]] = {
         role: join(parts, role, REQUIRED.get(role, ()), say, recording)
@@ -91,7 +91,7 @@ def assemble(
 
 
 def _metadata(recipe: Recipe, zero: int) -> dict[str, Any]:
-    """What drive.toml keeps of a recipe, and of the second with which the times begin."""
+    """Return the keys of drive.toml from a recipe, and the second at which the times begin."""
     metadata: dict[str, Any] = {}
     if zero:
         metadata["time_origin_s"] = zero
@@ -197,7 +197,7 @@ def _placed_truth(
 def _assumed_origin(
     seconds: Mapping[Role, Array], truth: Values, gps: Values, origin: tuple[float, float, float]
 ) -> str:
-    """The sentence on truth in metres beside fixes in degrees: its origin, and how far the fixes are from it."""
+    """Return the sentence on truth in metres with fixes in degrees: its origin, and how far the fixes are from it."""
     said = "truth is in metres: its origin is taken to be the first fix"
     time = seconds["gps"]
     inside = (time >= seconds["truth"][0]) & (time <= seconds["truth"][-1])

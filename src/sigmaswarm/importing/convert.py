@@ -1,4 +1,4 @@
-"""The whole way: open a log, guess or take a recipe, gather, assemble, write."""
+"""Import of a log: open it, guess or read a recipe, gather, assemble, write."""
 
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -26,13 +26,13 @@ from sigmaswarm.wording import names_shown
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be imported, and all that the user said about it.
+    """The logs to import and the options of the user.
 
     Attributes
     ----------
     source : the log; it must hold the IMU
     gps, truth, odometer : further logs, for fixes, truth and the wheels' speed
-    form : the source's format, if not found out
+    form : the source's format, if given
     recipe : settings, and parts that take the place of the guess
     maps : ``column=expression``
     time : expression of the time, in every table of the source
@@ -58,7 +58,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Imported:
-    """A drive, how it was made, and what was assumed on the way."""
+    """A drive, its recipe, and the assumptions of the import."""
 
     drive: Drive
     recipe: Recipe
@@ -74,12 +74,12 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
     name : str
         Of the drive.
     progress : callable
-        Is told the share that is done, 0 to 1.
+        Called with the share that is done, 0 to 1.
 
     Raises
     ------
     InputError
-        A log is broken, lacks something, or a column can't be made; one line says which, and what to do.
+        A log is damaged or incomplete, or a column cannot be computed; the message has the remedy.
     """
     require_name(name, "the drive")
     notes: list[str] = []
@@ -114,7 +114,7 @@ def import_drive(request: Request, name: str, progress: Progress = lambda done: 
 
 
 def faults_left(request: Request, recipe: Recipe, guesses: Mapping[Path, Guess]) -> list[str]:
-    """What forbids to read columns as guessed, of those that the user has not mapped or left out."""
+    """Return the reasons not to read columns as guessed, unless the user mapped or omitted them."""
     said = {entry.partition("=")[0].strip() for entry in request.maps}
     left: list[str] = []
     for path, guess in guesses.items():
@@ -257,7 +257,7 @@ def with_only_table(part: Part, source: Source, role: Role) -> Part:
 
 
 def _holds(columns: Collection[str], part: Part) -> bool:
-    """Whether a table has all columns that a part's expressions name."""
+    """Return True if a table has all columns that a part's expressions name."""
     try:
         for text in part.columns.values():
             compile_expression(text, columns)

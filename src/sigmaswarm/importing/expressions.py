@@ -3,8 +3,8 @@
 ``-acc_y * 9.80665``, ``radians(gyro_z)``, ``linear_acceleration.x``, ``accelerometer_m_s2[0]``,
 ```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
 
-Everything is a number, an empty cell is null, and what comes of an empty cell is empty. A comparison is 1 or 0 where it
-is reckoned with, and a number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0.
+Everything is a number. An empty cell is null, and so is every result of it. A comparison is 1 or 0 in arithmetic, and a
+number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0.
 """
 
 import ast
@@ -23,7 +23,7 @@ from sigmaswarm.importing.dates import as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
-"""Characters of an expression at most: nesting stays within what Python can walk."""
+"""Most characters of an expression, to limit its nesting."""
 
 
 def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
@@ -107,14 +107,14 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
     "max": (2, _most),
     "where": (3, _where),
 }
-"""What may be called: how many values it takes, and what it does."""
+"""A function of expressions: its number of arguments, and its implementation."""
 FUNCTIONS = (*_FUNCTIONS, "utc")
-"""What an expression may call."""
+"""Functions of expressions."""
 
 
 @dataclass(frozen=True)
 class Expression:
-    """What a text means: a polars expression, the columns that it uses, and those that must hold numbers."""
+    """A compiled text: a polars expression, the columns that it uses, and those that must hold numbers."""
 
     polars: pl.Expr
     columns: frozenset[str]
@@ -122,7 +122,7 @@ class Expression:
 
     @property
     def truth(self) -> pl.Expr:
-        """Whether it is true; null where it is empty."""
+        """The value as a condition; null where it is empty."""
         return _truth(self.polars)
 
 
@@ -137,12 +137,12 @@ class _Context:
 
 
 def compile_expression(text: str, columns: Collection[str]) -> Expression:
-    """What a text means over a table's columns.
+    """Compile a text over a table's columns.
 
     Raises
     ------
     InputError
-        The text is no expression, names a column that is not there, or uses what is not allowed.
+        The text is not an expression, names a missing column, or uses a forbidden construct.
     """
     about = _Context(text, columns, set(), set())
     try:

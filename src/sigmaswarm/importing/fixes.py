@@ -20,19 +20,19 @@ from sigmaswarm.importing.places import Say, Values
 from sigmaswarm.wording import names_shown
 
 CLOCK = "time_origin_s"
-"""The key of drive.toml that says when t = 0 was, s since 1970."""
+"""Key of drive.toml: Unix time at t = 0, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReceiverLog:
-    """What a receiver said, on a drive's clock and plane.
+    """Fixes of a receiver, on a drive's clock and plane.
 
     Attributes
     ----------
     gps : Gps
     sure : (n,) bool
-        Where it says that its solution is its best: carrier phases fixed. All, where the format does not say it.
-    notes : what was assumed, one sentence each
+        True where carrier phases are fixed; everywhere, if the format does not state it.
+    notes : assumptions, one sentence each
     """
 
     gps: Gps
@@ -48,7 +48,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
     path : Path
         A log, or a drive's folder.
     drive : Drive
-        On whose clock (``time_origin_s`` of its drive.toml) and plane (its ``origin``) they are put.
+        Its clock (``time_origin_s`` in drive.toml) and plane (``origin``) are used.
     offset : float
         s, added to their times.
 
@@ -58,9 +58,7 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
         Nothing can be read, there are no fixes in it, or they can't be put on the drive's plane.
     """
     if has_table(path, "gps"):
-        return _of_drive(
-            read_with_warnings(path)[0], drive, offset
-        )  # what looks wrong was told when it was made
+        return _of_drive(read_with_warnings(path)[0], drive, offset)  # warnings were printed when it was made
     notes: list[str] = []
     time, values, sure = _gathered(path, notes.append)
     counted = bool(time[len(time) // 2] >= LONG_AGO)

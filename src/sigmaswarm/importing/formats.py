@@ -29,7 +29,7 @@ READERS: dict[str, tuple[str, str]] = {
     "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
-"""By the name for --format: the module in ``readers/``, and what it reads. The most general one comes last."""
+"""By the name for --format: the module in ``readers/``, and a description. The most general one comes last."""
 
 
 _TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
@@ -72,16 +72,16 @@ NOT_READ: tuple[tuple[tuple[str, ...], bytes, str], ...] = (
         "packets of a network; decode them with the sensor's own program, and export CSV",
     ),
 )
-"""Endings and first bytes of formats that are not read: what they are, and the way to one that is."""
+"""Endings and first bytes of unsupported formats: their names, and how to convert them."""
 
 
 class Reader(Protocol):
-    """What a module in ``readers/`` has."""
+    """Protocol of a module in ``readers/``."""
 
     __name__: str
 
     def recognizes(self, path: Path) -> bool:
-        """Whether a file or folder looks like the format, by its name or first bytes; needs no library."""
+        """Return True if a file or folder looks like the format, by its name or first bytes; needs no library."""
         ...
 
     def open_log(self, path: Path, limits: Limits) -> AbstractContextManager[Source]:

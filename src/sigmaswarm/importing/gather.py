@@ -25,14 +25,14 @@ NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 
 @dataclass
 class Columns:
-    """A part's columns while they are gathered, and then as a whole.
+    """Columns of a part, gathered in chunks.
 
     Attributes
     ----------
     time : (n,) ns
     values : by name, each (n,); NaN where the log has none
     unkept, timeless : rows left out since ``keep`` is false, since they have no time
-    placeholders : by column of the table, what stands where there is no value, and how often
+    placeholders : by column of the table, the marker of missing values, and its count
     """
 
     part: Part

@@ -38,12 +38,12 @@ _HINTS: dict[Role, str] = {
 
 
 def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] | None = None) -> Guess:
-    """Which tables hold IMU, fixes and truth, by their columns, and by their names where several could.
+    """Find the tables of IMU, fixes and truth, by their columns, and among several by their names.
 
     Parameters
     ----------
     samples : the first rows of each table
-    chosen : the table of a role, where the user said which
+    chosen : the table of a role, if the user chose it
     """
     chosen = chosen or {}
     found = {table: find_columns(frame, table) for table, frame in samples.items()}
@@ -67,7 +67,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
 
 
 def find_columns(frame: pl.DataFrame, table: str = "") -> Columns:
-    """Which column is what; of several that could be one, the first. x, y, z of an IMU's table are the IMU's."""
+    """Assign columns to quantities; of several candidates the first. x, y, z of an IMU's table are the IMU's."""
     names = [read_name(column) for column in frame.columns]
     columns = Columns(frame)
     for name in names:
@@ -124,7 +124,7 @@ def _rates_beside(table: str, found: Mapping[str, Columns]) -> list[str]:
 
 
 def _part(columns: Columns, table: str, role: Role) -> tuple[Part, list[str], list[Fault]]:
-    """A table's part in a role, what was assumed, and what forbids to use a column."""
+    """A table's part in a role, the assumptions, and reasons not to use a column."""
     expressions: dict[str, str] = {}
     notes: list[str] = []
     faults: list[Fault] = []

@@ -1,4 +1,4 @@
-"""The parts of a role joined into one table: times in order, rows complete; what is left out is said."""
+"""The parts of a role joined into one table: times in order, rows complete; omissions are reported."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ from sigmaswarm.wording import shown
 LEAST_STD = 1e-6
 """m: a stated standard deviation not above it means that the receiver states none."""
 TURNS = {"course": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
-"""The columns that are angles, and a whole turn of each: rad, rad, deg."""
+"""Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
 
@@ -29,7 +29,7 @@ def join(
 
     Parameters
     ----------
-    recording : which one, from 1, where a clock starts anew within a table
+    recording : its number, from 1, if a clock restarts within a table
     """
     first, *others = [_in_order(part, role, recording, say) for part in parts]
     time, values = first
@@ -134,7 +134,7 @@ def _complete_rows(
             values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
     positions = ("lat", "lon", "x", "y")
     together = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
-    # positions may be sparse (one table with IMU and fixes); what else is sparse goes
+    # positions may be sparse (one table with IMU and fixes); other sparse columns are omitted
     placed = np.all(
         [np.isfinite(values[n]) for n in positions if n in values] or [np.ones(len(time), bool)], axis=0
     )

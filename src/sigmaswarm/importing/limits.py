@@ -1,4 +1,4 @@
-"""How much of a log is read: a small file can say that it holds more than any memory does."""
+"""Limits on the size of a log: a small file can unpack to more than the memory."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,13 +10,13 @@ from sigmaswarm.errors import InputError
 
 @dataclass(frozen=True)
 class Limits:
-    """The most that is taken; whoever has more, and the memory for it, raises them.
+    """Limits of an import; they can be raised.
 
     Attributes
     ----------
     rows : of a table; 10 million are 28 hours at 100 Hz
     columns : of all tables of a log
-    unpacked_mb : MB that a chunk, or the files that are wanted of a zip, become when they are unpacked
+    unpacked_mb : MB of a chunk, or of the required files of a zip, after unpacking
     """
 
     rows: int = 10_000_000
@@ -30,7 +30,7 @@ class Limits:
             raise InputError(f"{where}: holds more than {self.rows} rows; split the log, or raise --max-rows")
 
     def check_unpacked(self, count: int, path: Path) -> None:
-        """Refuse what becomes too many bytes."""
+        """Refuse data of too many bytes."""
         if count > self.unpacked_mb * 1_000_000:
             raise InputError(
                 f"{path}: would unpack at least {count / 1e6:.0f} MB at once, more than {self.unpacked_mb}; unpack it "
@@ -47,5 +47,5 @@ class Limits:
         return tuple(name for name in found if name)
 
     def less(self, columns: int) -> "Limits":
-        """What is left for a log's other tables."""
+        """Return the limits that remain for the other tables of a log."""
         return replace(self, columns=self.columns - columns)

@@ -1,4 +1,4 @@
-"""A first look at a log: its tables, their rates, their columns' ranges, and how a drive would be made of it."""
+"""A first look at a log: its tables, their rates, their columns' ranges, and the recipe of a drive."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -27,7 +27,7 @@ from sigmaswarm.importing.source import ROLES, Role, Source
 from sigmaswarm.importing.times import numbers_of
 
 SAMPLE = 5000
-"""Rows of a table by which ranges are told."""
+"""Rows of a table from which ranges are computed."""
 LOOKED_AT = 25_000
 """Rows of all tables together, where they come mixed: one that is not met by then is shown without values."""
 
@@ -45,7 +45,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Glance:
-    """A table: what it is, how many rows, Hz, and its columns."""
+    """A table: its description, number of rows, Hz, and columns."""
 
     table: str
     kind: str
@@ -56,7 +56,7 @@ class Glance:
 
 @dataclass(frozen=True)
 class Look:
-    """What is in the logs of a request, the recipe that would be used, and what that assumes.
+    """Content of the logs of a request, the recipe that would be used, and its assumptions.
 
     ``proposal``: options of `sigmaswarm import` for what was not recognized, and the ``evidence`` for them. ``unread``:
     by table, the columns that neither would read.
@@ -127,7 +127,7 @@ def _time(frame: pl.DataFrame) -> dict[str, str]:
 def _proposal(
     request: Request, recipe: Recipe, columns: Mapping[Path, Mapping[str, Mapping[str, str]]]
 ) -> tuple[str, str]:
-    """The options that would read what no guess recognized, and how far they were checked; empty where all was."""
+    """The options that would read unrecognized columns, and how far they were checked; else empty."""
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     for role in ("imu", "gps"):

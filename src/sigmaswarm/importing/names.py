@@ -1,4 +1,4 @@
-"""What a column is called: its plain name, the unit behind it, and what a drive has by that name."""
+"""Names of columns: the plain name, its unit, and the drive's column of that name."""
 
 import re
 from dataclasses import dataclass
@@ -73,10 +73,10 @@ NAMES: tuple[tuple[str, str], ...] = (
     ("bearing", "bearing|track|heading|cog"),
     ("theta", "theta|yaw"),
 )
-"""What a drive has, and the plain names that mean it, as regular expressions."""
+"""Columns of a drive, and their plain names as regular expressions."""
 TURNS = {"roll": "gx", "pitch": "gy", "yaw": "gz"}
 _PREFIXES = re.compile(r"(?:field|data|msg|imu\d?|gps\d?|gnss\d?|fix)_(?=...)")
-"""What tables made of messages, and loggers, put before a name."""
+"""Prefixes of names in tables of messages and of loggers."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Name:
 
     @property
     def meaning(self) -> str | None:
-        """What a drive has by this name; None where it has nothing. Roll, pitch and yaw per second are rates."""
+        """Find the drive's column of a name, else None. Roll, pitch and yaw per second are rates."""
         if self.unit is not None and self.unit.dimension == "rate" and self.plain in TURNS:
             return TURNS[self.plain]
         return meaning_of_plain(self.plain)
@@ -100,7 +100,7 @@ class Name:
         return tuple(plain_words(self.column))
 
     def is_one(self, pattern: str) -> bool:
-        """Whether the plain name fits a regular expression."""
+        """Return True if the plain name fits a regular expression."""
         return re.fullmatch(pattern, self.plain) is not None
 
 
@@ -110,7 +110,7 @@ def plain_words(text: str) -> list[str]:
 
 
 def meaning_of_plain(plain: str) -> str | None:
-    """What a drive has by a plain name, also behind a logger's prefix and before ".data" of a message."""
+    """Find the drive's column of a plain name, also behind a logger's prefix and before ".data" of a message."""
     bare = re.sub(r"_(?:data|value)$", "", plain)
     for name in dict.fromkeys((plain, bare, _PREFIXES.sub("", bare, count=1))):
         for what, pattern in NAMES:

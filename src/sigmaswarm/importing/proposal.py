@@ -1,7 +1,7 @@
 """A whole ``--map`` for columns that no guess recognizes: read from their names, tried, and judged by the doctor.
 
-A proposal is shown and never applied: names lie about signs and units. So the drive that it makes is put before the
-doctor, whose evidence on signs, axes and units (how the fixes moved) corrects the expressions before anybody sees them.
+A proposal is shown and never applied, since names are unreliable about signs and units. The doctor checks the drive
+that it makes, and its evidence on signs, axes and units corrects the expressions.
 """
 
 import math
@@ -90,7 +90,7 @@ DOUBTS = {"gyro-unit", "gyro-tilt", "accelerometer-unit", "accelerometer-up", "g
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a column seems to be: a role's column, and the expression that makes it."""
+    """A possible assignment of a column: the column of a role, and its expression."""
 
     role: Role
     column: str
@@ -98,7 +98,7 @@ class Meaning:
 
 
 def meaning_of(name: str) -> Meaning | None:
-    """What a column's name says, word by word; None where it says nothing that a drive has."""
+    """Interpret a column's name word by word; None where it names no column of a drive."""
     words = re.findall(r"[a-z]+|\d+", re.sub(r"([a-z])([A-Z])", r"\1_\2", name).lower())
     turn = [TURNING[w] for w in words if w in TURNING]
     words = [w for w in words if w not in TURNING]
@@ -189,7 +189,7 @@ def proposed(
 
 
 def judged(proposal: Proposal, make: Callable[[Proposal], Drive]) -> tuple[Proposal, str]:
-    """The proposal as the doctor would have it, and a sentence on what the evidence was.
+    """Return the proposal as corrected by the doctor, and a sentence on the evidence.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _serious(diagnosis: Diagnosis) -> list[str]:
 
 
 def _corrected(proposal: Proposal, diagnosis: Diagnosis) -> Proposal:
-    """With the expressions turned, exchanged and scaled as the doctor's repairs say."""
+    """Apply the doctor's repairs to the expressions: signs, exchanges, factors."""
     imu = dict(proposal.columns.get("imu", {}))
     repairs = [finding.repair for finding in diagnosis.findings if finding.repair is not None]
     for repair in sorted(repairs, key=lambda r: r.action != "rotate"):  # as `doctor.repairs` orders them
@@ -252,7 +252,7 @@ def _mended(imu: Mapping[str, str], repair: Repair) -> Iterator[tuple[str, str]]
                 "gx": abs(factor),
                 "gy": abs(factor),
                 "gz": factor,
-            }  # a unit's factor goes for all, a sign for one
+            }  # a unit's factor applies to all, a sign to one
             yield from ((name, _times(imu[name], k)) for name, k in each.items() if name in imu)
         elif {column, "gz"} <= imu.keys():
             yield from ((column, imu["gz"]), ("gz", imu[column]))

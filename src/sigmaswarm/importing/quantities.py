@@ -12,7 +12,7 @@ from sigmaswarm.importing.units import COUNTS, Dimension, in_si
 from sigmaswarm.wording import quoted
 
 PLACEHOLDERS = (-999.0, -9999.0, -99999.0, 999.0, 9999.0, 99999.0, 1e10, -1e10)
-"""What loggers write where they have no value."""
+"""Markers of missing values in logs."""
 DIMENSIONS: dict[str, Dimension] = {
     **dict.fromkeys(("ax", "ay", "az"), "acceleration"),
     **dict.fromkeys(("gx", "gy", "gz"), "rate"),
@@ -32,7 +32,7 @@ _GYROS = "usual 16-bit sensors: 131 counts per deg/s at +-250 deg/s, 65.5 at 500
 
 @dataclass
 class Columns:
-    """A table's first rows, and its columns by what they are."""
+    """A table's first rows, and its columns by quantity."""
 
     frame: pl.DataFrame
     names: dict[str, Name] = field(default_factory=dict[str, Name])
@@ -41,7 +41,7 @@ class Columns:
         return what in self.names
 
     def has(self, *whats: str) -> bool:
-        """Whether all of them are there."""
+        """Return True if all of them are there."""
         return self.names.keys() >= set(whats)
 
     def numbers(self, what: str) -> pl.Series:

@@ -40,7 +40,7 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
     ),
     "odometer": ("t", "speed", "keep"),
 }
-"""What can be given for each role. Beside the drive's own columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
+"""Columns that can be given for each role. Next to the drive's columns (docs/drives.md): ``vx, vy`` of fixes (m/s east,
 north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
 rows count. A further table's ``+ax`` is added to ``ax``."""
 
@@ -55,12 +55,12 @@ _PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is taken from a log, and what is done to it.
+    """Columns to read from a log, and their transformations.
 
     Attributes
     ----------
     roles : the parts of imu, gps, truth and odometer
-    mount : how the IMU sits in the vehicle, as ``parse_mount`` takes it
+    mount : mounting of the IMU in the vehicle, as ``parse_mount`` takes it
     gps_offset_s, truth_offset_s, odometer_offset_s : s, added to the times of fixes, of truth and of the odometer
     origin : latitude (deg), longitude (deg), altitude (m) of the local frame
     gps_lever_arm_m : m forward, left, up from the IMU to the antenna
@@ -108,7 +108,7 @@ class Recipe:
         return tomli_w.dumps(content)
 
     def said(self) -> Iterator[str]:
-        """Which column of the drive is made of what, a line for each table, in the words of ``--map``."""
+        """Describe the recipe as options of ``--map``, one line for each table."""
         for role, parts in self.roles.items():
             for part in parts:
                 of = f" of {part.table}" if part.table else ""
@@ -158,7 +158,7 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
 
 
 def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> Guess:
-    """The guess with what the user maps, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``, in the place of its own.
+    """Replace parts of the guess by mappings of the user, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``.
 
     Parameters
     ----------

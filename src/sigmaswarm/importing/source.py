@@ -1,4 +1,4 @@
-"""What every reader makes of a log: named tables of columns, handed over batch by batch."""
+"""Interface of readers: a log as named tables of columns, read in batches."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ FILES = "columns"
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a log: its columns, what it is in the format's own words, and its number of rows where known."""
+    """A table of a log: its columns, its type in the terms of the format, and its number of rows where known."""
 
     columns: tuple[str, ...]
     kind: str = ""
@@ -60,7 +60,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Fault:
-    """What forbids to use a column as it is, in a sentence with the remedy: a unit that is not known, raw counts."""
+    """Reason not to use a column unchanged, with the remedy: an unknown unit, raw counts."""
 
     role: Role
     column: str
@@ -70,7 +70,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Guess:
-    """How a reader would make a drive of a log, and what it assumed in doing so, one sentence each.
+    """Recipe of a reader for a log, and its assumptions, one sentence each.
 
     Attributes
     ----------
@@ -78,9 +78,9 @@ class Guess:
     notes : sentences for the user
     origin : latitude (deg), longitude (deg), altitude (m) of the frame that the truth is in, where the format fixes it
     metadata : keys for drive.toml
-    downward : a sentence where the IMU's vertical axis points down, for whoever has not said how it sits
+    downward : a sentence where the IMU's vertical axis points down, if its mounting is not given
     fixed : expression over the fixes' first table: where carrier phases are fixed; empty where the format can't say
-    faults : what forbids to use columns as they are, unless the user maps them
+    faults : reasons not to use columns unchanged, unless the user maps them
     """
 
     roles: Mapping[Role, tuple[Part, ...]]
@@ -98,7 +98,7 @@ class Guess:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the user chose among the tables of a log.
+    """Choices of the user among the tables of a log.
 
     Attributes
     ----------
@@ -122,12 +122,12 @@ class Source(Protocol):
 
     @property
     def tables(self) -> Mapping[str, Table]:
-        """What it holds."""
+        """The tables."""
         ...
 
     @property
     def remarks(self) -> Sequence[str]:
-        """What was noticed while reading, one sentence each."""
+        """Remarks of the reading, one sentence each."""
         ...
 
     def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
@@ -141,7 +141,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Frames:
-    """A source whose tables are small enough to be held: what most readers return."""
+    """A source whose tables fit into memory, as of most readers."""
 
     path: Path
     frames: Mapping[str, pl.DataFrame]
@@ -170,7 +170,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class Rows:
-    """A source of one table whose rows are decoded one after the other: what readers of receivers' streams return.
+    """A source of one table whose rows are decoded one after the other, as of streams of receivers.
 
     Attributes
     ----------
@@ -209,11 +209,11 @@ class Rows:
 
 
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
-"""What the extras install: by these names pip finds it, wherever sigmaswarm itself comes from."""
+"""Packages of the extras, by their names for pip."""
 
 
 def library(name: str, extra: str) -> Any:
-    """Import a format's library, or say in one line how to get it."""
+    """Import a format's library, or raise an error that explains its installation."""
     try:
         return import_module(name)
     except ImportError:
@@ -224,14 +224,14 @@ def library(name: str, extra: str) -> Any:
 
 
 def require_distinct(columns: Sequence[str], path: Path) -> None:
-    """Refuse a header that names a column twice, since nobody knows which is meant."""
+    """Refuse a header that names a column twice, since it is ambiguous."""
     for name in columns:
         if columns.count(name) > 1:
             raise InputError(f"{path}: column {quoted(name)} appears twice; delete or rename one of them")
 
 
 def first_bytes(path: Path, count: int = 4096) -> bytes:
-    """The beginning of a file, empty for a folder: what formats are recognized by."""
+    """The beginning of a file, empty for a folder, by which formats are recognized."""
     if not path.is_file():
         return b""
     with path.open("rb") as file:

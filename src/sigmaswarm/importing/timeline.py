@@ -20,7 +20,7 @@ WRAPS: tuple[tuple[int, str], ...] = (
     (WEEK * SECOND, "the time of week"),
     (86_400 * SECOND, "the time of day"),
 )
-"""Periods after which clocks begin anew, ns."""
+"""Periods after which clocks restart, ns."""
 FEWEST_ROWS = 20
 """Of a recording of its own; fewer rows out of order are sorted."""
 LEAST_FALL = 0.2
@@ -42,7 +42,7 @@ class Line:
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
-    """Times that go on where a counter began anew, and a sentence on it; empty where none did."""
+    """Unwrap a counter that restarted, and report it in a sentence, else empty."""
     steps = np.diff(time)
     ahead = steps[steps > 0]
     if not len(ahead) or not (steps < 0).any():
@@ -50,7 +50,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
     usual = float(np.median(ahead))
     for period, name in WRAPS:
         wraps = steps < -0.5 * period
-        # Two rows of a short log that changed places are no wrap: it goes on by about a usual step.
+        # Two exchanged rows of a short log are no wrap: a wrap continues by about a usual step.
         near = np.abs(steps + period) <= min(max(50 * usual, 2 * SECOND), 5 * usual + 1e-3 * period)
         inside = int(time.min()) >= 0 and int(time.max()) <= 1.001 * period
         if wraps.any() and np.array_equal(wraps, wraps & near) and inside:
@@ -60,7 +60,7 @@ def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
 
 
 def recordings(time: Nanoseconds) -> list[slice]:
-    """The stretches between which a clock starts anew; one where none does."""
+    """The stretches between restarts of a clock."""
     falls = np.flatnonzero(np.diff(time) < 0) + 1
     if not len(falls) or len(falls) > max(len(time) // FEWEST_ROWS, 1):
         return [slice(0, len(time))]

@@ -40,7 +40,7 @@ _DATES_S = (3e8, 4e9)
 
 @dataclass(frozen=True)
 class Found:
-    """The expression of a drive's column, what was assumed, and what forbids to use it."""
+    """The expression of a drive's column, the assumptions, and reasons not to use it."""
 
     expression: str
     note: str = ""
@@ -149,7 +149,7 @@ def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | N
 
 
 def _unset(values: pl.Series) -> bool:
-    """Whether a time is 0 in all rows, as stamps are that nothing sets."""
+    """Return True if a time is 0 in all rows, as unset stamps are."""
     return len(numbers := numbers_of(values)) > 1 and bool((numbers == 0).all())
 
 
@@ -239,7 +239,7 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
-    """What is wrong with the unit of a time, ``column`` or ``column*number``, and the cure; empty where nothing is.
+    """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else empty.
 
     Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely.
     """

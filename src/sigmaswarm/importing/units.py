@@ -1,4 +1,4 @@
-"""Units in the names of columns: what dimension they have, and what makes them SI.
+"""Units in the names of columns: their dimensions, and their factors to SI.
 
 A unit is a product of powers of base units, as m/s^2, deg/sec, rad s^-1 or mm/s/s, or one of a few words, as knots.
 """
@@ -66,7 +66,7 @@ _WORDS: dict[str, tuple[Dimension, float]] = {
 }  # fmt: skip
 NONE = ("", "-", "1", "unitless", "dimensionless", "utc", "gps", "gnss", "wgs84", "enu", "unix", "epoch", "local",
         "body", "fix", "n", "e", "x", "y", "z", "north", "east", "up", "lat", "lon", "imu")  # fmt: skip
-"""What stands in brackets and is no unit."""
+"""Words in brackets that are no unit."""
 COUNTS = ("lsb", "lsbs", "counts", "count", "adc", "raw", "ticks", "bits", "digits")
 """Units of a sensor's raw counts."""
 
@@ -81,7 +81,7 @@ class Unit:
 
     @property
     def known(self) -> bool:
-        """Whether it can be converted."""
+        """True if it can be converted."""
         return self.dimension is not None
 
 

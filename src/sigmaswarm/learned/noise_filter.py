@@ -199,9 +199,10 @@ def run(settings: Settings, weights: Any, mean: Any, covariance: Any, columns: A
             forward, left = cos * m[2] + sin * m[3], cos * m[3] - sin * m[2]
             row = jnp.zeros((1, n)).at[0, 2].set(-sin).at[0, 3].set(cos).at[0, THETA].set(-forward)
             rate = u[GZ]
+            arm = p.rear_axle - p.tire_slip * (m[2] * m[2] + m[3] * m[3])
             if n > GYRO_BIAS:
-                row, rate = row.at[0, GYRO_BIAS].set(p.rear_axle), rate - m[GYRO_BIAS]
-            off = jnp.array([p.rear_axle * rate - left])
+                row, rate = row.at[0, GYRO_BIAS].set(arm), rate - m[GYRO_BIAS]
+            off = jnp.array([arm * rate - left])
             m, c = _update(m, c, row, off, jnp.array([[p.lateral_noise]]), lateral)
         if p.standstill_noise is not None:
             still = jnp.zeros((2, n)).at[0, 2].set(1.0).at[1, 3].set(1.0)

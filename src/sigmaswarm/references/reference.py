@@ -235,7 +235,7 @@ def _off(estimate: Estimate, gps: Gps, drive: Drive) -> Array:
 
 
 def _stated(gps: Gps) -> tuple[Array, Array]:
-    """What the receiver states of the fixes that were taken, m east and north."""
+    """Stated standard deviations of the used fixes, m east and north."""
     assert gps.std_x is not None and gps.std_y is not None
     return gps.std_x, gps.std_y
 

@@ -1,4 +1,4 @@
-"""A drive on one page: path, speed, IMU, fixes, outages, and what was achieved of what was wanted."""
+"""A drive on one page: path, speed, IMU, fixes, outages, and target and achieved values."""
 
 from typing import Any
 

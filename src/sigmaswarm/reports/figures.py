@@ -70,14 +70,14 @@ def new_figure(
 
 
 def _plain(figure: Figure) -> None:
-    """Have titles and legends drawn as they are: names of drives are no formulas, and no commands to a terminal."""
+    """Draw titles and legends literally: names of drives are no formulas."""
     for text in _texts(figure):
         text.set_parse_math(False)
         text.set_text(visible(text.get_text()))
 
 
 def _texts(artist: Artist) -> Iterator[Text]:
-    """All texts but those of axes, which may have powers; to ask for an axis's would make all its ticks."""
+    """All texts except those of axes, which may have powers and whose ticks are expensive to create."""
     if isinstance(artist, Text):
         yield artist
     if not isinstance(artist, MatplotlibAxis):

@@ -8,6 +8,7 @@ import base64
 import gzip
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from sigmaswarm.reports.figures import svg
 from sigmaswarm.reports.views.charts import Chart, Look
@@ -28,6 +29,29 @@ from sigmaswarm.versions import __version__
 
 LONG = 24
 """Characters of a cell above which its column gets a minimum width."""
+TERMS = {
+    "NIS": "normalized innovation squared: a fix's deviation from its prediction, relative to the predicted covariance",
+    "NEES": "normalized estimation error squared: the position error relative to the filter's covariance",
+    "RMSE": "root of the mean squared error",
+    "whiteness p": "probability that white innovations look as correlated as these (Ljung-Box test over ten fixes)",
+    "correlation": "of neighboring innovations; 0 where the filter is consistent",
+    "consistent": "range of mean NIS of a consistent filter (95%)",
+    "95% gate": "share of the fixes whose NIS is below 5.99; 95% where the filter is consistent",
+    "outage drift": "position error at the end of a time without fixes, RMS over all outages",
+    "position 50%": "median of the position error",
+    "position 95%": "95th percentile of the position error",
+    "baseline": "the tuned filter's model with noises from data sheets",
+    "fixes alone": "a constant-velocity filter without the IMU",
+    "raw GPS": "the receiver's fixes, without a filter",
+    "IMU only": "the filter without fixes after its start",
+    "3 sigma": "three standard deviations according to the filter's covariance",
+    "cost": "value of the objective; lower is better",
+    "density": "noise density that corresponds to the variance",
+}
+"""Terms of headings and labels with the explanations that the page shows on hover."""
+_TERM = re.compile(
+    "|".join(rf"(?<!\w){re.escape(term)}(?!\w)" for term in sorted(TERMS, key=len, reverse=True))
+)
 MOST_NUMBERS = 250_000
 """Numbers of all tracks of a page; more drives are drawn with fewer points each, so that it stays below 2 MB."""
 
@@ -140,7 +164,7 @@ def _environment() -> Environment:
     made = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    filters: dict[str, Any] = {"svg": lambda chart: Markup(svg(chart)), "plain": _plain, "cell": _cell}  # pyright: ignore
+    filters: dict[str, Any] = {"svg": _drawn, "plain": _plain, "cell": _cell, "terms": _terms}
     made.filters.update(filters)
     return made
 
@@ -207,6 +231,17 @@ def _cell(cell: Cell, column: Column) -> dict[str, Any]:
         return {"text": cell, "style": "long" if len(cell) > LONG else "", "key": None}
     known = numbers_of(cell)
     return {"text": shown(cell, column, "–"), "style": "number", "key": known and repr(known[0])}
+
+
+def _drawn(chart: Chart) -> Markup:
+    return Markup(svg(chart))
+
+
+def _terms(text: str) -> Markup:
+    """Escape a text and mark the terms in it."""
+    return Markup(
+        _TERM.sub(lambda found: f'<abbr title="{escape(TERMS[found[0]])}">{found[0]}</abbr>', escape(text))
+    )
 
 
 def _plain(value: Any) -> str:

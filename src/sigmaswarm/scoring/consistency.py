@@ -5,7 +5,7 @@ section 5.4.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -143,68 +143,81 @@ ALIKE = 0.5
 """Correlation of neighboring innovations from which they are much alike."""
 CORRELATED = 0.2
 """The same, from which a consistent NIS is not sufficient."""
-FORECASTS = "these are forecasts of fixes, not errors, which nobody can tell without truth"
+FORECASTS = "this covers predictions of the fixes; position errors cannot be judged without truth"
 """Added to the verdicts where no truth is known."""
 
 VERDICTS: dict[Kind, str] = {
-    "optimistic": "is too sure of its forecasts: they miss the fixes by more than its covariances say",
-    "pessimistic": "is too careful of its forecasts: they miss the fixes by less than its covariances say",
+    "optimistic": "is overconfident: the sigmas of its predictions are {nis_size}",
+    "pessimistic": "is too cautious: the sigmas of its predictions are {nis_size}",
     "alike": (
-        "misses each fix by much the same as the one before, and by less than its covariances say: the receiver "
-        "smooths its fixes, or their errors last. That is no sign of safety: how far off they are together no log "
-        "without truth can tell"
+        "has innovations that are correlated and smaller than its covariances (sigmas {nis_size}): the receiver "
+        "smooths its fixes, or their errors last. The error they share cannot be estimated without truth"
     ),
     "lasting": (
-        "has a low NIS with the right NEES: the fixes' errors last, so that neighbours share them; its covariances are "
-        "right about the position, and should not be made smaller"
+        "has a low NIS with the right NEES: neighboring fixes share their errors. The position covariances are right "
+        "and should not be made smaller"
     ),
     "correlated": (
-        "misses the fixes by as much as its covariances say, but each fix in part like the one before: the receiver's "
-        "errors last, or the car moved in a way that the model does not know, and the estimate may be off by more "
-        "than it says"
+        "has innovations of the right size but correlated: the receiver's errors last, or the model misses a part of "
+        "the motion. The position error may be larger than its sigma"
     ),
-    "consistent": "is consistent: its forecasts miss the fixes by as much as its covariances say",
+    "consistent": "is consistent: its innovations agree with their covariances",
     "optimistic_position": (
-        "is too sure of its position all the same (NEES): only the truth tells errors that fixes share"
+        "is overconfident of its position: the sigmas are {nees_size}. Fixes share these errors, which NIS therefore "
+        "does not show"
     ),
-    "unknown": "failed or saw too few fixes to judge its consistency",
+    "unknown": "failed or had too few fixes to judge its consistency",
 }
+
+
+def _size(mean_squares: Sequence[float], what: str) -> str:
+    """Compare sigmas with the right ones, from mean NIS or NEES, which should be 2."""
+    mean = sum(mean_squares) / len(mean_squares)
+    ratio = math.sqrt(2 / mean) if mean > 0 else math.inf
+    size = "large" if ratio > 1 else "small"
+    off = f"{100 * abs(ratio - 1):.0f}% too {size}"
+    if not 0.5 < ratio < 2:
+        off = f"too {size} by a factor of {max(ratio, 1 / ratio):.2g}"
+    return f"{off} (mean {what} {mean:.2g}, should be 2)"
 
 
 def verdicts(found: Sequence[Summary]) -> dict[Kind, str]:
     """Sentences on the consistency on several drives, one for each kind that holds for a drive."""
     known = [entry for entry in found if entry]
-    optimistic = sum(nis > high for nis, (_, high), *_ in known)
-    low_nis = sum(nis < low for nis, (low, _), *_ in known)
-    lasting = sum(
-        nis < low and nees is not None and RIGHT_NEES <= nees <= FAR_NEES and nees > 2 * nis
-        for nis, (low, _), nees, _ in known
-    )
-    alike = sum(nis < low and nees is None and next_one > ALIKE for nis, (low, _), nees, next_one in known)
-    correlated = sum(
-        low <= nis <= high and nees is None and next_one > CORRELATED
-        for nis, (low, high), nees, next_one in known
-    )
-    counts: dict[Kind, int] = {
-        "optimistic": optimistic,
-        "pessimistic": low_nis - lasting - alike,
-        "alike": alike,
-        "lasting": lasting,
-        "correlated": correlated,
-        "consistent": len(known) - optimistic - low_nis - correlated,
-        "optimistic_position": sum(
-            nis <= high and nees is not None and nees > FAR_NEES for nis, (_, high), nees, _ in known
-        ),
-        "unknown": len(found) - len(known),
-    }
+    of: dict[Kind, list[tuple[float, float | None]]] = {kind: [] for kind in VERDICTS}
+    for entry in known:
+        for kind in _kinds(*entry):
+            of[kind].append((entry[0], entry[2]))
+    counts = {kind: len(drives) for kind, drives in of.items()} | {"unknown": len(found) - len(known)}
     blind = bool(known) and all(nees is None for _, _, nees, _ in known)
-    return {
-        kind: (f"on {count} of {len(found)} drives " if len(found) > 1 else "")
-        + f"the filter {VERDICTS[kind]}"
-        + (f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else "")
-        for kind, count in counts.items()
-        if count
-    }
+    said: dict[Kind, str] = {}
+    for kind, text in VERDICTS.items():
+        if not (count := counts[kind]):
+            continue
+        sizes = {
+            "nis_size": of[kind] and _size([nis for nis, _ in of[kind]], "NIS"),
+            "nees_size": of[kind] and _size([nees or 0.0 for _, nees in of[kind]], "NEES"),
+        }
+        where = f"on {count} of {len(found)} drives " if len(found) > 1 else ""
+        forecasts = f" ({FORECASTS})" if blind and kind not in ("unknown", "alike") else ""
+        said[kind] = f"{where}the filter {text.format(**sizes)}{forecasts}"
+    return said
+
+
+def _kinds(nis: float, band: tuple[float, float], nees: float | None, neighbors: float) -> Iterator[Kind]:
+    """Kinds of one drive, from its mean NIS with its 95% band, mean NEES, and correlation of neighbors."""
+    low, high = band
+    if nis > high:
+        yield "optimistic"
+    elif nis < low:
+        if nees is None:
+            yield "alike" if neighbors > ALIKE else "pessimistic"
+        else:
+            yield "lasting" if RIGHT_NEES <= nees <= FAR_NEES and nees > 2 * nis else "pessimistic"
+    else:
+        yield "correlated" if nees is None and neighbors > CORRELATED else "consistent"
+    if nis <= high and nees is not None and nees > FAR_NEES:
+        yield "optimistic_position"
 
 
 def _autocorrelation(values: Array) -> Array:

@@ -79,7 +79,7 @@ class Outages:
         return outage_windows(self._ready.drive, self._ready.initial, length=self._length, seed=seed)
 
     def add_estimate(self, method: str, estimate: Estimate) -> None:
-        """Add an estimate that uses no fix: it needs no run of its own."""
+        """Add an estimate that uses no fix, so it needs no further run."""
         self._each[method] = [rms_drift(self._ready, estimate, ends) for ends in self._ends]
 
     def run(
@@ -106,7 +106,7 @@ class Outages:
         *,
         watched: bool,
     ) -> None:
-        """One placement; a function of its own, so that its steps are gone before the next one's are made."""
+        """Run one placement; a separate function, to free its memory before the next one."""
         outages = outage_replay(self._ready, length=self._length, seed=seed)
         if watched:
             each = [Recording(outages, p, recover=True).finished().sums for p in filters.values()]

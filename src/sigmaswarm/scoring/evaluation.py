@@ -1,4 +1,4 @@
-"""What a tuning is worth: the same drives by the tuned filter, the same by data sheet, raw GPS and IMU only."""
+"""Evaluation of a tuned filter on drives, compared with the baseline, raw GPS, fixes alone and IMU only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -62,29 +62,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Evaluated:
-    """What running every method once over a drive leaves.
+    """Results of all methods on a drive.
 
     Attributes
     ----------
     scores : mapping of method to Score
     consistency : Consistency or None
-        Of the tuned filter; None where it failed or saw too few fixes.
+        Of the tuned filter; None where it failed or had too few fixes.
     innovations : Innovations or None
         Of the tuned filter.
     tracks : Tracks or None
         As tracks.npz keeps them.
     picture : Picture or None
-        The same, fine enough for paper.
+        The same in more points, for print.
     data : mapping
-        What identifies the drive.
+        Identification of the drive.
     restarts : mapping of method to tuple of float
-        s: when a filter was lost and started anew, see `filters.divergence`.
+        s: times of resets, see `filters.divergence`.
     frozen : int
-        Fixes that repeat an earlier one although the car may have moved: no filter took them for positions.
+        Stale fixes: they repeat an earlier one although the car may have moved; no filter used them.
     drifts : mapping of measure to DriftRecord
-        Of the outages: how many there were, and what each placement of them says.
+        Number of outages, and the drift of each of their placements.
     seen : Overlap or None
-        How much of it the filter was tuned on; None where that can't be said, see `evaluate`.
+        The part that the filter was tuned on; None if unknown, see `evaluate`.
     """
 
     scores: Mapping[str, Score]
@@ -122,9 +122,9 @@ class Evaluation:
     ----------
     drives : mapping of drive name to Evaluated
     names : mapping of method to str
-        What people call the methods.
+        Display names.
     outage_length, outage_seed : float, int
-        s without fixes, beside windows of 30 s, and what placed the outages.
+        Length of the shorter outages, s (the longer ones last 30 s), and the seed of their placement.
     against : FilterParameters or None
         The other filter that was compared with.
     parameters : FilterParameters or None
@@ -302,32 +302,30 @@ def evaluate(
     Parameters
     ----------
     drives : Drive or sequence of Drive
-        Best those that the tuning never saw. Without truth only the outage drift can be said, against the
-        hidden fixes.
+        Preferably none of the tuning's. Without truth only the outage drift is computed, against the hidden fixes.
     parameters : FilterParameters
         The tuned ones.
     against : FilterParameters, optional
-        Another tuning, or a filter of your own, of any model: the first row of every table then.
+        Another tuning or filter, of any model; it is the first row of every table.
     outage_length : float
-        s without fixes; outages of 30 s are tried beside those.
+        s, of the shorter outages; the longer ones last 30 s.
     outage_seed : int
-        Places the outages: the same for every method. They are placed again and again, as `placements` says.
+        Seed of the outages, which are the same for every method; see `placements`.
     as_recorded : bool
-        Absorb frozen fixes, and cross gaps in the IMU as if they were steps like others: for diagnosis.
+        Run without preprocessing, for diagnosis: use stale fixes, treat IMU gaps as ordinary steps.
     seen : sequence of Landmarks, optional
-        What the tuning saw: ``tuning.seen``, or `tuning.record.seen_by` its file. The evaluation then says how much
-        of each drive that is, whatever it is called, and however it was cut or mended. Where only whole drives are
-        known (a tuning.toml without its seen.npz), it says nothing of drives that are none of them.
+        Landmarks of the training drives: ``tuning.seen``, or `tuning.record.seen_by` of its file. The evaluation then
+        reports the part of each drive that they contain, also of renamed, cut or repaired drives. Without seen.npz
+        only complete drives are recognized.
     smooth : bool
-        Compare the tuned filter in hindsight, too: see `sigmaswarm.smooth`. Over an outage it also knows of the fixes
-        behind it.
+        Also evaluate the smoothed estimates, see `sigmaswarm.smooth`. In an outage they use the fixes after it.
     swarm : bool
-        Compare the tuned filter as a swarm, too: see `sigmaswarm.LiveFilterBank`.
+        Also evaluate a filter bank, see `sigmaswarm.LiveFilterBank`.
     more : mapping of str to callable
-        What else to compare, by names of `ALSO`: each makes a run of a replay, as of a trained network.
+        Further methods, by names of `ALSO`: callables that run on a replay, such as a trained network.
     cluster : distributed.Client, optional
-        Of a Dask cluster, whose workers read the drives, then also given as paths and URLs, and do the work. The
-        result's bits do not depend on it.
+        A Dask cluster whose workers read the drives, also given as paths or URLs, and do the work. The result's bits
+        do not depend on it.
 
     Raises
     ------
@@ -379,7 +377,7 @@ def _one(
     marked: bool,
     also: Runs,
 ) -> tuple[str, Evaluated, Landmarks | None]:
-    """A drive's name, what is said of it, and where it is asked for, what it is recognized by."""
+    """Evaluate a drive; return its name, its results and, if ``marked``, its landmarks."""
     marks = landmarks(drive) if marked else None
     filters = compared(drive, parameters) | dict(own)
     ready = PreparedDrive(drive, as_recorded=as_recorded)
@@ -394,10 +392,10 @@ def _evaluated(
     length: float,
     seed: int,
 ) -> Evaluated:
-    """Every method once over the whole drive, and the filters again with the outages."""
+    """Run every method once over the drive, and the filters again with the outages."""
     drive = ready.drive
     tracker = Tracker(ready, picture=True)
-    imu_only = run_imu_only(ready)  # first: it is held whole, and the filters' targets are not yet there
+    imu_only = run_imu_only(ready)  # first: it needs memory that the filters' targets take later
     tracker.keep_estimate("imu_only", imu_only)
     outages = {
         measure: Outages(ready, length=each, seed=seed)
@@ -420,7 +418,7 @@ def _evaluated(
         more[method] = tracker.follow(method, run)
         if method != FIXES:  # it is never reset
             restarts[method] = tuple(run.restarts)
-    del recorded, tracking  # the next pass has steps and targets of its own
+    del recorded, tracking  # to free memory for the next pass
     for of in outages.values():
         of.run(filters, also)
     each = {

@@ -21,9 +21,14 @@ HOW_UNTUNED = (
     "The baseline is the tuned filter's model with noises from data sheets: R from the stated accuracy of the fixes "
     "(else 2.1 m), Q from the IMU's noise density (else an MPU-6050's), usual values of the rest"
 )
-"""A sentence that defines the baseline: it is not what a good engineer reaches in a week."""
-HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its two noises are fitted to the fixes of each drive"
-"""A sentence that defines the rival that every filter with an IMU must beat."""
+"""A sentence that defines the baseline."""
+HOW_ROBOT = (
+    "The baseline is robot_localization with its default process noise, the IMU's variances 0.0001 rad2/s2 and "
+    "0.01 m2/s4, and the stated accuracy of the fixes (else 2.1 m)"
+)
+"""The same for the model robot-localization."""
+HOW_FIXES = "Fixes alone is a constant-velocity filter without the IMU; its noises are fitted to each drive"
+"""A sentence that defines the filter without an IMU."""
 HOW_AGAINST = "To compare with another tuning or a filter of your own: sigmaswarm evaluate --against TUNING"
 """A sentence for users who do not know the option."""
 
@@ -63,6 +68,11 @@ def method_names(
     first = {OWN: f"other {filter_called(*against) if against else 'filter'}"} if OWN in also else {}
     first |= {"tuned": f"tuned {filter_called(kind, model)}"}
     return first | {method: name for method, name in ALSO.items() if method in also} | METHODS | first
+
+
+def how_untuned(tuned: str) -> str:
+    """Return the sentence that defines the baseline of a filter of that display name."""
+    return HOW_ROBOT if tuned.endswith("robot-localization") else HOW_UNTUNED
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Tracks and errors over time of every method on a drive, thinned while the methods run, and their file.
 
 `tracks.npz` holds, for drive number ``i`` in ``names`` and each of its series, one array a column, called
-``i/series/column``. Same result, same bytes: nothing in it tells when it was written.
+``i/series/column``. The same result gives the same bytes; the file has no date.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,18 +36,18 @@ TRACKS_FILE = "tracks.npz"
 NIS = ".nis"
 """Ends the name of the series that holds a filter's NIS."""
 SHARES, MOVED = ".shares", ".moved"
-"""End the names of the series that say what a swarm's lanes counted, and how far it was from its tuning."""
+"""Endings of the series of the weights of a filter bank, and of its distance from its tuning."""
 MOST_POINTS = 1500
-"""Of a series in a file; more than a screen has columns."""
+"""Points of a series in a file; more than a screen has columns."""
 MOST_DRAWN = 20_000
-"""Of a series in a printed picture."""
+"""Points of a series in a printed picture."""
 CLOSE_UP = 50.0
 """m: side of the close-up of a track."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """What every method said on one drive.
+    """Estimates and errors of all methods on one drive.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Tracks:
     series : mapping of str to mapping of str to ndarray, shape (n,)
         ``truth``, ``raw_gps``, ``imu_only`` and the filters have time (s), x, y (m); methods also position_error (m),
         filters and ``imu_only`` heading_error (deg), filters position_3sigma (m) and heading_3sigma (deg). ``F.nis``
-        has the time and NIS of the fixes that the filter ``F`` took in. Errors are NaN where truth is not known.
+        has the time and NIS of the fixes that the filter ``F`` used. Errors are NaN without truth.
     """
 
     name: str
@@ -65,14 +65,14 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a printed picture of a drive shows.
+    """Data of a printed picture of a drive.
 
     Attributes
     ----------
     whole : Tracks
-        Fine enough for paper, in float64.
+        In more points, float64.
     close : mapping of str to mapping of str to ndarray
-        x and y of each series around the sharpest turn, every point; NaN where it leaves the place.
+        x and y of each series around the sharpest turn, every point; NaN outside of it.
     start, turn : ndarray, shape (2,)
         m east and north: where the filters start, and where the car turns most.
     frame : ndarray, shape (2, 2)
@@ -87,12 +87,12 @@ class Picture:
 
 
 def compared(drive: Drive, tuned: FilterParameters) -> dict[str, FilterParameters]:
-    """The same filter by data sheet, and the tuned one; the tuned one last, to be drawn on top."""
+    """Return the baseline and the tuned filter; the tuned one last, to be drawn on top."""
     return {UNTUNED: baseline(drive, like=tuned), "tuned": tuned}
 
 
 class Tracker:
-    """Keeps thinned tracks of methods while they run over a drive; estimates are never held whole.
+    """Keeps thinned tracks of methods while they run over a drive; complete estimates are not stored.
 
     Parameters
     ----------
@@ -100,14 +100,14 @@ class Tracker:
     most_points : int
         Of a series.
     picture : bool
-        Keep what a printed picture shows, too.
+        Also keep the data of a printed picture.
 
     Attributes
     ----------
     scores : dict of str to Score
         Of position and heading, of each filter that was recorded; NaN without truth.
     own_sigma : dict of str to float
-        m, RMS: by how much each says that its position is off.
+        m, RMS: standard deviation of the position according to each filter.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Tracker:
         return recording
 
     def follow(self, series: str, run: Run) -> Score:
-        """Take what is more than a filter over all fixes of the drive, and keep its track; its score."""
+        """Run another method, such as a filter bank, and keep its track; return its score."""
         samples = int((self._ready.drive.imu.time > self._ready.initial.time).sum())
         errors = self._follow(series, run, run.initial, samples)
         if isinstance(run, BankRun):
@@ -149,7 +149,7 @@ class Tracker:
         return replace(errors.score if errors else Score(), failed=run.failure is not None)
 
     def _follow(self, series: str, run: Iterable[Piece], initial: InitialState, n: int) -> PieceErrors | None:
-        """Keep the track of n samples that comes piece by piece; its errors, where there is truth."""
+        """Keep the track of n samples that comes in pieces; return its errors, if there is truth."""
         truth = self._ready.drive.truth
         errors = None if truth is None else PieceErrors(truth, initial)
         variance, count = 0.0, 0
@@ -169,7 +169,7 @@ class Tracker:
         return errors
 
     def keep_estimate(self, series: str, estimate: Estimate) -> None:
-        """Keep the track of an estimate that is there already."""
+        """Keep the track of an estimate."""
         columns = columns_of(estimate.time, estimate.mean, estimate.covariance, self._truth)
         self._keep(series, [columns], len(estimate.time))
 
@@ -186,12 +186,12 @@ class Tracker:
             self._fine[series], self._close[series] = fine.columns, close.columns
 
     def tracks(self, name: str) -> Tracks:
-        """What was kept, and the fixes."""
+        """Return the kept tracks and the fixes."""
         self._keep_fixes()
         return Tracks(name, self._thin)
 
     def picture(self, name: str) -> Picture:
-        """What was kept for a printed picture."""
+        """Return the data of a printed picture."""
         self._keep_fixes()
         gps = self._ready.drive.gps
         frame = np.array([[gps.x.min(), gps.y.min()], [gps.x.max(), gps.y.max()]])
@@ -217,7 +217,7 @@ def tracks_of(
     name: str,
     most_points: int = MOST_POINTS,
 ) -> Tracks:
-    """Run filters, by the names of their series, and dead reckoning over a drive; keep what a page shows of it."""
+    """Run filters, by the names of their series, and dead reckoning over a drive; return their tracks."""
     ready = prepared(drive)
     tracker = Tracker(ready, most_points)
     tracker.keep_estimate("imu_only", run_imu_only(ready))
@@ -225,22 +225,22 @@ def tracks_of(
 
 
 def picture_of(drive: Drive | PreparedDrive, filters: Mapping[str, FilterParameters], name: str) -> Picture:
-    """Run filters over a drive, and keep what a printed picture shows of it."""
+    """Run filters over a drive; return the data of a printed picture."""
     ready = prepared(drive)
     return _tracked(ready, filters, Tracker(ready, picture=True)).picture(name)
 
 
 @dataclass(frozen=True, eq=False)
 class FirstLook:
-    """What a tuned filter does on a drive that it was tuned on.
+    """Result of a tuned filter on a training drive.
 
     Attributes
     ----------
     picture : Picture
     position_rmse : mapping of method to float
-        m, of the tuned filter, the data sheet's and the raw fixes; NaN without truth.
+        m, of the tuned filter, the baseline and the raw fixes; NaN without truth.
     consistency : Consistency or None
-        Of the tuned filter; None where it failed or saw too few fixes.
+        Of the tuned filter; None where it failed or had too few fixes.
     """
 
     picture: Picture
@@ -249,7 +249,7 @@ class FirstLook:
 
 
 def first_look(drive: Drive, parameters: FilterParameters, *, as_recorded: bool) -> FirstLook:
-    """Run a tuned filter, and the same from data sheets, over a drive."""
+    """Run a tuned filter and its baseline over a drive."""
     ready = PreparedDrive(drive, as_recorded=as_recorded)
     tracker, recorded = Tracker(ready, picture=True), dict[str, Recording]()
     for series, each in compared(drive, parameters).items():
@@ -300,7 +300,7 @@ def save_tracks(tracks: Sequence[Tracks], path: Path) -> Path:
 
 
 def load_tracks(path: Path) -> list[Tracks]:
-    """Read what `save_tracks` wrote.
+    """Read a file of `save_tracks`.
 
     Raises
     ------

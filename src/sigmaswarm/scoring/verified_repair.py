@@ -1,4 +1,4 @@
-"""Repairs of a log, verified: what makes forecasts worse is withheld."""
+"""Verified repairs of a log: those that make forecasts worse are withheld."""
 
 import warnings
 from dataclasses import replace

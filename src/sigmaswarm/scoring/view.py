@@ -1,6 +1,6 @@
-"""What the terminal, notebooks and the page show of an evaluation: its tables and its sentences, each written once."""
+"""Tables and sentences of an evaluation, for the terminal, notebooks and the page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +8,7 @@ from sigmaswarm import notebook
 from sigmaswarm.drives.fingerprint import START_RULE, DriveRecord
 from sigmaswarm.scoring.consistency import FORECASTS, verdicts
 from sigmaswarm.scoring.drifts import FIXES, OWN, UNTUNED
-from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, HOW_UNTUNED, Measure, measures
+from sigmaswarm.scoring.measures import HOW_AGAINST, HOW_FIXES, Measure, how_untuned, measures
 from sigmaswarm.scoring.records import EvaluationRecord, ScoresRecord
 from sigmaswarm.scoring.remarks import (
     how_far,
@@ -55,7 +55,7 @@ class EvaluationView:
 
     @property
     def blind(self) -> bool:
-        """Whether no drive has truth."""
+        """True if no drive has truth."""
         return all(drive.has_truth is False for drive in self.setup.data)
 
     @property
@@ -171,7 +171,7 @@ class EvaluationView:
         return f"On {drives} the tuned filter has no score: it failed, or there is no truth."
 
     def coverage(self) -> tuple[str, ...]:
-        """Sentences about what the scores cover: their start, truth, and stale fixes."""
+        """Sentences about the coverage of the scores: their start, truth, and stale fixes."""
         data = self.setup.data
         late = [f"{d.scored_from_s:.0f} s into {d.name}" for d in data if (d.scored_from_s or 0.0) > LATE]
         blind = [drive.name for drive in data if drive.has_truth is False]
@@ -190,7 +190,7 @@ class EvaluationView:
     def explanations(self) -> tuple[str, ...]:
         """Sentences that define the rows."""
         return (
-            *([f"{HOW_UNTUNED}."] if UNTUNED in self.scores.mean else []),
+            *([f"{how_untuned(self.names['tuned'])}."] if UNTUNED in self.scores.mean else []),
             *([f"{HOW_FIXES}."] if FIXES in self.scores.mean else []),
             *([] if OWN in self.scores.mean else [f"{HOW_AGAINST}."]),
         )
@@ -203,7 +203,9 @@ class EvaluationView:
     def warnings(self) -> tuple[str, ...]:
         """Sentences to read before the result is used, worst first."""
         data, shown = self.setup.data, self.measures
+        failed = [drive for drive, methods in self.scores.failed.items() if "tuned" in methods]
         said = [
+            *([f"the tuned filter failed on {', '.join(failed)}"] if failed else []),
             *worse_than_raw(self.scores),
             *worse_than_untuned(self.scores, shown),
             *restarted(self.scores),
@@ -215,6 +217,12 @@ class EvaluationView:
         if len(data) == 1 and data[0].duration_s:
             said.append(f"the scores are of one drive of {data[0].duration_s:.0f} s: others may differ")
         return tuple(map(_sentence, said))
+
+    def sentences(self, more: Iterable[str] = ()) -> tuple[str, ...]:
+        """All sentences for the terminal, the most important first; ``more`` follow the warnings."""
+        positions = map(_sentence, how_far(self.scores, self.setup.data))
+        said = (self.result(), *positions, *self.warnings(), *more, *self.verdicts().values())
+        return tuple(dict.fromkeys((*said, *self.coverage(), *self.drifts(), *self.explanations())))
 
     def drifts(self) -> tuple[str, ...]:
         """Sentences about the number of outages behind each drift."""
@@ -235,7 +243,7 @@ class EvaluationView:
         return "\n".join([self.result(), *lines, *self.warnings()[:MOST_REMARKS]])
 
     def to_html(self) -> str:
-        """Return what a notebook shows: means over the drives, each drive below, and the warnings."""
+        """Return HTML for a notebook: means over the drives, each drive below, and the warnings."""
         each, remarks = self.drive_table().to_html(), notebook.listed("To know:", self.warnings())
         if len(self.scores.drives) == 1:
             return each + remarks
@@ -282,9 +290,9 @@ def explained_scores(view: EvaluationView) -> str:
 
 
 def with_training(drive: DriveRecord, tuned_on: Sequence[DriveRecord]) -> DriveRecord:
-    """Mark a drive as a training drive if it is one and its file does not say what the tuning saw.
+    """Mark a drive as a training drive if it is one and its file does not list the training data.
 
-    A drive that is none may still hold a part of one: it is not called held out.
+    Another drive may still contain a part of one, so it is not called held out.
     """
     same = [one.name for one in tuned_on if one.sha256 == drive.sha256 and one.sha256]
     if drive.seen_s is not None or not same:

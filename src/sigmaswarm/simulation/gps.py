@@ -131,7 +131,8 @@ def measure_gps(
 
     place = antenna.position[:, :2]
     x, y = _through_degrees(place, white).T if grade.carla else (place + white + markov).T
-    stated = np.full(len(times), grade.stated_factor * grade.std)
+    std = grade.stated_factor * grade.std  # ideal fixes state none: 0 is no deviation
+    stated = np.full(len(times), std) if std > 0 else None
     moving = grade.velocity_std is not None
     fixes = Gps(
         time=times,

@@ -256,10 +256,13 @@ def _noise_figures(imu: ImuGrade, gps: GpsGrade) -> dict[str, Any]:
     }
     if gps.velocity_std is not None:
         receiver["velocity_std_ms"] = gps.velocity_std
-    return {
+    figures = {
         "accel_noise_density": imu.accel.noise_density,
         "gyro_noise_density": imu.gyro.noise_density,
         "gps_std_m": gps.std,
+    }
+    return {
+        **{key: value for key, value in figures.items() if value > 0},  # ideal sensors state none
         **({"gps_lever_arm_m": list(gps.lever_arm)} if any(gps.lever_arm) else {}),
         "imu_noise": {
             "grade": imu.name,

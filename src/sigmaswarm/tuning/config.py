@@ -51,7 +51,7 @@ class SearchConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     objective: str = "auto"
-    """What to minimize: truth-rmse, truth-pose, innovation-nll, innovation-t, forecast-t, outage-rmse, nis, nees,
+    """Objective: truth-rmse, truth-pose, innovation-nll, innovation-t, forecast-t, outage-rmse, nis, nees,
     gps-rmse, or a weighted sum."""
     scale: Scale = "log10"
     """Scale on which variances are searched; the paper uses linear."""

@@ -1,4 +1,4 @@
-"""What a tuning minimizes for a model of the user's own."""
+"""Objectives of a tuning of a custom model."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -23,7 +23,7 @@ MODEL_OBJECTIVES = {
     "truth-rmse": "root mean square of the scored states' errors against truth",
     "innovation-nll": "mean negative log-likelihood of each measurement before it is absorbed",
 }
-"""What a model of the user's own can be tuned by."""
+"""Objectives of custom models."""
 
 
 class ModelProblem:
@@ -95,7 +95,7 @@ class ModelProblem:
 
     @property
     def seen(self) -> tuple[Landmarks, ...]:
-        """None: a log of a model of the user's own is recognized as a whole only."""
+        """None: a log of a custom model is recognized only as a whole."""
         return ()
 
     def on(self, data: Sequence[Log]) -> "ModelProblem":
@@ -125,7 +125,7 @@ def model_box(model: Model, scale: Scale) -> Box:
 
 
 def _described(log: Log) -> dict[str, Any]:
-    """What identifies a log, as `described` says it of a drive."""
+    """Identification of a log, as `described` is of a drive."""
     columns = (log.time, log.inputs, log.measurement_time, log.measurements, log.mean, log.covariance)
     return {
         "name": log.name,

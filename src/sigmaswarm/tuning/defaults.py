@@ -11,7 +11,7 @@ from sigmaswarm.filters.custom.log import Log
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import clash
 from sigmaswarm.tuning.config import C, TuneConfig
-from sigmaswarm.tuning.inflation import INFLATION, TILTED_INFLATION
+from sigmaswarm.tuning.inflation import INFLATION, ROBOT_INFLATION, TILTED_INFLATION
 from sigmaswarm.tuning.objectives import objective_named
 
 PLAIN = "planar5"
@@ -55,7 +55,8 @@ def with_filter(options: dict[str, Any], drives: Sequence[Drive | Sensors]) -> t
     model = options.get("model") or _model_with_kind(found.model, options.get("kind"))
     if "use" in options:
         return {**options, "model": model}, f"{_described(model, options['use'])}, as given: {found.because}"
-    use = [] if model == PLAIN else [option for option in found.use if _fits(option, options, model)]
+    offered = (*found.use, "gate") if model in MODELS and MODELS[model].options else found.use
+    use = [] if model == PLAIN else [option for option in offered if _fits(option, options, model)]
     described = _described(model, use) + (", as given" if "model" in options else "")
     because = "the paper's model; add measurements with --use" if model == PLAIN else found.because
     if "model" in options and model not in (PLAIN, found.model):
@@ -76,6 +77,8 @@ def _model_with_kind(model: str, kind: str | None) -> str:
 
 def _fits(option: str, options: dict[str, Any], model: str) -> bool:
     """Check that a measurement agrees with the filter type and the objective."""
+    if model in MODELS and option not in (MODELS[model].options or (option,)):
+        return False
     if option == "robust" and "innovation-nll" in str(options.get("objective")):
         return False  # innovation-nll counts outliers in full, whatever the filter makes of them
     kind = options.get("kind")
@@ -120,6 +123,8 @@ def with_guards(config: C) -> C:
     objective = objective_named(config.objective)
     alone = objective.likelihood and not objective.needs_truth
     usual = TILTED_INFLATION if MODELS[config.model].tilts else INFLATION
+    if MODELS[config.model].measures_imu:
+        usual = ROBOT_INFLATION
     guards = {
         "prior": float(alone) if config.prior is None else config.prior,
         "inflation": config.inflation

@@ -1,4 +1,4 @@
-"""A prior on R: what is known of the receiver, where no log without truth can tell.
+"""A prior on R from the accuracy of the receiver, which a log without truth does not determine.
 
 Many receivers smooth their fixes: from one to the next they err by centimetres, over minutes by metres. The likelihood
 of the next fix sees the centimetres alone, and so the filter that it likes best has an R of centimetres, and copies the
@@ -37,7 +37,7 @@ def receiver_std(drive: Drive) -> tuple[float, float]:
 
 
 def prior_costs(parameter_sets: Sequence[FilterParameters], std: Array) -> Array:
-    """What the prior adds to the negative log-likelihood of each fix, nats.
+    """Penalty of the prior per fix, added to the negative log-likelihood, nats.
 
     Parameters
     ----------

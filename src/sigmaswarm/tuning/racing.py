@@ -7,15 +7,15 @@ instances is the idea of M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrap
 metaheuristics, GECCO 2002): their F-race drops a candidate by a test, here a fixed share goes, so that the steps are
 known beforehand.
 
-Where drives are many (`MANY`), halving alone saves little: filters run side by side, and whoever is left takes as
+With many drives (`MANY`), halving alone saves little: filters run in parallel, and a single one left takes as
 long as eight on all drives. There a batch also races against the best so far, whose cost on each drive is
 known. It begins with a twelfth of the drives, and of the better half only those go on that are better than the best
-on the same drives by more than a standard error of the mean difference; if there are none, that was all. What the best
-costs on these drives and on all tells how hard they are, so that a dropped candidate's cost is stated for all drives
-(a control variate). To begin with a 32nd is quicker, but what the dropped are told then misleads the search.
+on the same drives by more than a standard error of the mean difference; if there are none, the race ends. What the best
+costs on these drives and on all measures their difficulty, so that a dropped candidate's cost is stated for all drives
+(a control variate). To begin with a 32nd is faster, but the costs of the dropped ones then mislead the search.
 
 The drives are taken in another order for each batch, so that no drive decides alone. A candidate that went all the way
-has its full cost. A dropped one is told the cost on the drives it has seen, and all that were dropped together are
+has its full cost. A dropped one gets the cost on its drives so far, and all that were dropped together are
 shifted behind the last that went further: they keep their order, and none of them can become the best.
 """
 
@@ -133,7 +133,7 @@ def race(
 
 
 def _ahead(each: Array, costs: Array, rival: Leader, seen: Order) -> NDArray[np.bool_]:
-    """Select those better than the rival on the same drives by more than a standard error of the mean difference."""
+    """Select those better than the best one on the same drives by more than a standard error of the mean difference."""
     with np.errstate(invalid="ignore"):  # a failed candidate's
         spread = (each - rival.each[np.asarray(seen)]).std(axis=1, ddof=1)
     return costs + spread / np.sqrt(len(seen)) < rival.cost

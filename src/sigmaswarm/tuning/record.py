@@ -21,6 +21,10 @@ from sigmaswarm.tuning.search import Trial
 
 End = float | Literal["-"]
 """Of the range in which the cost rises by less than 1%; ``-`` where it reaches the bound."""
+NOT_VALIDATED = (
+    "its cost is that of the drives it was tuned on; evaluate it on others, or name some as validation"
+)
+"""The remark that an evaluation answers."""
 FILE = "tuning.toml"
 HISTORY_FILE = "convergence.csv"
 
@@ -73,9 +77,9 @@ class TuningRecord(TuningConfigRecord):
 
 
 def seen_by(file: Path) -> list[Landmarks]:
-    """Return what the training drives named in a filter's file are recognized by.
+    """Return the identification of the training drives named in a filter's file.
 
-    Without seen.npz beside it, or written by an earlier version, only whole drives are recognized
+    Without seen.npz next to it, or written by an earlier version, only whole drives are recognized
     (`drives.overlap.known_overlap`).
 
     Raises
@@ -129,7 +133,7 @@ class History:
 
     @classmethod
     def load(cls, path: Path) -> "History":
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises
         ------

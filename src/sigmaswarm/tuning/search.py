@@ -1,4 +1,4 @@
-"""The trials of a tuning: ask the optimizer for points, run them, tell it the costs, save every generation."""
+"""The trials of a tuning: get points from the optimizer, compute their costs, save every generation."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
+from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
 from sigmaswarm.tuning.optimizers.budget import Budgeted
@@ -79,7 +80,7 @@ class Search:
     ----------
     config : SearchConfig
     problem : Landscape
-        What is minimized.
+        The objective.
     executor : concurrent.futures.Executor or None
         Runs the work of a generation; None runs it in this thread.
     folder : ResultFolder or None
@@ -97,8 +98,14 @@ class Search:
     def trial(self, number: int) -> Trial:
         """Run, resume or look up one trial."""
         done = self.folder.finished(number) if self.folder else None
-        if done:
+        if self.folder and done:
             result, history = done
+            point, space = history["point"], self.problem.space
+            if point.shape != space.low.shape or (point < space.low).any() or (point > space.high).any():
+                trial = self.folder.path / f"trial-{number:03d}"
+                raise InputError(
+                    f"{trial / 'history.npz'}: its point is not one of this search; delete {trial} to redo this trial"
+                )
             return Trial(cost=result["cost"], **history, **result["counts"])
         optimizer = self._optimizer(number)
         past = self._resumed(number, optimizer)

@@ -20,14 +20,14 @@ from sigmaswarm.tuning.box import Box
 from sigmaswarm.tuning.options import Option, Scale
 
 OPTIONS: tuple[Option, ...] = get_args(Option)
-"""Optional measurements and features of a filter; the parameters of a chosen one are tuned with the rest."""
+"""Optional measurements and features of a filter; the parameters of a chosen one are tuned, too."""
 
 
 @dataclass(frozen=True)
 class Dimension:
     """One parameter that is searched: its field of FilterParameters, and its range.
 
-    ``entries`` says how many of a tuple's entries it sets, the next ones in order; 0 where the field is a plain
+    ``entries`` is the number of entries of a tuple that it sets, the next ones in order; 0 where the field is a plain
     number. ``spread``: it spans powers of ten. ``inflation``: decades by which `tuning.inflation` raises it per decade
     of its factor; ``least``: the lower limit that it applies.
     """
@@ -53,6 +53,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "lateral": (
         Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
+        Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),
     ),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "odometer": (
@@ -68,7 +69,7 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
 ACCURACY_FLOOR = (1e-4, 1e3)
 """m2: R in addition to the stated variance of each fix."""
 NOISES = (
-    *("process_noise", "measurement_noise", "accuracy_scale"),
+    *("process_noise", "measurement_noise", "imu_noise", "accuracy_scale"),
     *("velocity_noise", "lateral_noise", "standstill_noise", "odometer_noise"),
 )
 LEAST = {
@@ -81,6 +82,11 @@ LEAST = {
 and rad/s. No car's roads and no IMU is better known than that before it drives: see `tuning.inflation`."""
 USUAL_INTERVAL = 0.01
 """s: IMU interval where no drive is known yet."""
+IMU_DIMENSIONS = (
+    Dimension("r_gyro", "imu_noise", 1, 1e-9, 1.0),
+    Dimension("r_accel", "imu_noise", 1, 1e-6, 1e2),
+)
+"""Variances that the IMU's messages state, for robot-localization."""
 ADAPTIVE = Dimension("forgetting", "forgetting", 0, 0.9, 0.9999, spread=False)
 KIND_DIMENSIONS: dict[FilterKind, tuple[Dimension, ...]] = {
     "adaptive-ukf": (ADAPTIVE,),
@@ -182,6 +188,11 @@ def search_space(
     if reason := clash(kind, use):
         raise InputError(reason)
     kinds = MODELS[model].kinds
+    lacking = [option for option in use if option not in (MODELS[model].options or OPTIONS)]
+    if lacking:
+        raise InputError(
+            f"{model} can't use {lacking[0]!r}; choose from {', '.join(MODELS[model].options or OPTIONS)}"
+        )
     if kind not in kinds:
         raise InputError(f"{model} is not compiled as {kind}; take {' or '.join(kinds)}")
     dimensions = tuple(_dimensions(model, kind, use, nominal_interval or USUAL_INTERVAL))
@@ -222,6 +233,8 @@ def _dimensions(
     fixes = ACCURACY_FLOOR if "accuracy" in use else described.fix_variance
     for name, entries in (("xy", 2),) if blind else (("x", 1), ("y", 1)):
         yield Dimension(f"r_{name}", "measurement_noise", entries, *fixes)
+    if described.measures_imu:
+        yield from IMU_DIMENSIONS
     for sensor in described.sensors:
         name, box = f"{sensor}_bias_std", SENSORS[sensor].start_std
         least = LEAST[name] if described.tilts else -math.inf
@@ -229,7 +242,8 @@ def _dimensions(
     yield from KIND_DIMENSIONS.get(kind, ())
     for option in OPTIONS:
         if option in use:
-            yield from OPTION_DIMENSIONS[option]
+            wanted = OPTION_DIMENSIONS[option]
+            yield from wanted[:1] if described.measures_imu else wanted  # its twist is at the IMU
 
 
 def _inflation(state: State, model: CarModel) -> float:

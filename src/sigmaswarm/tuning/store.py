@@ -10,8 +10,9 @@ A folder of results holds
 """
 
 import json
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 from pydantic import BaseModel, model_validator
@@ -21,6 +22,9 @@ from sigmaswarm.files import make_folder, read_arrays, whole_file, whole_folder,
 from sigmaswarm.records import ARRAYS, Vector, load_record, read_content
 from sigmaswarm.tuning.config import RENAMED
 from sigmaswarm.versions import same_results
+
+LONGEST = 120
+"""Characters of a value in a message."""
 
 
 class CountsRecord(BaseModel, extra="forbid"):
@@ -50,6 +54,8 @@ class TrialHistoryRecord(BaseModel):
     def _of_one_length(self) -> Self:
         if not 0 < len(self.best) == len(self.median) == len(self.steps):
             raise ValueError("best, median and steps should have one length")
+        if np.isnan([*self.best, *self.median]).any() or not np.isfinite([*self.point, *self.steps]).all():
+            raise ValueError("its numbers should be finite; costs may be infinite")
         return self
 
 
@@ -103,13 +109,23 @@ def finished_trial(
     return result.model_dump(), vars(history) | (history.model_extra or {})
 
 
-def _short(key: str, config: dict[str, Any]) -> str:
-    value = config.get(key)
-    if key == "data" and isinstance(value, list):
-        return "the drives " + ", ".join(f"{d['name']} ({d['sha256'][:8]})" for d in value)
-    if key == "model" and isinstance(value, dict):  # of the user's own: too long to be told
-        return f"the model {value['name']} ({value['sha256'][:8]})"
-    return f"{key} = {value}"
+def _short(key: str, value: Any) -> str:
+    with suppress(LookupError, TypeError):  # a damaged file lacks names or hashes
+        if key == "data" and isinstance(value, list):
+            return "the drives " + ", ".join(f"{d['name']} ({d['sha256'][:8]})" for d in value)
+        if key == "model" and isinstance(value, dict):  # a custom model is too long for a message
+            return f"the model {value['name']} ({value['sha256'][:8]})"
+    text = str(value)
+    return f"{key} = {text if len(text) <= LONGEST else text[:LONGEST] + ' ...'}"
+
+
+def _difference(key: str, saved: Any, wanted: Any) -> tuple[str, Any, Any]:
+    """Return the innermost key whose values differ, with them."""
+    if isinstance(saved, dict) and isinstance(wanted, dict) and key not in ("data", "model"):
+        old, new = cast(dict[str, Any], saved), cast(dict[str, Any], wanted)
+        inner = next(k for k in sorted(old.keys() | new.keys()) if old.get(k) != new.get(k))
+        return _difference(f"{key}.{inner}" if key else inner, old.get(inner), new.get(inner))
+    return key, saved, wanted
 
 
 def _with_current_names(config: Any) -> Any:
@@ -162,12 +178,12 @@ class ResultFolder:
             raise InputError(
                 f"{config_file}: was started with other versions, {made}; go on with those, or choose another --out"
             )
-        for key in sorted(saved.keys() | wanted.keys()):
-            if saved.get(key) != wanted.get(key):
-                raise InputError(
-                    f"{config_file}: was started with {_short(key, saved)}, now asked for {_short(key, wanted)}; "
-                    "repeat the first command, or choose another --out"
-                )
+        if saved != wanted:
+            key, old, new = _difference("", saved, wanted)
+            raise InputError(
+                f"{config_file}: was started with {_short(key, old)}, now asked for {_short(key, new)}; "
+                "repeat the first command, or choose another --out"
+            )
 
     def checkpoint(self, trial: int) -> Path:
         """Return the file of a running trial's state."""

@@ -112,7 +112,7 @@ def tune(
         Called with a `Progress` after every generation.
     **config
         Fields of `TuneConfig`: objective, particles, generations, trials, seed, model, ... Without ``model`` and
-        ``use`` the filter is chosen by what all drives have: tilted12 or planar8, with lateral, standstill and what
+        ``use`` the filter is chosen by the drives' sensors: tilted12 or planar8, with lateral, standstill and what
         else the logs allow; the result's ``config`` states the choice. ``model`` may be a `Model` of your own, whose
         objectives are truth-rmse and innovation-nll. ``optimizer`` may be a class of your own, see
         `tuning.optimizers`.

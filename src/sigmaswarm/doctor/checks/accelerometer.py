@@ -5,9 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.confidence import confidence_by_margin, confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, finding_of
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
 from sigmaswarm.doctor.verdicts import Mount
 from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import smoothed
@@ -25,7 +24,7 @@ CLEAR = 3.5
 """Deviations."""
 WRONG_SCALE = 0.4
 LEAST_PUSH = 0.4
-"""m/s2: a car that only sways does not tell a scale."""
+"""m/s2: acceleration below which the scale is unknown."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -161,9 +160,9 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
         return
     up = float(np.median(imu.az))
     if mount is not None and np.array_equal(mount.axes, -np.eye(2)) and up < 0:
-        return  # told there
+        return  # reported there
     if wrong.code == "accelerometer-unit":
-        if mount is None or not any(mount.known):  # else the motion tells, and better
+        if mount is None or not any(mount.known):  # else the motion is the better evidence
             yield finding_of(wrong, "warning", evidence.span, 0.9)
         elif mount.unit == 1:
             factor = math.copysign(GRAVITY, up)
@@ -180,7 +179,7 @@ def _upward(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _size(evidence: Evidence) -> Iterator[Finding]:
-    """A specific force whose usual size, over half a second, is not gravity's."""
+    """Find a specific force whose usual magnitude, over half a second, is not gravity."""
     imu, mount = evidence.drive.imu, evidence.mount
     assert imu.az is not None
     unit = mount.unit if mount else 1.0

@@ -2,9 +2,8 @@
 
 from collections.abc import Iterator
 
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import LEAST_SHARE, LEAST_TURN
 from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
 
@@ -13,7 +12,7 @@ GRAVE = 0.3
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the clocks' offset: what it is, or how large it would have to be to be seen."""
+    """Findings about the clocks' offset, or the smallest one that would be visible."""
     late, std = evidence.clock.late, evidence.clock.std
     if evidence.moved:
         yield Finding(

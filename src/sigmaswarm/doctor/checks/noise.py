@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0
@@ -16,6 +15,8 @@ TOO_LARGE = 6.5
 """Stated over observed, where the noise is white; a receiver's slow errors do not show, so that much is usual."""
 LASTS = 2.5
 """The stated deviation over the scatter about a path of ten seconds, from which on most of the error outlasts these."""
+FAR_FIRST = 1000.0
+"""m from the first fix to the next sound one: such a first fix, as the origin, displaces the whole drive."""
 WHITE = 0.7
 """Noise from fix to fix over the scatter about a path of ten seconds: 1 for white noise."""
 
@@ -36,7 +37,7 @@ def _stated(evidence: Evidence) -> Iterator[Finding]:
     if not scatter:
         return
     unseen = motion_in_noise(float(np.median(np.diff(gps.time))))
-    # A smooth receiver's errors last: what it states may be right, however little the fixes scatter.
+    # A smoothing receiver's errors last: its stated accuracy may be right although the fixes scatter little.
     white = noise > WHITE * scatter and scatter > LEAST_NOISE
     if noise - unseen > TOO_SMALL * stated:
         how = "smaller than"
@@ -82,13 +83,21 @@ def _outliers(evidence: Evidence) -> Iterator[Finding]:
         return
     first = ", ".join(f"{t:.1f}" for t in time[:4]) + (" ..." if len(time) > 4 else "")
     share = 100 * len(time) / len(evidence.drive.gps)
+    far = evidence.outlying[0] and _first_jump(evidence) > FAR_FIRST
     yield Finding(
         "gps-outliers",
-        "warning",
-        f"{len(time)} fix{'es' if len(time) > 1 else ''} ({share:.1f}%) far off the path, at t = {first} s",
+        "serious" if far else "warning",
+        f"{len(time)} fix{'es' if len(time) > 1 else ''} ({share:.1f}%) far off the path, at t = {first} s"
+        + (f"; the first fix lies {_first_jump(evidence) / 1e3:.3g} km from the others" if far else ""),
         "gps.csv, positions",
         (float(time[0]), float(time[-1])),
         0.99,
         "leave them out, or let the filter do it: --use robust",
         Repair("drop-fixes", tuple(time.tolist())),
     )
+
+
+def _first_jump(evidence: Evidence) -> float:
+    """Distance from the first fix to the next one that is used, m."""
+    gps, then = evidence.drive.gps, int(evidence.used[0])
+    return float(np.hypot(gps.x[then] - gps.x[0], gps.y[then] - gps.y[0]))

@@ -1,4 +1,4 @@
-"""The limits of this drive: what its fixes don't show, so that nobody takes silence for health."""
+"""The limits of a drive: quantities that its fixes do not show."""
 
 from collections.abc import Iterator
 
@@ -17,7 +17,7 @@ LEAST_TURN = np.radians(5.0)
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about what can't be found. They say what the fixes show, not what the car did."""
+    """Findings about faults that cannot be detected, by the motion that the fixes show."""
     span = evidence.span
     start = find_start(evidence.drive)
     if isinstance(start, NoStart):

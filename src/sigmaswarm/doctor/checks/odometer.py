@@ -13,23 +13,23 @@ from sigmaswarm.doctor.fixes import Course
 from sigmaswarm.drives.drive import Array, Odometer
 
 SPAN = (6.0, 20.0)
-"""s of fixes whose way is held against the wheels': a tenth of the drive, within these. The longer, the less a metre of
-noise counts; the gyro says how the way bends, and its bias does little within 20 s."""
+"""s: bounds of the length of the paths of fixes that are compared with the wheels', a tenth of the drive. Longer ones
+are less sensitive to noise, and the gyro's bias matters little within 20 s."""
 SHORTEST = 15.0
-"""m, as the crow flies, of such a way."""
+"""m: shortest straight distance of such a path."""
 FEWEST = 6
-"""Such ways, at least."""
+"""Fewest such paths."""
 WRONG = 0.02
-"""Of the scale: worth a warning, where it is three times as large as what it may err by."""
+"""Error of the scale that is reported, if it is three times its uncertainty."""
 FAMILIAR = 1.25
 """A factor beyond which the unit is another one, not the tires."""
 
 LATE = 0.15
 """s of delay worth a warning; less is found by a filter's own latency."""
 LARGEST_LAG, STEP, SMOOTH = 3.0, 0.02, 0.4
-"""s: the largest delay that is looked for, between moments compared, and over which both accelerations are means."""
+"""s: largest delay, its step, and the time over which both accelerations are averaged."""
 ALIKE = 0.6
-"""Correlation of the two accelerations from which on their delay is believed."""
+"""Correlation of the two accelerations from which their delay is used."""
 
 STUCK = 4.0
 """s with one and the same reading, while the fixes move at another speed, ..."""
@@ -37,12 +37,12 @@ APART = 2.5
 """... by so many m/s at the median."""
 
 JUMP = 2.5
-"""m/s that the wheels gain or lose within `WITHIN` and the accelerometer does not feel: they spin up, or lock. A slope
-of 10% passes for 1 m/s, and a sound odometer that is 0.3 s late for 2 m/s in a full braking."""
+"""m/s: change of the wheel speed within `WITHIN` without acceleration: they spin or lock. A slope of 10% looks like
+1 m/s, a delay of 0.3 s like 2 m/s in a full braking."""
 WITHIN, LASTS_AT_MOST = 1.0, 10.0
-"""s: over which a jump is looked for, and before which the wheels come back from it."""
+"""s: duration of a jump, and time in which the wheels return from it."""
 AGREE = 0.5
-"""m/s by which both may differ in the median, if the accelerometer is to say anything of the wheels."""
+"""m/s: largest median difference at which the accelerometer can check the wheels."""
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:

@@ -30,7 +30,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _reverses_until(evidence: Evidence) -> float | None:
-    """The time, s, at which the first motion ends, where it is backwards and the rest is forwards."""
+    """Return the time, s, of the end of the first motion, if only that is backwards."""
     course, mount = evidence.course, evidence.mount
     if course is None or mount is None or not evidence.drives or mount.axes[0, 0] <= 0:
         return None

@@ -20,9 +20,9 @@ LONG_GAP = 0.5
 """s without IMU samples, after which a step is no longer harmless."""
 FEWEST_STALE = 3
 LEAST_MISSED = 0.3
-"""Of the usual time between fixes: so much longer is the interval in which they miss what the IMU misses."""
+"""Usual intervals of fixes by which one is longer if fixes are missing where IMU samples are."""
 AROUND = 2.0
-"""s on each side of a gap that say how fast the car was."""
+"""s on each side of a gap in which the speed is measured."""
 SIGMAS = 3.0
 """By which a pause has to lie off a jump to be told from it, each from the middle between them."""
 
@@ -135,7 +135,7 @@ def _time_passed(gps: Gps, j: int) -> tuple[float, float]:
 
 
 def _held(imu: Imu) -> Iterator[Finding]:
-    """Samples whose every value repeats; a filter then counts one measurement several times."""
+    """Find samples that repeat all values, which a filter would count several times."""
     same = np.append(False, (np.diff(imu.ax) == 0) & (np.diff(imu.ay) == 0) & (np.diff(imu.gz) == 0))
     if same.mean() > HELD:
         share, fresh = 100 * same.mean(), (1 - same.mean()) / float(np.median(np.diff(imu.time)))

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import integral
 from sigmaswarm.drives.checks import GRAVITY
@@ -32,7 +31,7 @@ OUTLYING = 3.0
 
 @dataclass(frozen=True)
 class _Follows:
-    """What a direction follows: a rate (0: gx, 1: gy), its sign against the right one, and by how many deviations."""
+    """Rate that a direction follows (0: gx, 1: gy), its sign, and the significance in deviations."""
 
     column: int
     sign: float
@@ -102,7 +101,7 @@ def _read(evidence: Evidence) -> tuple[Array, Array] | None:
 
 
 def _follow(time: Array, force: Array, rates: Array) -> tuple[_Follows | None, _Follows | None]:
-    """What the direction's sideways (roll) and forward (pitch) changes follow; None where that is not clear."""
+    """Find the rates that the roll and the pitch of the direction follow; None where unclear."""
     interval = float(np.median(np.diff(time)))
     count, lag = (max(round(seconds / interval), 1) for seconds in (SMOOTHED, LAG))
     mean = moving_mean(force, count)

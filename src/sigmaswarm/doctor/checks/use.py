@@ -1,4 +1,4 @@
-"""What a filter can take from this log beside the fixes' positions."""
+"""Measurements of a log other than positions that a filter can use."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from sigmaswarm.drives.sensors import stated_spread, suggest_filter
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """The filter that `tune` takes of itself, with its reasons, and what could be added."""
+    """Report the default filter of `tune` with its reasons, and possible additions."""
     if not evidence.drives:
         return
     drive = evidence.drive

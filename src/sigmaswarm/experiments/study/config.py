@@ -57,7 +57,7 @@ class Method:
     protocols : tuple of str
         Those it is tuned or trained under.
     filter : (filter type, model) or None
-        Of a method whose filter is fixed.
+        The filter, where it is fixed.
     paper : str or None
         The paper's row next to it.
     rival : bool
@@ -162,7 +162,7 @@ class StudyConfig(BaseModel):
     drives: tuple[str, ...] = ()
     """Folders of drives; simulated drives by default."""
     train_fraction: float = Field(default=0.7, gt=0, lt=1)
-    """Share of the drives of each condition, drawn anew in each trial."""
+    """Share of the drives of each condition, redrawn in each trial."""
     trials: int = Field(default=20, ge=2)
     particles: int = Field(default=30, ge=2)
     generations: int = Field(default=50, ge=1)

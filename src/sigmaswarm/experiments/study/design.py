@@ -161,7 +161,7 @@ class Design:
 
     @cached_property
     def _default_options(self) -> dict[str, Any]:
-        """What `tune` chooses for these drives."""
+        """Default filter of `tune` for these drives."""
         found, _ = with_filter({}, self.drives)
         return {**found, "objective": objective_for(self.drives, "auto", found["model"])}
 

@@ -89,7 +89,7 @@ class Trained:
 
 
 def lessons(design: Design, trial: int, minutes: float) -> Lessons:
-    """Draw some minutes of a trial's training drives, or all of them: whole drives and the beginning of one.
+    """Draw some minutes of a trial's training drives, or all of them: complete drives and the beginning of one.
 
     More minutes include the drives of fewer. Drives may be added where a network could not learn otherwise.
 
@@ -108,7 +108,7 @@ def lessons(design: Design, trial: int, minutes: float) -> Lessons:
         if left <= 0 or (left < LEAST and sound):
             if sound:
                 break
-            left = 0.0  # one more, whole
+            left = 0.0  # one more complete drive
         took = min(length, left) if left >= LEAST else length
         if took == length:
             whole.append(drive)

@@ -142,7 +142,7 @@ class LiveFilterBank(LiveFilter):
     tuned for it is no better than the filter. Where the mixture diverges, lanes are reset as a `LiveFilter` is, with
     the gyro corrected by the known bias, which most of them keep.
 
-    It is used like a `LiveFilter`, but has no smoothed state. A copy by `pickle` goes on with the same bits. A fix from
+    It is used like a `LiveFilter`, but has no smoothed state. A `pickle` copy continues with the same bits. A fix from
     before a reset of lanes comes too late for all of them.
 
     Parameters
@@ -154,7 +154,7 @@ class LiveFilterBank(LiveFilter):
     searches : bool
         Search for better filters on the way; False: the sixteen stay as they are.
     believe_times : bool
-        Take each time as it is, however far ahead: for a recording, whose samples are in order.
+        Accept all time stamps, for a recording with ordered samples.
 
     Attributes
     ----------
@@ -452,7 +452,7 @@ class LiveFilterBank(LiveFilter):
         self._begin_history()
 
     def _begin_history(self) -> None:
-        """Forget the history: nothing goes back to before now."""
+        """Clear the history."""
         counts = self._memory.arrays.counts
         counts[live.N_HISTORY] = counts[live.OLDEST] = 0
         counts[live.N_SAMPLES] = -(-int(counts[live.N_SAMPLES]) // live.MARK_EVERY) * live.MARK_EVERY
@@ -540,7 +540,7 @@ class LiveFilterBank(LiveFilter):
 
 
 def _is_definite(covariance: Array) -> bool:
-    """Whether a covariance (n, n) is finite and positive semidefinite, but for rounding."""
+    """Return True if a covariance (n, n) is finite and positive semidefinite, but for rounding."""
     variance = covariance.diagonal()
     if not (np.isfinite(covariance).all() and variance.min() >= 0.0):
         return False

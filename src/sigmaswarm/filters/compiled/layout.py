@@ -54,7 +54,7 @@ CONSTANTS = (
     "QUARTER_GAMMA", "SHORTENS", "SPREAD", "SECOND",
     *(f"Q_{a}" for a in _STATES), "RX", "RY",  # an adaptive or fuzzy filter writes these
     "R_VELOCITY", "R_LATERAL", "R_STANDSTILL", "R_RATE",
-    "REAR_AXLE", "LATENCY", "GATE", "FORGETTING", "FADING",
+    "REAR_AXLE", "TIRE_SLIP", "LATENCY", "GATE", "FORGETTING", "FADING",
     "FUZZY", "WIDTH_RATIO", "WIDTH_TREND", "GAIN_R", "GAIN_Q",  # FUZZY < 0: no fuzzy filter
     "ACCURACY",  # times the stated variance of a fix is added to its R; 0: off; a fuzzy filter writes it, too
     "R_ODOMETER", "ODOMETER_SCALE", "ODOMETER_LATENCY",  # ODOMETER_SCALE: one over it
@@ -81,6 +81,7 @@ SCRATCH = (
     "N1", "N2",  # nu
     "G11", "G12", "G22", "USE",  # the gain's G
     "FACTOR",  # by which P is stretched
+    "ARM",  # of the lateral constraint: see `models.lateral_arm`
     # A prediction's: acceleration, its covariances with the state and with itself.
     "EAST", "NORTH", "JEAST", "JNORTH", "E", "ALONG", "MU_EAST", "MU_NORTH", "GEE", "GEN", "GNN",
     "NU1", "NU2",  # nu of the last fix, for whoever records it

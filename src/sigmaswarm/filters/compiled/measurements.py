@@ -370,8 +370,8 @@ def _take_velocity(w, zu, zv, *, n):
 def _measure_along(w, u, wheels, *, n, bias, lateral):
     """z = (R(theta)^T v)_along - arm (shown - bias), to the left or forward: nu, S and C.
 
-    To the left: a car does not slide sideways at its rear axle, 0 = left - rear_axle (yaw rate - w). Forward: what the
-    wheels have shown, speed / scale = forward - delay (ax - b).
+    To the left: 0 = left - arm (yaw rate - w), with `models.lateral_arm`. Forward: what the wheels have shown,
+    speed / scale = forward - delay (ax - b).
 
     R(theta)^T v is bilinear in heading and velocity: planar8.py's closed form, turned back into the body, with
     t = R^T P[v, theta] and mu = (e R^T v - k J t)_along. Forward is the left of a body that is turned by 90 degrees;
@@ -384,7 +384,7 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
     for l in range(LANES):
         second, quarter_gamma = w[R.SECOND, l], w[R.QUARTER_GAMMA, l]
         if lateral:  # noqa: SIM108 (written out)
-            arm = w[R.REAR_AXLE, l]
+            arm = w[R.ARM, l]
         else:
             arm = w[R.ODOMETER_LATENCY, l] + age
         tt = w[R.TT, l]
@@ -427,7 +427,10 @@ def _measure_along(w, u, wheels, *, n, bias, lateral):
 
 
 def absorb_lateral(w, u, *, tilted, measure_lateral):
-    """A car does not slide sideways at its rear axle."""
+    """The lateral constraint at the rear axle, whose tires slip: see `models.lateral_arm`."""
+    for l in range(LANES):
+        speed2 = w[R.U, l] * w[R.U, l] + w[R.V, l] * w[R.V, l]
+        w[R.ARM, l] = w[R.REAR_AXLE, l] - w[R.TIRE_SLIP, l] * speed2
     measure_lateral(w, u, (0.0, 0.0, 0.0))
     _absorb_one(w)
     if tilted:

@@ -5,7 +5,7 @@
 from functools import cache
 
 from sigmaswarm.drives.timeline import DT, GAP
-from sigmaswarm.filters.compiled import tape
+from sigmaswarm.filters.compiled import robot_localization, tape
 from sigmaswarm.filters.compiled.lanes import kernel
 from sigmaswarm.filters.compiled.layout import LANES, R
 from sigmaswarm.filters.compiled.measurements import absorbers
@@ -93,6 +93,8 @@ def step_of(name, *, noted=False):
     ``noted``: it leaves in the rows of the first lane what a smoother needs of it: see `tape`.
     """
     model = MODELS[name]
+    if model.measures_imu:
+        return robot_localization.step
     predict, settle = _PREDICTIONS[name]
     note_prior = tape.note_prior(name) if noted else None
     return kernel(

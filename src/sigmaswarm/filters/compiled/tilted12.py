@@ -249,7 +249,7 @@ def _measure_along(w, u, wheels, *, lateral, bias):
         d0, d1 = e0 - climb * c0, e1 - climb * c1
         hi, hj, ht = d1 * vz, -d0 * vz, d0 * vy - d1 * vx
         if lateral:
-            arm, noise = w[R.REAR_AXLE, l], w[R.R_LATERAL, l]
+            arm, noise = w[R.ARM, l], w[R.R_LATERAL, l]
             w[R.N1, l] = arm * (shown - w[bias, l]) - (e0 * vx + e1 * vy + e2 * vz)
         else:
             arm, noise = w[R.ODOMETER_LATENCY, l] + age, w[R.R_ODOMETER, l] + more

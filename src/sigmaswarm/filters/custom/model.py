@@ -30,7 +30,7 @@ class Tunable:
     lowest, highest : float
         Its range.
     logarithmic : bool
-        Search it in log10, as is right for what spans powers of ten: variances, time constants.
+        Search it in log10, for values that span powers of ten: variances, time constants.
     unit : str
         Shown in results.
     """
@@ -112,7 +112,7 @@ class Model:
         self._check_parameters()
 
     def wrong(self, what: str) -> InputError:
-        """The error that says what is wrong with this model."""
+        """Return the error of this model."""
         return InputError(f"model {self.name}: {what}")
 
     def _check_names(self, field: str, names: Sequence[str]) -> None:

@@ -41,7 +41,7 @@ class ModelEstimate:
         Of each measurement before its update: normalized innovation squared, whose mean is m for a consistent
         filter, and negative log-likelihood.
     failure : str or None
-        What went wrong and when; None where nothing did.
+        The failure and its time; None without one.
     """
 
     time: Array

@@ -7,7 +7,7 @@ import numpy as np
 
 from sigmaswarm.drives.alignment import InitialState
 from sigmaswarm.drives.timeline import Timeline
-from sigmaswarm.filters.models import MODELS, THETA, CarModel
+from sigmaswarm.filters.models import MODELS, THETA, CarModel, lateral_arm, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.schedule import (
     FIX,
@@ -68,6 +68,7 @@ class TextbookCar:
         redraw_sigma_points: bool = True,
     ) -> None:
         p = parameters
+        require_driven_by_imu(p.model, "run_textbook")
         self.timeline, self.parameters = timeline, p
         mean, covariance = start_of(initial, p)
         self.model = MODELS[p.model]
@@ -115,7 +116,8 @@ class TextbookCar:
             if self.flags[i] & VELOCITY and p.velocity_noise is not None:
                 self.filter.update(fix[2:4], p.velocity_noise * np.eye(2), model.velocity)
         if self.flags[i] & LATERAL and p.lateral_noise is not None:
-            lateral = model.lateral(float(line.gz[i]), p.rear_axle)
+            arm = lateral_arm(self.filter.mean, p.rear_axle, p.tire_slip)
+            lateral = model.lateral(float(line.gz[i]), arm)
             self.filter.update(np.zeros(1), np.array([[p.lateral_noise]]), lateral)
         if self.flags[i] & ODOMETER and p.odometer_noise is not None and line.wheels is not None:
             speed, age, more = line.wheels.rows[self._wheels_of_step[i]]

@@ -1,1 +1,1 @@
-"""One file a format: whether it is that, its tables, and how a drive would be made of them."""
+"""One file for each format: its detection, its tables, and the recipe of a drive."""

@@ -40,7 +40,7 @@ _TRUTH = {"lat": "Lat", "lon": "Lng", "alt": "Alt", "theta": "radians(90 - Yaw)"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it begins as a dataflash log does."""
+    """Return True if it begins as a dataflash log does."""
     return first_bytes(path, 3) == MAGIC
 
 
@@ -49,11 +49,9 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     """Read the messages that a drive is made of, of the first IMU and the first receiver."""
     kind = library("pymavlink.DFReader", "logs").DFReader_binary
     log = kind.__new__(kind)  # so that its files can be closed where its own beginning fails
-    log.init_arrays_fast = (
-        log.init_arrays
-    )  # the compiled one prints what it passes over, which nothing can catch
+    log.init_arrays_fast = log.init_arrays  # the compiled one prints skipped data, which cannot be caught
     try:
-        with redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # it prints what it passes over
+        with redirect_stderr(StringIO()), redirect_stdout(StringIO()):  # it prints skipped data
             log.__init__(str(path), zero_time_base=True)
             rows = _rows(log, path, limits)
     except InputError:

@@ -24,7 +24,7 @@ CHUNK = 100_000
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a table file by its name or its first lines, or a folder that holds one by its name."""
+    """Return True if it is a table file by its name or its first lines, or a folder that holds one by its name."""
     return bool(_files(path)) or (path.is_file() and is_table(path))
 
 
@@ -90,7 +90,7 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     Parameters
     ----------
     shown_as : the file's name in messages, where it was unpacked to another place
-    remarks : is told of columns that have one name
+    remarks : receives columns that share a name
     """
     if first_bytes(file, 4) == b"PAR1":
         frame = _parquet(file, shown_as, limits)
@@ -211,7 +211,7 @@ def _expected_rows(file: Path) -> int:
 
 
 def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
-    """The rows; what polars stumbles over becomes one line."""
+    """Return the rows; errors of polars become one line."""
     try:
         return rows.collect()
     except BROKEN as error:
@@ -219,7 +219,7 @@ def collect(rows: pl.LazyFrame, path: Path, table: str) -> pl.DataFrame:
 
 
 def broken_table(path: Path, table: str, error: Exception) -> InputError:
-    """One line for what polars says of a damaged table."""
+    """Return the error of polars about a damaged table in one line."""
     where = path if path.name == table else path / table
     said = shown(" ".join(str(error).split("\n")[0].split()), 160)
     return InputError(f"{where}: can't be read as a table ({said}); mend or export it again")

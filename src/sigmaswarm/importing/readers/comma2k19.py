@@ -39,7 +39,7 @@ _TRUTH = {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a segment's folder."""
+    """Return True if it is a segment's folder."""
     return (path / "processed_log" / "IMU").is_dir()
 
 

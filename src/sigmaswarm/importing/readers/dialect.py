@@ -38,7 +38,7 @@ class Dialect:
     skip : lines above the first row of values
     comma_columns : places of the columns whose numbers have decimal commas
     surplus : whether each row ends in a separator, behind which an empty column stands
-    remarks : what was noticed, one sentence each
+    remarks : one sentence each
     """
 
     separator: str
@@ -81,7 +81,7 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
 
 
 def is_table(file: Path) -> bool:
-    """Whether the first lines of a file of any name are rows of at least three cells, most of them numbers."""
+    """Return True if the first lines of a file of any name are rows of at least three cells, most of them numbers."""
     head = first_bytes(file, 65536)
     if b"\0" in head:
         return False
@@ -91,7 +91,7 @@ def is_table(file: Path) -> bool:
 
 
 def _plain(data: Sequence[Sequence[str]], k: int) -> bool:
-    """Whether a column holds numbers and no texts with commas, as dates."""
+    """Return True if a column holds numbers and no texts with commas, as dates."""
     filled = [row[k].strip() for row in data if k < len(row) and row[k].strip().lower() not in _EMPTY]
     return sum(_NUMBER.fullmatch(c) is not None for c in filled[:100]) >= 0.9 * len(filled[:100])
 
@@ -135,7 +135,7 @@ def split(line: str, separator: str) -> list[str]:
 
 
 def is_value(cell: str) -> bool:
-    """Whether a cell is a number or begins as a date or a time of day does."""
+    """Return True if a cell is a number or begins as a date or a time of day does."""
     cell = cell.strip()
     if len(cell) > 40 or not cell:
         return False
@@ -173,7 +173,7 @@ def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
 
 
 def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
-    """Whether at least half of the filled cells of the columns of numbers are values."""
+    """Return True if at least half of the filled cells of the columns of numbers are values."""
     if len(cells) < 2 or len(numeric) < 1:
         return False
     filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]
@@ -261,21 +261,21 @@ def _titles(line: str, separator: str) -> list[str]:
 
 
 def _uncommented(line: str) -> str:
-    """A line without what makes it a comment; a leading tab is a separator."""
+    """Remove the comment marker of a line; a leading tab is a separator."""
     line = line.strip("\r")
     bare = line.lstrip(" " + COMMENTS + "/")
     return bare if line.lstrip(" ")[:1] in (*COMMENTS, "/") else line
 
 
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
-    """Whether a line's cells are units rather than names, and more so than the line above them."""
+    """Return True if a line's cells are units rather than names, and more so than the line above them."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
     known = [u for u in units if u is not None and (u.known or u.text.lower() in COUNTS)]
     return bool(known) and _meanings(cells) <= _meanings(above)
 
 
 def _meanings(cells: Sequence[str]) -> int:
-    """How many of the cells are names of what a drive has."""
+    """Count the cells that name columns of a drive."""
     return sum(read_name(c).meaning is not None for c in cells[:100])
 
 

@@ -33,7 +33,7 @@ _KINDS = ("Fix", "Accel", "UncalAccel", "Gyro", "UncalGyro")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether its comments name the kinds of lines."""
+    """Return True if its comments name the kinds of lines."""
     head = first_bytes(path, 16384)
     return (
         b"# Fix,Provider" in head or b"# Raw,utcTimeMillis" in head or b"# Raw,ElapsedRealtimeMillis" in head

@@ -52,7 +52,7 @@ def _oxts(path: Path) -> Path:
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a drive's folder, or the folder oxts in it."""
+    """Return True if it is a drive's folder, or the folder oxts in it."""
     return (_oxts(path) / "timestamps.txt").is_file() and (_oxts(path) / "data").is_dir()
 
 

@@ -26,7 +26,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it begins as a MATLAB file does, or has its name."""
+    """Return True if it begins as a MATLAB file does, or has its name."""
     return first_bytes(path, 6) == b"MATLAB" or (path.is_file() and path.suffix.lower() == ".mat")
 
 

@@ -10,8 +10,7 @@ from typing import Any, BinaryIO, cast
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.definitions import columns_of
-from sigmaswarm.importing.readers.fields import stamp_of
+from sigmaswarm.importing.readers.fields import columns_of, stamp_of
 from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
 from sigmaswarm.importing.source import Source, Table, first_bytes, library
 
@@ -30,7 +29,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 def recognizes(path: Path) -> bool:
-    """Whether a file begins as MCAP does, or has its name."""
+    """Return True if a file begins as MCAP does, or has its name."""
     return first_bytes(path, 8) == MAGIC or (path.is_file() and path.suffix == ".mcap")
 
 
@@ -108,7 +107,7 @@ def _log(path: Path, reader: Any, summary: Any, limits: Limits) -> MessageLog:
 def _decoder(
     channel: Any, schema: Any, store: Any, reader: Any, limits: Limits, path: Path
 ) -> tuple[tuple[str, ...], Decode | None]:
-    """The columns of a channel's messages, and what decodes them; None where nothing here does."""
+    """The columns of a channel's messages, and their decoder; None where there is none."""
     encoding = channel.message_encoding
     if encoding == "json":
         return limits.first_columns(_json_columns(reader, channel.topic, _json), path), _json
@@ -137,7 +136,7 @@ def _json(data: bytes) -> dict[str, Any]:
 
 
 def _protobuf(schema: Any) -> Callable[[bytes], dict[str, Any]]:
-    """What makes a message of Protobuf one as in JSON."""
+    """Convert a message of Protobuf to one as in JSON."""
     parse = library("mcap_protobuf.decoder", "ros").DecoderFactory().decoder_for("protobuf", schema)
 
     def decode(data: bytes) -> dict[str, Any]:

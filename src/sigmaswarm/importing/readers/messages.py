@@ -1,6 +1,6 @@
 """Logs of messages on topics: each topic is a table, each number in its messages a column named by its path.
 
-``received`` is when a message was recorded and ``stamp`` what its header says, both in ns.
+``received`` is the time of recording and ``stamp`` that of the header, both in ns.
 """
 
 import re
@@ -145,14 +145,14 @@ class _Collector:
                 self.delays.append((received - stamp) * 1e-9)
 
     def take(self) -> pl.DataFrame:
-        """The rows so far; begin anew."""
+        """Return the rows so far and clear them."""
         rows, self.rows = self.rows, []
         self.delays = self.delays[:: max(len(self.delays) // 20_000, 1)]
         values = zip(*rows, strict=True)
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """Whether stamps and receive times tell different things."""
+        """Return True if stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"
@@ -180,7 +180,7 @@ def _float(value: Any) -> float | None:
 
 
 def broken(path: Path, error: Exception) -> InputError:
-    """One line for what a library says of a damaged file."""
+    """Return the error of a library about a damaged file in one line."""
     said = " ".join(str(error).split()) or type(error).__name__
     said = shown(re.sub(r"^b'|'$", "", said), 160)
     return InputError(f"{path}: is cut short or broken ({said}); record or copy it again")

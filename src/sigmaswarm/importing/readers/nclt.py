@@ -40,17 +40,17 @@ FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
         {"t": "utime*1e-6", "x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
-"""Each role's file, its columns, and what a drive makes of them."""
+"""The file of each role, its columns, and their expressions in a drive."""
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a session's folder."""
+    """Return True if it is a session's folder."""
     return (path / "ms25.csv").is_file()
 
 
 @contextmanager
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Open the files, which have no header lines; the truth may lie beside them."""
+    """Open the files, which have no header lines; the truth may be in the same folder."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():

@@ -44,7 +44,7 @@ GUESS = Guess(
 
 
 def recognizes(path: Path) -> bool:
-    """Whether its first lines are sentences."""
+    """Return True if its first lines are sentences."""
     lines = first_bytes(path, 1024).split(b"\n")
     return path.suffix.lower() in (".nmea", ".nma") or any(
         line[:1] == b"$"
@@ -141,7 +141,7 @@ def _field(message: Any, name: str) -> Any:
 
 
 def _values(message: Any) -> dict[str, float]:
-    """What a sentence says of the fix, in a drive's units but for the course, which is in degrees from north."""
+    """The fix of a sentence, in a drive's units, except the course in degrees from north."""
     kind = message.msgID
 
     def said(name: str) -> float:

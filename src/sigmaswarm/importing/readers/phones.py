@@ -1,4 +1,4 @@
-"""What phones' exports share: folders or zips of CSVs, and how a phone lies in a vehicle."""
+"""Common parts of exports of phones: folders or zips of CSVs, and the mounting of a phone."""
 
 import shutil
 import tempfile

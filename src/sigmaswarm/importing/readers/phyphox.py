@@ -26,7 +26,7 @@ _NAMES = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether phyphox's files are in it, and begin with its "Time (s)"."""
+    """Return True if phyphox's files are in it, and begin with its "Time (s)"."""
     begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
     return {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path) and (
         path.is_file() or begin.startswith("time (s)")
@@ -52,7 +52,7 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
 
 
 def _find(wanted: dict[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Which column is what, between backticks; the unit in brackets does not count."""
+    """Columns by quantity, between backticks; the unit in brackets does not count."""
     plain = {column: re.sub(r"\s*\(.*\)\s*$", "", column).strip().lower() for column in columns}
     found: dict[str, str] = {}
     for what, pattern in wanted.items():

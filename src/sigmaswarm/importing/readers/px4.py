@@ -24,13 +24,13 @@ _TOPICS = ("sensor_combined", "vehicle_gps_position", "sensor_gps", "vehicle_loc
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it begins as ULog does."""
+    """Return True if it begins as ULog does."""
     return first_bytes(path, 7) == MAGIC or (path.is_file() and path.suffix == ".ulg")
 
 
 @contextmanager
 def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Read the topics that a drive is made of; the others are passed over."""
+    """Read the topics that a drive is made of; the others are skipped."""
     core = library("pyulog.core", "logs")
     _require_whole_definitions(path)
     try:

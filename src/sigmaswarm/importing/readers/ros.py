@@ -8,7 +8,7 @@ from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.definitions import columns_of
+from sigmaswarm.importing.readers.fields import columns_of
 from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
 from sigmaswarm.importing.source import Source, Table, first_bytes, library
 
@@ -16,14 +16,14 @@ _FILES = (".bag", ".db3", ".mcap")
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it is a bag: by its first bytes, or a folder with metadata.yaml or bags in it."""
+    """Return True if it is a bag: by its first bytes, or a folder with metadata.yaml or bags in it."""
     if path.is_dir():
         return bool(bag_paths(path))
     return first_bytes(path, 9) == b"#ROSBAG V" or path.suffix in (".bag", ".db3")
 
 
 def bag_paths(path: Path) -> list[Path]:
-    """What rosbags is to open: a bag's folder itself, or the files of one that lost its metadata."""
+    """Return the paths for rosbags: a bag's folder, or the files of one without metadata."""
     if path.is_file() or (path / "metadata.yaml").exists():
         return [path]
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
@@ -80,7 +80,7 @@ def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
 
 
 def _bound_chunks(reader: Any, limits: Limits, path: Path) -> None:
-    """Make a ROS 1 bag's chunks unpack to the limit and no farther: nothing tells their size before."""
+    """Make a ROS 1 bag's chunks unpack at most to the limit, since their size is not known before."""
     lz4 = library("lz4.frame", "ros")
     streams = {bz2.decompress: bz2.BZ2Decompressor, lz4.decompress: lz4.LZ4FrameDecompressor}
     for bag in reader.readers:

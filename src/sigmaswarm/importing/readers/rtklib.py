@@ -31,7 +31,7 @@ _TARGETS = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether it has RTKLIB's header."""
+    """Return True if it has RTKLIB's header."""
     head = first_bytes(path)
     return path.suffix == ".pos" or (head.startswith(b"%") and b"latitude(deg)" in head)
 

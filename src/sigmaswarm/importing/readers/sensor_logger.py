@@ -1,7 +1,7 @@
 """Sensor Logger (iOS, Android): a folder or zip with Accelerometer.csv, Gyroscope.csv, Location.csv and others.
 
 Units and axes from UNITS.md and COORDINATES.md in the author's repository tszheichoi/awesome-sensor-logger: ``time`` in
-ns since 1970; Accelerometer without gravity, Gravity beside it, both with opposite signs on iOS; TotalAcceleration
+ns since 1970; Accelerometer without gravity, and Gravity, both with opposite signs on iOS; TotalAcceleration
 with gravity on Android; bearing in degrees from north; negative values are invalid.
 """
 
@@ -30,7 +30,7 @@ _FIX = {
 
 
 def recognizes(path: Path) -> bool:
-    """Whether the app's files are in it."""
+    """Return True if the app's files are in it."""
     names = names_in(path)
     return {"Gyroscope.csv", "Location.csv"} <= names and bool(
         names & {"Metadata.csv", "TotalAcceleration.csv", "Gravity.csv"}

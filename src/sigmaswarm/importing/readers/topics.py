@@ -87,7 +87,7 @@ def guess_topics(tables: Mapping[str, Table], choice: Choice, first: First, path
 
 
 def standard(tables: Mapping[str, Table], topic: str, role: str) -> bool:
-    """Whether a topic holds what the standard messages of a role do."""
+    """Return True if a topic holds what the standard messages of a role do."""
     columns = set(tables[topic].columns)
     return any(
         column.endswith(first) and {column.removesuffix(first) + p for p in paths.values()} <= columns
@@ -108,7 +108,7 @@ def _imu(columns: Collection[str], at: str) -> dict[str, str]:
 
 
 class _Picker:
-    """Finds topics and the paths of their numbers, and notes what was chosen among several."""
+    """Finds topics and the paths of their numbers, and notes choices among several."""
 
     def __init__(
         self, tables: Mapping[str, Table], choice: Choice, first: First, path: Path, notes: list[str]
@@ -134,7 +134,7 @@ class _Picker:
         return ranked[0] if ranked else None
 
     def prefix(self, topic: str, paths: Mapping[str, str]) -> str | None:
-        """What stands before the paths in a topic's columns: "" in the message itself, "imu." in a field of it."""
+        """Prefix of the paths in a topic's columns: "" in the message itself, "imu." in a field of it."""
         columns = set(self.tables[topic].columns)
         first = next(iter(paths.values()))
         for column in self.tables[topic].columns:

@@ -75,7 +75,7 @@ NO_FIX = {b"\x02": "raw measurements: make fixes of them with RTKLIB (convbin, r
 
 
 def recognizes(path: Path) -> bool:
-    """Whether UBX messages begin in its first bytes, or its name says so."""
+    """Return True if UBX messages begin in its first bytes, or its name says so."""
     head = first_bytes(path, 65536)
     return path.suffix.lower() == ".ubx" or SYNC + NAV_PVT in head or SYNC + NAV_POSLLH in head
 
@@ -194,7 +194,7 @@ def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[f
 def _messages(stream: mmap) -> Iterator[tuple[bytes | None, float]]:
     """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is done.
 
-    A damaged message may say any length: the next one is looked for right behind its first bytes, not at its end.
+    The length of a damaged message is unreliable: the next one is searched right after its first bytes.
     """
     at, damaged = stream.find(SYNC), False
     while at >= 0:

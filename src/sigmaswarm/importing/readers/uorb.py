@@ -18,7 +18,7 @@ TURNED = "PX4's axes turned from forward, right, down"
 
 
 def fix(columns: Collection[str]) -> dict[str, str]:
-    """Degrees and metres, of logs since PX4 1.14 and before; what the messages lack is left out."""
+    """Degrees and metres, of logs since PX4 1.14 and before; missing columns are omitted."""
     if "latitude_deg" in columns:
         place = {"lat": "latitude_deg", "lon": "longitude_deg", "alt": "altitude_ellipsoid_m"}
     else:

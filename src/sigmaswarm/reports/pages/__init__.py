@@ -1,4 +1,4 @@
-"""Pages: what each kind of result folder tells its reader, as a `Report` of sections.
+"""Pages: one `Report` of sections for each type of result folder.
 
-`folders.py` says which page a folder needs; `reports/draw/html.py` makes one HTML file of any of them.
+`folders.py` selects the page of a folder; `reports/draw/html.py` makes one HTML file of any of them.
 """

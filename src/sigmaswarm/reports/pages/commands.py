@@ -17,13 +17,13 @@ DEFAULTS = {name: field.default for name, field in TuneConfig.model_fields.items
 OTHERS = tuple(name for name in DEFAULTS if name not in STATED)
 """Options that it names where they are not at their defaults."""
 GUARDS = ("prior", "inflation")
-"""Of those, the ones whose default `tune` settles by the objective."""
+"""Those whose default in `tune` depends on the objective."""
 
 
 def tune_command(
     config: Mapping[str, Any], drives: Sequence[str], validation: Sequence[str]
 ) -> tuple[str, str]:
-    """The command of a tuning, and what it can't say; no command for a model of the user's own."""
+    """Return the command of a tuning and its limits; no command for a custom model."""
     if isinstance(config.get("model"), dict):
         return "", "The model is the user's own: repeat the tuning in Python, with sigmaswarm.tune."
     config = {RENAMED.get(name, name): value for name, value in config.items()}
@@ -45,7 +45,7 @@ def evaluate_command(
     *,
     also: Collection[str] = (),
 ) -> tuple[str, str]:
-    """The command of an evaluation, and what it can't say."""
+    """Return the command of an evaluation and its limits."""
     words = ["sigmaswarm", "evaluate", "tuning.toml", *drives, "--out", "again"]
     words += ["--outage-length", f"{outage_length:g}", "--outage-seed", str(outage_seed)]
     options = {OWN: ["--against", "against.toml"], SMOOTHED: ["--smooth"], SWARM: ["--swarm"]}
@@ -58,7 +58,7 @@ def evaluate_command(
 
 
 def _usual_kind(config: Mapping[str, Any]) -> dict[str, str]:
-    """The kind of filter that `tune` takes for the model if nobody asks for one."""
+    """Return the default filter type of the model in `tune`."""
     try:
         return {"kind": TuneConfig.model_validate({"model": config["model"]}).kind}
     except (ValidationError, KeyError):  # of another version
@@ -66,11 +66,11 @@ def _usual_kind(config: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _settled(config: Mapping[str, Any]) -> dict[str, float | None]:
-    """What `tune` makes of guards that nobody asks for."""
+    """Return the default guards of `tune`."""
     asked = {name: config[name] for name in DEFAULTS if name in config and name not in GUARDS}
     try:
         settled = with_guards(TuneConfig.model_validate(asked)).model_dump()
-    except (ValidationError, InputError):  # of another version, which may have had objectives of its own
+    except (ValidationError, InputError):  # of another version with other objectives
         return dict.fromkeys(GUARDS, 0.0)
     return {name: settled[name] for name in GUARDS}
 

@@ -23,8 +23,7 @@ from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
-from sigmaswarm.tuning.record import FILE, TuningRecord
-from sigmaswarm.tuning.remarks import NOT_VALIDATED
+from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")
@@ -53,12 +52,12 @@ def evaluation_report(folder: Path) -> Report:
     nees = not view.blind
     return Report(
         title=f"Evaluation of {filter_name(file)}",
-        lead=(view.result(), *view.coverage(), what_was_tuned(file)),
+        lead=(view.result(), *(view.coverage() if view.blind else ()), what_was_tuned(file)),
         figures=_figures(view),
         remarks=tuple(in_order([*warnings, *(r for r in remarks(file) if r != NOT_VALIDATED)])),
         sections=(
-            _comparison(view),
             Section("Tracks and errors over time" if nees else "Tracks over time", tracks=tracks),
+            _comparison(view),
             *_swarm(tracks.drives),
             Section("Consistency", (explained_consistency(nees),), (view.consistency_table(),)),
             parameters_section(file),
@@ -99,9 +98,8 @@ def _figures(view: EvaluationView) -> tuple[Figure, ...]:
         tuned, other = view.scores.mean_of("tuned", name), view.scores.mean_of(view.rival, name)
         if tuned is None:
             continue
-        notes = [view.scores.drift_said(name)]
-        notes += [f"{rival}: {other:.3g} {measure.unit}"] if other is not None else []
-        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", "; ".join(filter(None, notes))))
+        note = f"{rival}: {other:.3g} {measure.unit}" if other is not None else ""
+        figures.append(Figure(measure.title, f"{tuned:.3g} {measure.unit}", note))
     known = [c for c in view.scores.consistency.values() if c]
     if known:
         nis = sum(c.mean_nis for c in known) / len(known)
@@ -112,7 +110,8 @@ def _figures(view: EvaluationView) -> tuple[Figure, ...]:
 def _comparison(view: EvaluationView) -> Section:
     tables = [view.mean_table()] if len(view.scores.drives) > 1 else []
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
-    text = (explained_scores(view), *view.explanations())
+    coverage = () if view.blind else view.coverage()
+    text = (*coverage, explained_scores(view), *view.explanations())
     return Section("Comparison", text, tuple(tables), method_bars(view.scores, view.names, view.measures))
 
 

@@ -26,7 +26,7 @@ def read_report(folder: Path) -> Report:
     Raises
     ------
     InputError
-        If it is no such folder, or a file in it is missing or damaged.
+        If it is not such a folder, or a file in it is missing or damaged.
     """
     if not folder.is_dir():
         wrong = "is a file" if folder.exists() else "no such folder"

@@ -1,4 +1,4 @@
-"""Views: what is shown of result records, as numbers, said once.
+"""Views: numbers of result records for display.
 
 `record.py` is the vocabulary: tables of cells, charts of marks. `reports/draw/` draws them.
 """

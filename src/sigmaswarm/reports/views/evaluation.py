@@ -34,7 +34,7 @@ from sigmaswarm.reports.views.charts import (
     short_number,
 )
 from sigmaswarm.scoring.consistency import GATE_95
-from sigmaswarm.scoring.drifts import LEARNED, OWN, UNTUNED
+from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated
 from sigmaswarm.scoring.measures import Measure
 from sigmaswarm.scoring.records import ScoresRecord
@@ -51,23 +51,27 @@ HEADING_SHOWN = (1.0, 30.0)
 def method_bars(
     scores: ScoresRecord, names: Mapping[str, str], measures: Mapping[str, Measure]
 ) -> tuple[Chart, ...]:
-    """Bars of the means over the drives, a chart for each measure that any method has; logarithmic."""
+    """Bars of the means over the drives, a chart for each measure that any method has.
+
+    IMU only and fixes alone do not set the scale: their bars end at the longest other bar, with an arrow at the text.
+    """
     charts: list[Chart] = []
     for name, measure in measures.items():
         values = {m: v for m in names if (v := scores.mean_of(m, name))}
         if not values:
             continue
+        longest = max([v for m, v in values.items() if m not in ("imu_only", FIXES)] or values.values())
         bars = Bars(
             "x",
             range(len(values)),
-            tuple(values.values()),
+            tuple(min(v, longest) for v in values.values()),
             Look(SLATE, 0.0),
             colors=tuple(LOOKS[m].color for m in values),
-            texts=tuple(map(short_number, values.values())),
+            texts=tuple(short_number(v) + " →" * (v > longest) for v in values.values()),
         )
         rows = Axis(categories=tuple(names[m] for m in values))
         title = f"{measure.title}, mean over drives"
-        charts.append(Chart(title, (bars,), Axis(measure.heading, "log"), rows))
+        charts.append(Chart(title, (bars,), Axis(measure.heading, range=(0.0, 1.3 * longest)), rows))
     return tuple(charts)
 
 

@@ -1,4 +1,4 @@
-"""The tables of a study: the paper's next to ours, comparisons, conditions, and what the search found."""
+"""The tables of a study: the paper's next to ours, comparisons, conditions, and results of the search."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

@@ -7,7 +7,7 @@ All follow the protocol `Optimizer`, and one loop serves them::
         optimizer.tell(costs_of(points))
     print(optimizer.global_best, optimizer.global_cost)
 
-A class of your own needs four methods, and goes to ``tune(drives, optimizer=Halton)``::
+A custom class needs four methods; pass it to ``tune(drives, optimizer=Halton)``::
 
     class Halton:
         def __init__(self, low, high, population, rng):
@@ -58,7 +58,7 @@ OPTIMIZERS: dict[str, Callable[..., AskTell]] = {
     "random": RandomSearch,
     "sobol": SobolSearch,
 }
-"""Each is called with low, high, population and rng, and with options of its own."""
+"""Each is called with low, high, population, rng and its options."""
 
 
 def create_optimizer(

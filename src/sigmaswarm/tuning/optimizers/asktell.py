@@ -1,4 +1,4 @@
-"""The protocol of an optimizer, and what the built-in ones share."""
+"""The protocol of an optimizer, and the parts that the built-in ones share."""
 
 from typing import Any, ClassVar, Protocol
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 class Optimizer(Protocol):
-    """A search algorithm: asked for points, told their costs; lower wins.
+    """A search algorithm with an ask-and-tell interface; the lowest cost wins.
 
     The class is called as ``Own(low, high, population, rng)``: the bounds in search coordinates, shape (d,); the points
     per batch; and a `numpy.random.Generator`, the only source of random numbers. Points outside the bounds are clipped.

@@ -1,4 +1,4 @@
-"""Bayesian optimization: a Gaussian process of the costs so far says where the next evaluation is worth most.
+"""Bayesian optimization: a Gaussian process of the costs selects the next points.
 
 J. Mockus, V. Tiesis and A. Zilinskas, The application of Bayesian methods for seeking the extremum, 1978; D. R. Jones,
 M. Schonlau and W. J. Welch, Efficient global optimization of expensive black-box functions, J. Global Optimization 13,
@@ -43,7 +43,7 @@ _ALONE = threading.Lock()
 
 
 class BayesianOptimization(AskTell):
-    """A Gaussian process that is asked for points of the highest expected improvement, and told their costs.
+    """A Gaussian process that proposes points of the highest expected improvement.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class BayesianOptimization(AskTell):
 def leveled(costs: Array) -> Array:
     """Costs in the same order, of which the worst don't drown the differences between the best.
 
-    A filter that loses its way costs a thousand times what a good one does; a process of such costs is flat where it
+    A diverged filter costs a thousand times what a good one does; a process of such costs is flat where it
     matters. So they are taken as log(1 + (cost - best) / (median - best)): even below the median, logarithmic above. A
     failure costs as much as the worst of the others.
 
@@ -125,7 +125,7 @@ def leveled(costs: Array) -> Array:
 def suggested(
     points: Array, costs: Array, count: int, effort: tuple[int, int], rng: np.random.Generator
 ) -> Array:
-    """Where the expected improvement is highest, one point after another, each believed before the next is looked for.
+    """Select points of the highest expected improvement one by one; each gets its predicted cost before the next.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _fitted(points: Array, costs: Array) -> Array:
 
 
 class Improvement:
-    """What a point of the unit box is expected to gain over the lowest cost so far, in standard deviations of costs.
+    """Expected improvement of a point of the unit box over the lowest cost, in standard deviations of costs.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ NARROWEST, WIDEST, LARGEST_CONDITION = 1e-12, 10.0, 1e14
 
 
 class CmaEs(AskTell):
-    """A normal distribution that is asked for samples and told their costs.
+    """A normal distribution that adapts to the costs of its samples.
 
     Parameters
     ----------

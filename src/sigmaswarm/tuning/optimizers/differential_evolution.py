@@ -1,7 +1,7 @@
 """Differential evolution: trial points from differences between members of the population.
 
 R. Storn and K. Price, Differential evolution, J. Global Optimization 11, 341-359, 1997: the schemes rand/1/bin
-and best/1/bin, with a scale factor drawn anew for every generation (dither). Each trial replaces its own parent
+and best/1/bin, with a scale factor redrawn in every generation (dither). Each trial replaces its own parent
 if it is not worse. Trials that leave the box are put back at random in the coordinates in which they left it.
 """
 
@@ -16,14 +16,14 @@ Indices = NDArray[np.intp]
 
 
 class DifferentialEvolution(AskTell):
-    """A population that is asked for trials and told their costs.
+    """A population whose trials replace their parents where they cost less.
 
     Parameters
     ----------
     low, high, population, rng
         As for every `Optimizer`.
     base : {"best", "rand"}
-        What the difference is added to: the best member, or a random one.
+        Base vector: the best member, or a random one.
     scale : (float, float)
         F is drawn from this range, once a generation.
     crossover : float

@@ -1,4 +1,4 @@
-"""A hybrid of genetic algorithm and particle swarm: the better half flies, the worse half is bred anew.
+"""A hybrid of genetic algorithm and particle swarm: the better half moves as particles, the worse half is bred again.
 
 C.-F. Juang, A hybrid of genetic algorithm and particle swarm optimization for recurrent network design, IEEE Trans.
 Systems, Man, and Cybernetics B 34, 997-1006, 2004 (HGAPSO). Two things differ: crossover and mutation are those of
@@ -61,7 +61,7 @@ class GeneticSwarm(AskTell):
             self.inertia * v + self.cognitive * r1 * (best - x) + self.social * r2 * (self.global_best - x)
         )  # (the paper's eq. 2)
         children = mutated(offspring(x, costs, n - len(elites), box, self.rng), box, self.rng)
-        # a child begins at rest, and its own place is the best that it knows
+        # a child starts at rest; its position is its best one
         self.velocities = np.concatenate([v, np.zeros_like(children)])
         self.personal_best = np.concatenate([best, children])
         self.personal_cost = np.concatenate([best_cost, np.full(len(children), np.inf)])

@@ -16,11 +16,11 @@ from sigmaswarm.tuning.optimizers.asktell import Array, AskTell
 CROSSOVER, CROSSOVER_INDEX, MUTATION_INDEX = 0.9, 15.0, 20.0
 """The chance that two parents are crossed, and how near to its parents a child stays (eta; higher is nearer)."""
 ATTEMPTS = 10
-"""How often children that are copies are bred anew."""
+"""Attempts to replace children that are copies."""
 
 
 class GeneticAlgorithm(AskTell):
-    """A population that is asked for children and told their costs.
+    """A population whose children replace its worse members.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class GeneticAlgorithm(AskTell):
         self.member_costs = np.full(population, np.inf)
 
     def _learn(self, costs: Array) -> None:
-        if np.isinf(self.member_costs).all():  # nobody to compete with yet
+        if np.isinf(self.member_costs).all():  # the first generation
             self.members, self.member_costs = self.positions.copy(), costs
             return
         everyone = np.concatenate([self.members, self.positions])
@@ -123,7 +123,7 @@ def offspring(
 
 
 def _winners(costs: Array, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Who won ``n`` tournaments of two, in which everybody takes part equally often, shape (n,)."""
+    """Select the winners of ``n`` tournaments of two with equal numbers of entries, shape (n,)."""
     m = len(costs)
     rounds = np.tile(np.arange(m), (-(-2 * n // m), 1))
     one, other = rng.permuted(rounds, axis=1).ravel()[: 2 * n].reshape(n, 2).T

@@ -17,7 +17,7 @@ SMALLEST = 1e-12
 
 
 class NelderMead(AskTell):
-    """A simplex that is asked for points and told their costs.
+    """A simplex that moves by the costs of its points.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class NelderMead(AskTell):
             self._judge_reflections(costs)
         elif self.phase == "follow":
             self._judge_followers(costs)
-        else:  # what was asked for are the simplex's own last vertices
+        else:  # the points are the last vertices of the simplex
             self._settle(len(costs), self.positions, costs)
 
     def _judge_reflections(self, costs: Array) -> None:

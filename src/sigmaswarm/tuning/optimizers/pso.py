@@ -13,7 +13,7 @@ from sigmaswarm.tuning.options import ACCELERATION, INERTIA
 
 
 class ParticleSwarm(AskTell):
-    """A swarm that is asked for positions and told their costs.
+    """A swarm whose particles move by the costs of their positions.
 
     Parameters
     ----------

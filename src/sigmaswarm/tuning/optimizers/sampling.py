@@ -1,4 +1,4 @@
-"""Search without memory: what an optimizer has to beat.
+"""Search without memory, the baseline of optimizers.
 
 Random points (J. Bergstra and Y. Bengio, Random search for hyper-parameter optimization, JMLR 13, 281-305, 2012), and
 Sobol' points, scrambled, which fill the box more evenly (A. B. Owen, Randomly permuted (t,m,s)-nets and

@@ -1,0 +1,154 @@
+"""Tire slip and the start that is dated back: what each is worth, alone and together.
+
+    python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl
+    python benchmarks/slip_and_start.py ../shared/drives --out slip.jsonl --table
+
+KITTI's drives: each is held out once, tuned on the others. colorado-1 and kingston-1: tuned on the first 70% of the
+time, tested on the rest. Every tuning is by default, with truth (T) and without (B), from the alignments' starts, with
+`tire_slip` searched and with 0. Each is tested from the alignment's start and from `dated_back`. Each tuning and each
+row of scores is a line of the file, and is not repeated. Prints Markdown: medians over the seeds; KITTI is the mean
+over its drives. Drifts are RMS over all placements of the outages.
+"""
+
+import argparse
+import json
+import warnings
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from real_drives import KITTI, cases
+from sigmaswarm import Drive, FilterParameters, SigmaswarmWarning, tune
+from sigmaswarm.drives.prepared import PreparedDrive
+from sigmaswarm.filters.dating_back import dated_back
+from sigmaswarm.filters.run import run_filter
+from sigmaswarm.filters.smoothing import smooth
+from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.scoring.batch import Replayer
+from sigmaswarm.scoring.drifts import Outages
+from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
+from sigmaswarm.tuning import space
+from switches import quantities
+
+LATERAL = space.OPTION_DIMENSIONS["lateral"]
+SEARCHED = {"no slip": tuple(d for d in LATERAL if d.name != "tire_slip"), "slip": LATERAL}
+COLUMNS = (
+    *("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES"),
+    *("smoothed RMSE, m", "smoothed heading, deg"),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--table", action="store_true")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", SigmaswarmWarning)
+    if not options.table:
+        with ThreadPoolExecutor() as pool:
+            each = list(cases(options.drives))
+            for seed, case, known, slip in product(range(options.seeds), each, "TB", SEARCHED):
+                score(options.out, case, known, slip, seed, pool)
+    table(lines(options.out))
+
+
+def score(out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPoolExecutor) -> None:
+    """Tune, or read the tuning, and score it."""
+    name, training, test = case
+    done = lines(out)
+    key = (name, known, slip, seed)
+    if (*key, "tuning") not in done:
+        space.OPTION_DIMENSIONS["lateral"] = SEARCHED[slip]
+        drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
+        tuned = tune(drives, seed=seed, executor=pool).parameters
+        note(out, (*key, "tuning"), tuned.to_dict())
+    else:
+        tuned = FilterParameters(**done[*key, "tuning"])
+    if (*key, "window") not in done:
+        note(out, (*key, "window"), figures([PreparedDrive(drive) for drive in test], tuned))
+    if (*key, "dated back") not in done:
+        starts = [dated_back(drive, tuned) for drive in test]
+        ready = [PreparedDrive(drive, start) for drive, start in zip(test, starts, strict=True)]
+        note(out, (*key, "dated back"), figures(ready, tuned))
+
+
+def figures(test: Sequence[PreparedDrive], parameters: FilterParameters) -> list[float]:
+    """Scores in the order of `COLUMNS`, over all test drives together."""
+    off, turned = zip(*(errors(one.drive, run_filter(one, parameters)) for one in test), strict=True)
+    after, faced = zip(*(errors(one.drive, smooth(one, parameters)) for one in test), strict=True)
+    found = Replayer(test, outages=False).scores([parameters])
+    return [
+        *quantities(np.concatenate(off)),
+        rms_deg(turned),
+        *(drift(test, parameters, length) for length in (5.0, 30.0)),
+        float(found.mean_nis.mean()),
+        float(found.mean_nees.mean()),
+        quantities(np.concatenate(after))[0],
+        rms_deg(faced),
+    ]
+
+
+def rms_deg(turned: Sequence[np.ndarray]) -> float:
+    return float(np.degrees(np.sqrt(np.mean(np.concatenate(turned) ** 2))))
+
+
+def errors(drive: Drive, estimate: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Position errors, m, and heading errors where they count, rad, at the truth's times."""
+    truth = drive.truth
+    assert truth is not None
+    scored = truth.select((truth.time >= estimate.time[0]) & (truth.time <= estimate.time[-1]))
+    x, y = (np.interp(scored.time, estimate.time, estimate.mean[:, i]) for i in (0, 1))
+    theta = np.interp(scored.time, estimate.time, np.unwrap(estimate.mean[:, 4]))
+    counts = np.hypot(scored.vx, scored.vy) > HEADING_COUNTS_ABOVE
+    return np.hypot(x - scored.x, y - scored.y), wrap_angle(theta - scored.theta)[counts]
+
+
+def drift(test: Sequence[PreparedDrive], parameters: FilterParameters, length: float) -> float:
+    """RMS over the drives and all placements of outages of a length, m."""
+    each = []
+    for one in test:
+        outages = Outages(one, length=length, seed=0)
+        outages.run({"tuned": parameters}, watched=False)
+        each.append(outages.drift("tuned"))
+    return float(np.sqrt(np.nanmean(np.square(each))))
+
+
+def lines(out: Path) -> dict[tuple[Any, ...], Any]:
+    if not out.exists():
+        return {}
+    return {tuple(key): value for key, value in map(json.loads, out.read_text(encoding="utf-8").splitlines())}
+
+
+def note(out: Path, key: tuple[Any, ...], value: Any) -> None:
+    with out.open("a", encoding="utf-8") as file:
+        file.write(json.dumps([key, value]) + "\n")
+
+
+def table(done: dict[tuple[Any, ...], Any]) -> None:
+    """Medians over the seeds; KITTI as the mean over its drives."""
+    rows: dict[tuple[str, ...], list[list[float]]] = {}
+    for (name, known, slip, _, what), value in done.items():
+        if what != "tuning":
+            rows.setdefault((name, known, slip, what), []).append(value)
+    median = {key: np.median(np.array(each), axis=0) for key, each in rows.items()}
+    for known, slip, what in dict.fromkeys(key[1:] for key in median):
+        kitti = [median[name, known, slip, what] for name in KITTI if (name, known, slip, what) in median]
+        if kitti:
+            median["KITTI", known, slip, what] = np.mean(kitti, axis=0)
+    print("| tested on | truth | tuning | start | " + " | ".join(COLUMNS) + " |")
+    print("|---" * (len(COLUMNS) + 4) + "|")
+    for key, row in sorted(median.items()):
+        print("| " + " | ".join(key) + " | " + " | ".join(f"{v:.3f}" for v in row) + " |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""The extended filter of robot_localization in ``two_d_mode``, for many parameter sets side by side.
+
+Read it next to `filters.robot_localization`, which has the equations and the textbook form. The eight states are in
+planar8's rows: x, y, vx, vy (body), yaw, ax, ay (body), yaw rate. The Jacobian is a product of elementary steps, one
+for each row that differs from the identity, and measurements of single states are absorbed one after the other: with
+a diagonal R that is the joint update.
+"""
+
+# pyright: basic, reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+
+import math
+
+import numpy as np
+
+from sigmaswarm.drives.timeline import AX, AY, DT, FIX_VAR_X, FIX_VAR_Y, FIX_X, FIX_Y, GZ, Q_SCALE
+from sigmaswarm.filters.compiled.lanes import kernel, sincos
+from sigmaswarm.filters.compiled.layout import LANES, Q0, R, at
+from sigmaswarm.filters.compiled.measurements import _look
+from sigmaswarm.filters.schedule import FIX, HIDDEN, IMU, LATERAL, STANDSTILL
+from sigmaswarm.filters.student import FORECAST_DOF, FORECAST_SCALE
+
+USES_VY, USES_AY = LATERAL, STANDSTILL
+"""Bits of a step: a twist of vy = 0, and the IMU's ay."""
+R_GZ, R_AX, R_AY, R_VY = R.R_RATE, R.R_VELOCITY, R.R_STANDSTILL, R.R_LATERAL
+"""Rows of the stated variances."""
+_TWO_PI = 2 * math.pi
+
+
+def _wrap(angle):
+    return angle - _TWO_PI * np.floor(angle * (1 / _TWO_PI) + 0.5)
+
+
+@kernel
+def _predict(w, d, q):
+    """x += cos A - sin B, y += sin A + cos B with A = vx d + ax d2/2 and B = vy d + ay d2/2; P = J P J' + q Q."""
+    h = 0.5 * d
+    for l in range(LANES):
+        s, c = sincos(w[R.T, l])
+        a, b = d * (w[R.U, l] + h * w[R.A, l]), d * (w[R.V, l] + h * w[R.B, l])
+        east, north = c * a - s * b, s * a + c * b
+        cd, sd = c * d, s * d
+        ch, sh = cd * h, sd * h
+        w[R.X, l] += east
+        w[R.Y, l] += north
+        w[R.U, l] += d * w[R.A, l]
+        w[R.V, l] += d * w[R.B, l]
+        w[R.T, l] = _wrap(w[R.T, l] + d * w[R.W, l])
+        before = cd * w[R.XU, l] - sd * w[R.XV, l] + ch * w[at(R.X, R.A), l] - sh * w[at(R.X, R.B), l]
+        before = before - north * w[R.XT, l]
+        for k in range(1, 8):
+            moved = cd * w[at(R.U, k), l] - sd * w[at(R.V, k), l] - north * w[at(R.T, k), l]
+            w[at(R.X, k), l] += moved + (ch * w[at(R.A, k), l] - sh * w[at(R.B, k), l])
+        after = cd * w[R.XU, l] - sd * w[R.XV, l] + ch * w[at(R.X, R.A), l] - sh * w[at(R.X, R.B), l]
+        w[R.XX, l] += before + (after - north * w[R.XT, l]) + q * w[Q0 + R.X, l]
+        before = sd * w[R.YU, l] + cd * w[R.YV, l] + sh * w[at(R.Y, R.A), l] + ch * w[at(R.Y, R.B), l]
+        before = before + east * w[R.YT, l]
+        for k in (0, 2, 3, 4, 5, 6, 7):
+            moved = sd * w[at(R.U, k), l] + cd * w[at(R.V, k), l] + east * w[at(R.T, k), l]
+            w[at(R.Y, k), l] += moved + (sh * w[at(R.A, k), l] + ch * w[at(R.B, k), l])
+        after = sd * w[R.YU, l] + cd * w[R.YV, l] + sh * w[at(R.Y, R.A), l] + ch * w[at(R.Y, R.B), l]
+        w[R.YY, l] += before + (after + east * w[R.YT, l]) + q * w[Q0 + R.Y, l]
+    for l in range(LANES):
+        for i in (R.T, R.U, R.V):  # yaw by its rate, vx by ax, vy by ay
+            old = w[at(i, RATES[i]), l]
+            for k in range(8):
+                if k != i:
+                    w[at(i, k), l] += d * w[at(RATES[i], k), l]
+            w[at(i, i), l] += d * (old + w[at(i, RATES[i]), l]) + q * w[Q0 + i, l]
+        for i in (R.A, R.B, R.W):
+            w[at(i, i), l] += q * w[Q0 + i, l]
+
+
+RATES = {R.T: R.W, R.U: R.A, R.V: R.B}
+"""States and their derivatives."""
+
+
+def _absorb(w, z, *, state, noise):
+    """A measurement of one state: x += K nu; P' = P - p p' / S, and the state's own column p R / S."""
+    for l in range(LANES):
+        r = w[noise, l]
+        one = 1.0 / (w[at(state, state), l] + r)
+        nu = one * (z - w[state, l])
+        for k in range(8):
+            w[k, l] += w[at(k, state), l] * nu
+        w[R.T, l] = _wrap(w[R.T, l])
+        for i in range(8):
+            if i != state:
+                gain = one * w[at(i, state), l]
+                for k in range(i + 1):
+                    if k != state:
+                        w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
+        left = one * r
+        for k in range(8):
+            w[at(k, state), l] = w[at(k, state), l] * left
+
+
+_absorb_gz = kernel(_absorb, state=R.W, noise=R_GZ)
+_absorb_ax = kernel(_absorb, state=R.A, noise=R_AX)
+_absorb_ay = kernel(_absorb, state=R.B, noise=R_AY)
+_absorb_vy = kernel(_absorb, state=R.V, noise=R_VY)
+
+
+@kernel
+def _measure_fix(w, x, y, var_x, var_y, forward, left):
+    """nu, H P H' and R of a fix, whose antenna is ``forward`` and ``left`` of the IMU, turned by the mean heading."""
+    for l in range(LANES):
+        s, c = sincos(w[R.T, l])
+        w[R.N1, l] = x - (c * forward - s * left) - w[R.X, l]
+        w[R.N2, l] = y - (s * forward + c * left) - w[R.Y, l]
+        w[R.C1_X, l], w[R.C1_Y, l] = w[R.X, l], w[R.Y, l]
+        w[R.S11, l], w[R.S12, l], w[R.S22, l] = w[R.XX, l], w[R.XY, l], w[R.YY, l]
+        w[R.R1, l] = w[R.RX, l] + w[R.ACCURACY, l] * var_x
+        w[R.R2, l] = w[R.RY, l] + w[R.ACCURACY, l] * var_y
+
+
+@kernel
+def _look_at_fix(w):
+    """Likelihood of a fix, and whether its NIS is within the squared threshold."""
+    for l in range(LANES):
+        nis = _look(w, l)
+        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
+        w[R.OK, l] = w[R.OK, l] if (det > 0.0) & (w[R.V11, l] > 0.0) else 0.0
+        w[R.USE, l] = 1.0 if nis < w[R.GATE, l] else 0.0
+
+
+BEFORE = {R.X: R.C1_X, R.Y: R.C1_Y}
+"""Rows that hold x and y as they were before a fix."""
+
+
+def _absorb_axis(w, *, state, noise, innovation):
+    """As `_absorb` for one axis of a fix, in the lanes that use it."""
+    for l in range(LANES):
+        r, use = w[noise, l], w[R.USE, l]
+        one = use / (w[at(state, state), l] + r)
+        off = w[innovation, l] - (w[state, l] - w[BEFORE[state], l])
+        nu = one * off
+        for k in range(8):
+            w[k, l] += w[at(k, state), l] * nu
+        w[R.T, l] = _wrap(w[R.T, l])
+        for i in range(8):
+            if i != state:
+                gain = one * w[at(i, state), l]
+                for k in range(i + 1):
+                    if k != state:
+                        w[at(i, k), l] = w[at(i, k), l] - gain * w[at(k, state), l]
+        left = one * r if use > 0.0 else 1.0
+        for k in range(8):
+            w[at(k, state), l] = w[at(k, state), l] * left
+
+
+_absorb_x = kernel(_absorb_axis, state=R.X, noise=R.R1, innovation=R.N1)
+_absorb_y = kernel(_absorb_axis, state=R.Y, noise=R.R2, innovation=R.N2)
+
+
+@kernel
+def _add_residual(w):
+    for l in range(LANES):
+        e = w[R.N1, l] - (w[R.X, l] - w[R.C1_X, l])
+        n = w[R.N2, l] - (w[R.Y, l] - w[R.C1_Y, l])
+        w[R.SQ_FIX, l] += e * e + n * n
+
+
+@kernel
+def _add_forecast(w):
+    for l in range(LANES):
+        nis = _look(w, l)
+        det = w[R.V11, l] * w[R.V22, l] - w[R.V12, l] * w[R.V12, l]
+        w[R.SQ_FORECAST, l] += w[R.N1, l] * w[R.N1, l] + w[R.N2, l] * w[R.N2, l]
+        tail = math.log(1.0 + nis * (1.0 / FORECAST_SCALE))
+        w[R.FORECAST_T, l] += 0.5 * math.log(det) + 0.5 * (FORECAST_DOF + 2.0) * tail
+
+
+@kernel
+def step(w, u, happens, z, wheels, lever, since):
+    """Predict to the end of a step; absorb the IMU sample, then the fix there."""
+    d, gz, ax, ay = u[DT], u[GZ], u[AX], u[AY]
+    if d > 0.0:
+        _predict(w, d, u[Q_SCALE])
+    if happens & IMU:
+        _absorb_gz(w, gz)
+        _absorb_ax(w, ax)
+        if happens & USES_AY:
+            _absorb_ay(w, ay)
+        if happens & USES_VY:
+            _absorb_vy(w, 0.0)
+    if happens & (FIX | HIDDEN):
+        x, y, var_x, var_y = z[FIX_X], z[FIX_Y], z[FIX_VAR_X], z[FIX_VAR_Y]
+        _measure_fix(w, x, y, var_x, var_y, lever[0], lever[1])
+        if happens & FIX:
+            _look_at_fix(w)
+            _absorb_x(w)
+            _absorb_y(w)
+            _add_residual(w)
+        else:
+            _add_forecast(w)

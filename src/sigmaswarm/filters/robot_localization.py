@@ -1,0 +1,84 @@
+"""The extended Kalman filter of ROS's robot_localization in ``two_d_mode``: its eight states that matter.
+
+State: x, y (m), vx, vy (m/s, body), yaw (rad), ax, ay (m/s2, body), yaw rate (rad/s). Over d seconds, all from the old
+state, with A = vx d + ax d^2 / 2 and B = vy d + ay d^2 / 2:
+
+    x += cos(yaw) A - sin(yaw) B        y += sin(yaw) A + cos(yaw) B        yaw += d yaw rate
+    vx += d ax                          vy += d ay                          P = J P J' + d Q
+
+The velocity does not turn with the body, so an ay that is fused becomes sideways speed in a turn. Measurements are
+states: gz, ax, ay of the IMU, vy = 0 of a twist, x and y of a fix. A fix with nu' S^-1 nu >= threshold^2 is left out.
+z, roll, pitch and their rates stay at 0 in ``two_d_mode`` and decouple. Read from
+https://github.com/cra-ros-pkg/robot_localization, branch rolling-devel.
+"""
+
+import numpy as np
+
+from sigmaswarm.drives.drive import Array
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+from sigmaswarm.filters.textbook.ekf import complex_step
+from sigmaswarm.geodesy import wrap_angle
+
+NAME = "robot-localization"
+X, Y, VX, VY, YAW, AX, AY, VYAW = range(8)
+SMALLEST = 1e-9
+"""robot_localization raises variances of measurements to this."""
+
+
+class TextbookRobotLocalization:
+    """The filter in NumPy, one measurement at a time.
+
+    Parameters
+    ----------
+    parameters : FilterParameters
+        ``process_noise`` per ``nominal_interval``, 1 s by default.
+    mean, covariance : ndarray, shapes (8,), (8, 8)
+        In the order of the module's docstring.
+    """
+
+    def __init__(self, parameters: FilterParameters, mean: Array, covariance: Array) -> None:
+        self.parameters, self.mean, self.covariance = parameters, mean.copy(), covariance.copy()
+        self._q = np.diag(parameters.process_noise) / (parameters.nominal_interval or 1.0)
+
+    def predict(self, d: float) -> None:
+        """Predict over ``d`` s."""
+
+        def f(state: Array) -> Array:
+            return MODELS[NAME].process(state, d, np.empty(0))
+
+        jacobian = complex_step(f, self.mean)
+        self.mean = f(self.mean)
+        self.mean[YAW] = wrap_angle(self.mean[YAW])
+        self.covariance = jacobian @ self.covariance @ jacobian.T + d * self._q
+
+    def correct(self, states: list[int], z: Array, variances: Array, gate: float = np.inf) -> None:
+        """Update with measurements of some states, in Joseph's form; with a NIS from ``gate`` on not at all."""
+        p, r = self.covariance, np.diag(np.maximum(variances, SMALLEST))
+        h = np.eye(8)[states]
+        nu, s = z - self.mean[states], h @ p @ h.T + r
+        if nu @ np.linalg.solve(s, nu) >= gate:
+            return
+        gain = np.linalg.solve(s, h @ p).T
+        self.mean = self.mean + gain @ nu
+        self.mean[YAW] = wrap_angle(self.mean[YAW])
+        kept = np.eye(8) - gain @ h
+        self.covariance = kept @ p @ kept.T + gain @ r @ gain.T
+
+    def imu(self, gz: float, ax: float, ay: float | None = None) -> None:
+        """Update with an IMU sample; ``ay`` where it is fused, which the tuned model never does."""
+        r_gyro, r_accel = self.parameters.imu_noise
+        self.correct([VYAW], np.array([gz]), np.array([r_gyro]))
+        self.correct([AX], np.array([ax]), np.array([r_accel]))
+        if ay is not None:
+            self.correct([AY], np.array([ay]), np.array([r_accel]))
+
+    def twist(self) -> None:
+        """Update with a sideways velocity of 0."""
+        self.correct([VY], np.zeros(1), np.array([self.parameters.lateral_noise]))
+
+    def fix(self, position: Array, stated: Array) -> None:
+        """Update with a fix, (2,) m, and the variances that it states, (2,) m2."""
+        p = self.parameters
+        variances = np.array(p.measurement_noise) + (p.accuracy_scale or 0.0) * stated
+        self.correct([X, Y], position, variances, p.gate or np.inf)

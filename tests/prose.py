@@ -1,0 +1,121 @@
+"""Check the prose of README, docs and the changelog of the version in work: `make check` runs it.
+
+    python tests/prose.py                  # print what breaks a rule; exit code 1 if anything does
+    python tests/prose.py --source         # docstrings of src, too
+    python tests/prose.py --sample 3000 --seed 1   # draw words to read as an editor, from docs and docstrings
+
+Rules are constructions, sentence length and headings. An option or a file may be called anything: code is skipped.
+"""
+
+import argparse
+import ast
+import random
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+LONGEST = 36  # words of a sentence
+CONSTRUCTIONS = {
+    r"\b(fore)?(told|tells?)\b(?! cmake)": "report, estimate, predict",
+    r"\b(said|says?)\b": "state, report",
+    r"\bbesides?\b": "next to, relative to, in addition to",
+    r"\b(nobody|whoever|whosoever)\b": "name the subject",
+    r"\bwhat is (asked|said|told)\b": "name it",
+    r"\bheld\b(?![- ](out|back))": "evaluated, kept, contained",
+    r"\b(bears?|bidden|hindsight|anew|untuned|amiss)\b": "use the field's term",
+    r"\bturned away\b": "rejected",
+    r"\bdoubts?\b": "warning, uncertainty",
+    r"\bmay as well\b": "can also",
+    r"\b(wants|asks for itself|goes by|speaks of|knows when)\b": "code is not a person",
+    r"\bnone of [^.]{0,60}\b(no|not|without)\b": "double negative",
+    r"(?:^|[.!?] )(nor|so (?:is|are|does|do|has|have)|only (?:then|so))\b": "inversion",
+    r"\bput before the doctor\b|\bas it asks\b|\bas [a-z]+ has it\b": "idiom",
+    r"\b(metre|colour|behaviour|licence|manoeuvre|neighbour|optimis|normalis)": "American spelling",
+}
+HEADING = re.compile(r"(what|how(?!-to)|why|where|when|whether|who)\b|.*[.?!:]$", re.IGNORECASE)
+CODE = re.compile(r"`[^`]*`|\$[^$]*\$|<[^>]*>")
+
+Text = tuple[str, int, str]  # file, line, paragraph
+
+
+def pages() -> Iterator[Path]:
+    """Yield README and the pages of docs."""
+    yield ROOT / "README.md"
+    generated = {ROOT / "docs/_build", ROOT / "docs/reference/generated"}
+    yield from (p for p in sorted((ROOT / "docs").rglob("*.md")) if not generated & set(p.parents))
+
+
+def paragraphs(text: str, name: str, first: int = 1) -> Iterator[Text]:
+    """Yield headings, table rows, list items and paragraphs, each on one line, without code and links' targets."""
+    start, lines, fenced = first, [], False
+    for number, line in enumerate([*text.splitlines(), ""], first):
+        fence = line.lstrip().startswith(("```", "~~~"))
+        fenced ^= fence
+        alone = fence or fenced or not line.strip() or line.startswith(("#", "|", "    ", "<!--", "!["))
+        if lines and (alone or re.match(r"\s*([-*]|\d+\.) ", line)):
+            yield name, start, " ".join(lines)
+            lines = []
+        if not alone:
+            start = start if lines else number
+            lines.append(line.strip())
+        elif line.startswith(("#", "|", "![")) and not fenced:
+            yield name, number, line
+        # Empty lines, code and formulas end a paragraph and are none.
+
+
+def plain(text: str) -> str:
+    """Return a paragraph without code, links' targets and emphasis."""
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    return CODE.sub("X", text).replace("**", "").replace("*", "")
+
+
+def faults(text: str) -> Iterator[str]:
+    """Yield what breaks a rule in a paragraph."""
+    words = plain(text)
+    if words.startswith("#") and HEADING.match(words.lstrip("# ")):
+        yield "a heading is a noun phrase, or an imperative on a how-to"
+    for pattern, remedy in CONSTRUCTIONS.items():
+        for match in re.finditer(pattern, words, re.IGNORECASE):
+            yield f"{match.group().strip()!r}: {remedy}"
+    for sentence in () if words.startswith("|") else re.split(r"(?<=[.!?:;])\s+", words):
+        n = len(sentence.split())
+        if n > LONGEST:
+            yield f"a sentence of {n} words: {sentence[:50]}..."
+
+
+def docstrings() -> Iterator[Text]:
+    """Yield the paragraphs of the docstrings of src."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, documented) and (text := ast.get_docstring(node)):
+                yield from paragraphs(text, str(path.relative_to(ROOT)), getattr(node, "lineno", 1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--source", action="store_true", help="check docstrings, too")
+    parser.add_argument("--sample", type=int, metavar="WORDS", help="print paragraphs drawn by chance")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    changes = (ROOT / "CHANGELOG.md").read_text().split("\n## ")[1]
+    texts = [*paragraphs(changes, "CHANGELOG.md", 3)]
+    texts += [text for page in pages() for text in paragraphs(page.read_text(), str(page.relative_to(ROOT)))]
+    if options.source or options.sample:
+        texts += docstrings()
+    if options.sample:
+        random.Random(options.seed).shuffle(texts)
+        while options.sample > 0:
+            file, line, text = texts.pop()
+            options.sample -= len(text.split())
+            print(f"{file}:{line}: {text}")
+        return
+    found = [f"{file}:{line}: {fault}" for file, line, text in texts for fault in faults(text)]
+    print(*found, sep="\n") if found else print("prose: no fault")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
