@@ -32,11 +32,11 @@ from sigmaswarm.geodesy import wrap_angle
 from sigmaswarm.scoring.batch import Replayer
 from sigmaswarm.scoring.drifts import Outages
 from sigmaswarm.scoring.score import HEADING_COUNTS_ABOVE
-from sigmaswarm.tuning import space
+from sigmaswarm.tuning.defaults import with_filter
 from switches import quantities
 
-LATERAL = space.OPTION_DIMENSIONS["lateral"]
-SEARCHED = {"no slip": tuple(d for d in LATERAL if d.name != "tire_slip"), "slip": LATERAL}
+MORE: dict[str, tuple[str, ...]] = {"no slip": (), "slip": ("slip",)}
+"""Options in addition to the default ones."""
 COLUMNS = (
     *("RMSE, m", "50%, m", "95%, m", "heading, deg", "5 s, m", "30 s, m", "NIS", "NEES"),
     *("smoothed RMSE, m", "smoothed heading, deg"),
@@ -56,7 +56,7 @@ def main() -> None:
     if not options.table:
         with ThreadPoolExecutor() as pool:
             each = list(cases(options.drives))
-            for seed, case, known, slip in product(range(options.seeds), each, "TB", SEARCHED):
+            for seed, case, known, slip in product(range(options.seeds), each, "TB", MORE):
                 score(options.out, case, known, slip, seed, pool)
     table(lines(options.out))
 
@@ -67,9 +67,10 @@ def score(out: Path, case: Any, known: str, slip: str, seed: int, pool: ThreadPo
     done = lines(out)
     key = (name, known, slip, seed)
     if (*key, "tuning") not in done:
-        space.OPTION_DIMENSIONS["lateral"] = SEARCHED[slip]
         drives = training if known == "T" else [replace(drive, truth=None) for drive in training]
-        tuned = tune(drives, seed=seed, executor=pool).parameters
+        chosen, _ = with_filter({}, [*training, *test])
+        use = (*chosen["use"], *MORE[slip])
+        tuned = tune(drives, seed=seed, executor=pool, model=chosen["model"], use=use).parameters
         note(out, (*key, "tuning"), tuned.to_dict())
     else:
         tuned = FilterParameters(**done[*key, "tuning"])

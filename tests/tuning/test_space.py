@@ -155,6 +155,15 @@ def test_the_interval_is_passed_on():
     assert search_space("planar5", "log10").decode(space.low[None])[0].nominal_interval is None
 
 
+def test_tire_slip_is_searched_where_it_is_chosen():
+    assert "tire_slip" not in search_space("planar8", "log10", use=("lateral",)).names
+    space = search_space("planar8", "log10", use=("lateral", "slip"))
+    at = space.names.index("tire_slip")
+    assert (space.lowest[at], space.highest[at]) == (0.0, 0.02)
+    with pytest.raises(InputError, match="use lateral, too"):
+        search_space("planar8", "log10", use=("slip",))
+
+
 def test_an_unknown_scale_is_refused():
     with pytest.raises(InputError, match="scale must be log10 or linear, not 'cubic'"):
         search_space("planar5", "cubic")  # pyright: ignore

@@ -13,7 +13,9 @@ from sigmaswarm.filters.names import FilterKind, ModelName
 
 Scale = Literal["log10", "linear"]
 OptimizerName = Literal["pso", "ga", "ga-pso", "de", "cma-es", "bo", "nelder-mead", "random", "sobol"]
-Option = Literal["velocity", "lateral", "standstill", "odometer", "gate", "latency", "accuracy", "robust"]
+Option = Literal[
+    "velocity", "lateral", "slip", "standstill", "odometer", "gate", "latency", "accuracy", "robust"
+]
 
 INERTIA = 0.7298
 """w: the paper gives none; this is the constriction coefficient of Clerc and Kennedy (2002)."""

@@ -53,8 +53,8 @@ OPTION_DIMENSIONS: dict[Option, tuple[Dimension, ...]] = {
     "lateral": (
         Dimension("lateral_noise", "lateral_noise", 0, 1e-4, 10.0),
         Dimension("rear_axle", "rear_axle", 0, -1.0, 4.0, spread=False),
-        Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),
     ),
+    "slip": (Dimension("tire_slip", "tire_slip", 0, 0.0, 0.02, spread=False),),
     "standstill": (Dimension("standstill_noise", "standstill_noise", 0, 1e-6, 1.0),),
     "odometer": (
         Dimension("odometer_noise", "odometer_noise", 0, 1e-4, 10.0),
@@ -185,6 +185,8 @@ def search_space(
     unknown = [option for option in use if option not in OPTIONS]
     if unknown:
         raise InputError(f"a filter can't use {unknown[0]!r}; choose from {', '.join(OPTIONS)}")
+    if "slip" in use and "lateral" not in use:
+        raise InputError("slip is the tire slip of the lateral constraint; use lateral, too")
     if reason := clash(kind, use):
         raise InputError(reason)
     kinds = MODELS[model].kinds
