@@ -188,8 +188,8 @@ class Search:
             _require_usable(optimizer)
             costs = {name: arrays[name] for name in ("best", "median", "steps")}
             TrialHistoryRecord(point=optimizer.global_best, **costs)
-            past = (array.tolist() for array in costs.values())
-            return _Past(*past, int(notes["failures"]), self._leader(optimizer))
+            best, median, steps = (array.tolist() for array in costs.values())
+            return _Past(best, median, steps, int(notes["failures"]), self._leader(optimizer))
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
             raise unreadable(checkpoint) from None
 
