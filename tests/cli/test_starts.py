@@ -34,7 +34,7 @@ def test_split_says_that_a_part_has_no_start(sigmaswarm: Command, tmp_path) -> N
     assert ended.code == 0 and "still-test can't be used by itself" in ended.err.replace("\n", " ")
 
 
-@pytest.mark.parametrize(("imu", "gps"), [("ideal", "ideal"), ("ideal", "white-1m"), ("mpu6050", "ideal")])
+@pytest.mark.parametrize(("imu", "gps"), [("ideal", "ideal"), ("ideal", "white-1m"), ("mpu-6050", "ideal")])
 def test_ideal_sensors_give_a_drive_that_is_read_back(
     sigmaswarm: Command, tmp_path, imu: str, gps: str
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from filter_cases import equipped
+from sigmaswarm import evaluate, export, tune
 from sigmaswarm.drives.alignment import initial_state
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
@@ -27,7 +28,9 @@ from sigmaswarm.filters.run import run_textbook
 from sigmaswarm.filters.schedule import FIX, IMU
 from sigmaswarm.filters.smoothing import smooth
 from sigmaswarm.geodesy import wrap_angle
+from sigmaswarm.tuning.result import Tuning
 from sigmaswarm.tuning.space import search_space
+from support import make_drive
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "robot_localization"
 ORDER = [0, 1, 6, 7, 5, 12, 13, 11]  # of its 15 states: x, y, vx, vy, yaw, ax, ay, yaw rate
@@ -287,3 +290,15 @@ def test_the_box_has_the_stated_variances_and_the_baseline_its_defaults():
     per_second = np.array(usual.process_noise) / drive.nominal_interval
     assert per_second == pytest.approx([0.05, 0.05, 0.025, 0.025, 0.06, 0.01, 0.01, 0.02])
     assert (usual.imu_noise, usual.gate, usual.lateral_noise) == ((1e-4, 1e-2), None, pytest.approx(0.01))
+
+
+def test_a_tuning_of_it_is_better_than_its_defaults_and_is_exported(tmp_path: Path):
+    drive = make_drive(duration=40.0)
+    tuning = tune([drive], model=NAME, particles=8, generations=4, out=tmp_path)
+    assert tuning.config.use == ("lateral", "gate")
+    assert Tuning.load(tmp_path).parameters == tuning.parameters
+    scores = evaluate([drive], tuning)
+    tuned, usual = (scores.mean(method, "position_rmse_m") for method in ("tuned", "baseline"))
+    assert tuned is not None and usual is not None and tuned < usual
+    assert "robot_localization with its default process noise" in str(scores.view.explanations())
+    assert "ekf.yaml" in export(tuning, "robot_localization")

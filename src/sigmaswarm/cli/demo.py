@@ -13,7 +13,7 @@ def demo(
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Run the paper's experiment in small, in a minute: the same as `study --quick`.
+    """Run the paper's experiment in small in a minute, as does `study --quick`.
 
     Example:
 

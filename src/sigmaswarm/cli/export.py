@@ -41,8 +41,8 @@ def export(
     tuning
         A tuning.toml, or the folder that holds it.
     to
-        filterpy: a Python script. c99: a C library. robot_localization: its configuration, for a filter that was tuned
-        with --model robot-localization; initial parameters for another.
+        filterpy: a Python script. c99: a C library. robot_localization: parameters, initial ones unless tuned with
+        --model robot-localization.
     out
         Folder to write to; created if missing.
     replay

@@ -1,5 +1,6 @@
 """Findings, each with its place, confidence, remedy and perhaps a repair."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -129,3 +130,17 @@ class Diagnosis:
             "visible_clock_offset_s": self.visible_clock_offset,
             "findings": [finding.to_dict() for finding in self.findings],
         }
+
+
+_HIGHEST_CONFIDENCE = 0.999
+"""Limit of a confidence: a log may have faults that no check considers."""
+
+
+def confidence_of(deviations: float) -> float:
+    """Return the confidence, 0 to 1, in a value that differs by so many standard deviations."""
+    return round(min(math.erf(abs(deviations) / math.sqrt(2)), _HIGHEST_CONFIDENCE), 3)
+
+
+def confidence_by_margin(margin: float) -> float:
+    """Return the confidence, 0 to 1, in a reading that lowers chi-square by a margin."""
+    return round(min(1 - math.exp(-max(margin, 0.0) / 2), _HIGHEST_CONFIDENCE), 3)

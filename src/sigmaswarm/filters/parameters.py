@@ -168,12 +168,13 @@ class FilterParameters:
         if not 0 < factor < np.inf:
             raise InputError(f"factor = {factor:g}: must be positive and finite")
         given = {name: getattr(self, name) for name in _SCALED}
+        imu_factor = factor if MODELS[self.model].measures_imu else 1.0
         return replace(
             self,
             process_noise=tuple(factor * q for q in self.process_noise),
             measurement_noise=tuple(factor * r for r in self.measurement_noise),
             bias_std=tuple(factor**0.5 * std for std in self.bias_std),
-            imu_noise=tuple(factor * r for r in self.imu_noise),
+            imu_noise=tuple(imu_factor * r for r in self.imu_noise),
             **{name: factor * value for name, value in given.items() if value is not None},
         )
 

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.confidence import confidence_by_margin, confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair, finding_of
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_by_margin, confidence_of, finding_of
 from sigmaswarm.doctor.verdicts import Mount
 from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import smoothed

@@ -2,9 +2,8 @@
 
 from collections.abc import Iterator
 
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import LEAST_SHARE, LEAST_TURN
 from sigmaswarm.doctor.verdicts import CLEAR_OFFSET
 

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import drift_of
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.verdicts import DEGREE
 from sigmaswarm.drives.checks import IMPOSSIBLE_RATE, impossible_rate
 

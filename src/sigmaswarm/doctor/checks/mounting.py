@@ -5,9 +5,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.mounting import SERIOUS, angle_of
 from sigmaswarm.drives.drive import Array, Drive
 

@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sigmaswarm.doctor.acceleration_fit import LEAST_NOISE
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.drives.sensors import motion_in_noise, stated_std
 
 TOO_SMALL = 2.0

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sigmaswarm.doctor.confidence import confidence_of
 from sigmaswarm.doctor.evidence import Evidence
-from sigmaswarm.doctor.findings import Finding, Repair
+from sigmaswarm.doctor.findings import Finding, Repair, confidence_of
 from sigmaswarm.doctor.windows import moving_mean
 from sigmaswarm.doctor.yaw_fit import integral
 from sigmaswarm.drives.checks import GRAVITY

@@ -8,7 +8,7 @@ from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.definitions import columns_of
+from sigmaswarm.importing.readers.fields import columns_of
 from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
 from sigmaswarm.importing.source import Source, Table, first_bytes, library
 

@@ -23,8 +23,7 @@ from sigmaswarm.scoring.measures import ALSO, method_names
 from sigmaswarm.scoring.records import ASKED_FILE, SCORES_FILE, EvaluationRecord, ScoresRecord, require_sealed
 from sigmaswarm.scoring.tracks import TRACKS_FILE, Tracks, load_tracks
 from sigmaswarm.scoring.view import EvaluationView, explained_consistency, explained_scores, with_training
-from sigmaswarm.tuning.record import FILE, TuningRecord
-from sigmaswarm.tuning.remarks import NOT_VALIDATED
+from sigmaswarm.tuning.record import FILE, NOT_VALIDATED, TuningRecord
 from sigmaswarm.wording import in_order
 
 LINES = ("truth", *ALSO, "tuned", OWN, UNTUNED, FIXES, "imu_only", "raw_gps")

@@ -2,8 +2,8 @@
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from sigmaswarm.drives.drive import Array
 from sigmaswarm.experiments.comparison import COMPARED, FEWEST_SEEDS, Comparison
 from sigmaswarm.reports.style import DASHES, MANY
 from sigmaswarm.reports.views.charts import Axis, Band, Chart, Curve, Look, Mark, Points
@@ -94,7 +94,7 @@ def comparison_charts(comparison: Comparison) -> tuple[Chart, Chart]:
     )
 
 
-def _course(comparison: Comparison, i: int) -> list[Array]:
+def _course(comparison: Comparison, i: int) -> list[NDArray[np.float64]]:
     """Return evaluations, median and quartiles of a contender; NaN beyond its last evaluation."""
     contender, share = comparison.contenders[i], comparison.frame["steps_share"][i]
     rows = comparison.curves.filter(
