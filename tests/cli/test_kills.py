@@ -1,5 +1,6 @@
 """Kills and full disks: nothing half-written under its own name, nothing lost that was there."""
 
+import errno
 import os
 import shutil
 import subprocess
@@ -151,6 +152,40 @@ def test_a_full_disk_leaves_what_was_there(
     assert set(old) <= set(left)
     for file, text in left.items():
         assert text in (old.get(file), found.get(file)), file
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_disk_that_is_full_at_each_write(
+    sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    """Each file in turn can't be flushed; what was there stays, and no file is of the new result alone."""
+    words = arguments(name)
+    found, flushed = whole(sigmaswarm, words, monkeypatch)
+    sync = os.fsync
+    for at in range(1, flushed + 1):
+        shutil.rmtree("out", ignore_errors=True)
+        old, left = put_old(name, found, drives / "urban-clear-01"), [at]
+
+        def full(handle: int, left: list[int] = left) -> None:
+            left[0] -= 1
+            if not left[0]:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            sync(handle)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "fsync", full)
+            ended = sigmaswarm(*words)
+        assert ended.code == 2, ended.err
+        told = [line for line in ended.err.splitlines() if line.startswith("sigmaswarm: ")]
+        assert len(told) == 1
+        assert "out" in told[0] and "No space left on device" in told[0]
+        assert "Traceback" not in ended.err
+        now = tree(Path("out"))
+        if name in FOLDERS:
+            assert set(now) <= set(found)
+            assert all(text == found[file] for file, text in now.items())
+        else:
+            assert now == old
 
 
 def test_a_disk_that_is_really_full(sigmaswarm, arguments, monkeypatch: pytest.MonkeyPatch):

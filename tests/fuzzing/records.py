@@ -34,11 +34,15 @@ from fuzzing.check import (
     peak_megabytes,
 )
 from fuzzing.mutations import Draw, broken_bytes, broken_json
-from sigmaswarm import Tuning, evaluate, tune
+from sigmaswarm import FilterParameters, Tuning, evaluate, tune
 from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm.experiments.compare import compare
 from sigmaswarm.experiments.study.config import StudyConfig
 from sigmaswarm.experiments.study.study import run_study
+from sigmaswarm.filters.run import replay_of
+from sigmaswarm.learned.cells import n_weights
+from sigmaswarm.learned.folder import Learned, LearnedRecord, load_learned
+from sigmaswarm.learned.outage_lstm import untrained
 from sigmaswarm.reports.compare import save_comparison
 from sigmaswarm.reports.evaluation import save_evaluation
 from sigmaswarm.reports.page import page
@@ -89,6 +93,24 @@ def _study(folder: Path) -> None:
     save_study(run_study(SMALL_STUDY, folder, workers=1), folder)
 
 
+def _network(folder: Path) -> None:
+    tune(DRIVE, out=folder, **SMALL)
+    rng = np.random.default_rng(1)
+    windows, moved = rng.normal(size=(20, 40, 4)), rng.normal(9.0, 1.0, (20, 2))
+    weights = untrained(rng, ("ax", "gz"), 4.0, 3, windows, moved).weights
+    network = {"units": 3, "window": 4.0, "learning_rate": 0.1, "axes": ["ax", "gz"], "inflation": 1.0}
+    network["numbers"] = n_weights(weights)
+    training = {"seed": 1, "search": 1, "driven_s": 1.0, "epochs": 1, "loss_before": 1.0, "loss": 1.0}
+    record = {"kind": "outage-lstm", "network": network, "training": training | {"held_back": "a"}}
+    Learned(LearnedRecord.model_validate(record), weights).save(folder)
+
+
+def _use_network(folder: Path) -> None:
+    if learned := load_learned(folder):
+        for _ in learned.run(replay_of(DRIVE), FilterParameters.load(folder)):
+            pass
+
+
 FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[Callable[[Path], object], ...]]] = {
     "tuning": (
         _tuning,
@@ -100,6 +122,7 @@ FOLDERS: dict[str, tuple[Callable[[Path], object], tuple[Callable[[Path], object
     ),
     "interrupted": (_interrupted, (lambda f: tune(DRIVE, out=f, trials=2, resume=True, **SMALL),)),
     "evaluation": (_evaluation, (lambda f: page(read_report(f / "e")),)),
+    "network": (_network, (_use_network,)),
     "comparison": (_comparison, (lambda f: compare(DRIVE, out=f, resume=True, **COMPARED, **SMALL),)),
     "study": (
         _study,
@@ -203,6 +226,8 @@ def check(folder: Path, read: Callable[[Path], object]) -> bool:
             said = str(error)
             if not said.isprintable() or len(said) > CHARACTERS:
                 raise Finding(f"no line: {said[:200]!r}, {len(said)} characters") from None
+            if folder.name not in said:
+                raise Finding(f"no file: {said[:200]!r}") from None
             return False
     if peak_megabytes() > most:
         raise Finding(f"more than {MEGABYTES} MB")

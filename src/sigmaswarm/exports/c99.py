@@ -10,6 +10,7 @@ from sigmaswarm.drives import alignment, frozen, gaps, gyro_seen, standstill
 from sigmaswarm.drives.alignment import InitialState, initial_state
 from sigmaswarm.drives.drive import Drive, Gps
 from sigmaswarm.errors import InputError
+from sigmaswarm.exports.c_kernels import kernels_of
 from sigmaswarm.exports.features import features_of, in_range, listed, plain, values_of
 from sigmaswarm.exports.lanes import Lanes
 from sigmaswarm.exports.template import fill
@@ -66,7 +67,9 @@ def c99(
     features = features_of(parameters)
     fits = all(fits_float(p) for p in lanes.filters(parameters))
     features |= {"USE_DOUBLE": not fits, "USE_AS_RECORDED": as_recorded, "USE_LANES": lanes.n > 1}
+    features["USE_LANES_OR_NIS"] = features["USE_LANES"] or features["USE_NIS"]
     values = values_of(parameters, interval) | _only_in_c(parameters, interval) | lanes.values(parameters)
+    values["KERNELS"] = kernels_of(parameters, features, values)
     return {name: fill(f"{name}.in", features, values) for name in FILES}
 
 
@@ -166,6 +169,8 @@ def fits_float(p: FilterParameters) -> bool:
     ]
     numbers += [*p.fuzzy_widths, *p.fuzzy_gains]
     numbers += [*(v for v in options if v is not None), *(_sigma_points(p) if p.kind != "ekf" else ())]
+    if p.kind != "ekf":
+        numbers.append(8.0 / _sigma_points(p)[0])
     low, high = _FLOAT_RANGE
     return all(v == 0 or low <= abs(v) <= high for v in numbers)
 
@@ -175,7 +180,9 @@ def _only_in_c(p: FilterParameters, interval: float) -> dict[str, str]:
     tilted = MODELS[p.model].tilts is not None
     gamma_squared, spread = _sigma_points(p) if p.kind != "ekf" else (None, None)
     derived: dict[str, float | None] = {
-        "GAMMA_SQUARED": gamma_squared,
+        "QUARTER_GAMMA": None if gamma_squared is None else 0.25 * math.sqrt(gamma_squared),
+        "SHORTENS": None if gamma_squared is None else -8.0 / gamma_squared,
+        "PER_ODOMETER_SCALE": None if p.odometer_noise is None else 1.0 / p.odometer_scale,
         "SPREAD": spread,
         "BLOCK": standstill.BLOCK,
         "DEPARTS": standstill.DEPARTS,

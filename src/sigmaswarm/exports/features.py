@@ -21,9 +21,8 @@ def features_of(p: FilterParameters) -> dict[str, bool]:
     used = {
         "UNSCENTED": p.kind != "ekf",
         "TILTED": has_tilts,
-        "HEADING_ALONE": not has_tilts,
+        "PLANAR5": p.model == "planar5",
         "BIASES": biases,
-        "BIASES_OR_ALONG": biases or lateral or wheels,
         "ADAPTIVE": adaptive,
         "STRONG_TRACKING": tracking,
         "FUZZY": rules,

@@ -115,8 +115,13 @@ def fit(
         optimizer = _optimizer(learning_rate)
         state = _State.start(weights, optimizer, float(jax.jit(loss)(dict(weights), held_back)))
         saved = load_checkpoint(checkpoint) if checkpoint else None
-        if saved is not None:
-            state = state.restored(saved[0])
+        if checkpoint and saved:
+            try:
+                state = state.restored(saved[0])
+            except (LookupError, ValueError):
+                raise InputError(
+                    f"{checkpoint}: not a checkpoint of this training; delete it to redo the training"
+                ) from None
         size = min(batch, len(examples[0]))
         run = jax.jit(partial(_epoch, loss, optimizer))
         test = jax.jit(loss)
@@ -194,8 +199,20 @@ class _State:
         return {**named, **numbered, "losses": self.losses}
 
     def restored(self, arrays: dict[str, Any]) -> "_State":
-        """Return the saved state of a training that began as this one."""
+        """Return the saved state of a training that began as this one.
+
+        Raises
+        ------
+        LookupError, ValueError
+            An array is missing, or has another type or shape.
+        """
         import jax
+
+        for name, now in self.arrays().items():
+            saved = arrays[name]
+            losses = name == "losses" and len(saved) > 1
+            if saved.dtype != now.dtype or saved.shape[losses:] != now.shape[losses:]:
+                raise ValueError(f"{name} has another type or shape")
 
         def part(name: str) -> dict[str, Any]:
             return {key.split("/")[1]: array for key, array in arrays.items() if key.startswith(f"{name}/")}

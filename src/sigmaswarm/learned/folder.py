@@ -10,6 +10,7 @@ timings.json            duration of the training: the only file that differs bet
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tomli_w
@@ -23,8 +24,8 @@ from sigmaswarm.files import read_arrays, whole_file, write_whole
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import Replay
 from sigmaswarm.learned import outage_lstm
-from sigmaswarm.learned.cells import n_weights
-from sigmaswarm.learned.noise_gru import NoiseGru, NoiseRun
+from sigmaswarm.learned.cells import n_weights, new_weights
+from sigmaswarm.learned.noise_gru import FEATURES, NoiseGru, NoiseRun
 from sigmaswarm.learned.outage_lstm import OutageLstm, OutageRun
 from sigmaswarm.records import load_record
 
@@ -34,8 +35,8 @@ LEARNED_FILE, WEIGHTS_FILE, LEARNED_SEEN = "learned.toml", "weights.npz", "learn
 class NetworkRecord(BaseModel):
     """``[network]`` of learned.toml: a network without its weights."""
 
-    units: int
-    window: float
+    units: int = Field(gt=0, le=1000)
+    window: float = Field(gt=0.0, allow_inf_nan=False)
     learning_rate: float
     axes: list[str] = Field(default_factory=list)
     inflation: float | None = None
@@ -62,7 +63,7 @@ class TrainingRecord(BaseModel):
 class LearnedRecord(BaseModel):
     """learned.toml."""
 
-    kind: str
+    kind: Literal["outage-lstm", "noise-gru"]
     network: NetworkRecord
     training: TrainingRecord
     versions: dict[str, str] = Field(default_factory=dict)
@@ -127,8 +128,22 @@ def load_learned(folder: Path) -> Learned | None:
     record = load_record(LearnedRecord, file)
     try:
         arrays = {name: np.asarray(array, np.float64) for name, array in read_arrays(weights).items()}
-        if n_weights(arrays) != record.network.numbers:
+        if n_weights(arrays) != record.network.numbers or not _fits(record, arrays):
             raise ValueError
     except Exception:  # a damaged archive raises BadZipFile, EOFError, zlib.error, ValueError, KeyError ...
-        raise InputError(f"{weights}: not readable; repeat the command that made the folder") from None
+        raise InputError(
+            f"{weights}: not readable, or not the weights of {file.name}; repeat the command that made the folder"
+        ) from None
     return Learned(record, arrays)
+
+
+def _fits(record: LearnedRecord, weights: Mapping[str, Array]) -> bool:
+    """Return whether weights have the names and shapes of the network, and are finite."""
+    units, rng = record.network.units, np.random.default_rng(0)
+    if record.kind == outage_lstm.NAME:
+        features = np.zeros((1, 1, 2 * len(record.network.axes)))
+        wanted = outage_lstm.untrained(rng, (), 1.0, units, features, np.zeros((1, 2))).weights
+    else:
+        wanted = new_weights(rng, 3, FEATURES, units, 2)
+    shapes = all(weights[name].shape == array.shape for name, array in wanted.items())
+    return shapes and all(np.isfinite(array).all() for array in weights.values())

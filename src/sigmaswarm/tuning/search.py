@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,18 @@ from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import SearchConfig
 from sigmaswarm.tuning.optimizers import create_optimizer
+from sigmaswarm.tuning.optimizers.asktell import AskTell
 from sigmaswarm.tuning.optimizers.budget import Budgeted
 from sigmaswarm.tuning.problem import Landscape
 from sigmaswarm.tuning.racing import MANY, Leader, Raced, leader_at, race
-from sigmaswarm.tuning.store import ResultFolder, finished_trial, load_checkpoint, save_checkpoint, unreadable
+from sigmaswarm.tuning.store import (
+    ResultFolder,
+    TrialHistoryRecord,
+    finished_trial,
+    load_checkpoint,
+    save_checkpoint,
+    unreadable,
+)
 
 
 @dataclass(frozen=True)
@@ -176,10 +185,11 @@ class Search:
         arrays, notes = saved
         try:
             optimizer.restore(arrays | {"rng": notes["rng"]})
-            best, median, steps = (arrays[name].tolist() for name in ("best", "median", "steps"))
-            if not arrays["best"].shape == arrays["median"].shape == arrays["steps"].shape == (len(best),):
-                raise ValueError("one number a generation")
-            return _Past(best, median, steps, int(notes["failures"]), self._leader(optimizer))
+            _require_usable(optimizer)
+            costs = {name: arrays[name] for name in ("best", "median", "steps")}
+            TrialHistoryRecord(point=optimizer.global_best, **costs)
+            past = (array.tolist() for array in costs.values())
+            return _Past(*past, int(notes["failures"]), self._leader(optimizer))
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
             raise unreadable(checkpoint) from None
 
@@ -193,6 +203,13 @@ class Search:
             per_trial = self.config.generations
             done = number * per_trial + len(best)
             self.progress(Progress(number, len(best), done, self.config.trials * per_trial, best[-1]))
+
+
+def _require_usable(optimizer: Budgeted) -> None:
+    """Raise if a restored optimizer can't continue; only a copy of it is used."""
+    if isinstance(optimizer.first, AskTell):
+        again = deepcopy(optimizer)
+        again.tell(np.zeros(len(again.ask())))
 
 
 @dataclass

@@ -251,8 +251,9 @@ def _stretch(w, l, s11, s12, s22, factor, *, n):
     w[R.S11, l] += (factor - 1.0) * s11
     w[R.S12, l] += (factor - 1.0) * s12
     w[R.S22, l] += (factor - 1.0) * s22
-    for row in (*range(C1, C1 + n), *range(C2, C2 + n)):
-        w[row, l] *= factor
+    for i in range(n):
+        w[C1 + i, l] *= factor
+        w[C2 + i, l] *= factor
 
 
 def _weigh(w, since):

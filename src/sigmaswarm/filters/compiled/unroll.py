@@ -68,27 +68,32 @@ class Kernel:
         See `Change`.
     known : dict
         Values of its keyword-only parameters, and of globals.
+
+    Attributes
+    ----------
+    source, known
+        The function and these values, as given.
     """
 
     is_kernel = True
 
     def __init__(self, function: Callable[..., Any], change: Change | None, known: Names) -> None:
-        self._function, self._change, self._known = function, change, known
+        self.source, self._change, self.known = function, change, known
         self.__name__ = function.__name__
 
     @cached_property
     def written(self) -> Written:
         """What is written into others."""
-        return _patiently(_changed, self._function, self._change, self._known)
+        return _patiently(_changed, self.source, self._change, self.known)
 
     @cached_property
     def name(self) -> str:
         """Its qualified name."""
-        return _name(self._function, self._known)
+        return _name(self.source, self.known)
 
     @cached_property
     def _made(self) -> Callable[..., Any]:
-        return _made(self._function, self.written, self.name)
+        return _made(self.source, self.written, self.name)
 
     def __call__(self, *arguments: Any) -> None:
         """Where nothing is compiled."""

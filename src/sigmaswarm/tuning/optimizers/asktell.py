@@ -106,6 +106,11 @@ class AskTell:
         """Continue from a saved `state`, in an optimizer made with the same arguments."""
         for name in self._names():
             now, value = getattr(self, name), state[name]
-            array = isinstance(now, np.ndarray)
-            setattr(self, name, np.array(value, dtype=now.dtype) if array else type(now)(value))
+            if isinstance(now, np.ndarray):
+                array = np.array(value)
+                if array.dtype != now.dtype or array.ndim != now.ndim or array.shape[1:] != now.shape[1:]:
+                    raise ValueError(f"{name} has another type or shape")
+                setattr(self, name, array)
+            else:
+                setattr(self, name, type(now)(value))
         self.rng.bit_generator.state = state["rng"]

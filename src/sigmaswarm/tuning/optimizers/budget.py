@@ -121,11 +121,15 @@ class Budgeted:
             own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
             return own and own | {"rng": state["rng"]}
 
-        self.spent, self.budget = int(state["spent"]), int(state["budget"])
+        most, self.spent, self.budget = self.budget, int(state["spent"]), int(state["budget"])
         # checkpoints of 0.3.0 have them in the parts alone
         where = next(p for p in ("", "local.", "first.") if f"{p}global_cost" in state)
         self.global_best = np.array(state[f"{where}global_best"], dtype=np.float64)
         self.global_cost = float(state[f"{where}global_cost"])
+        if not 0 < self.spent <= self.budget <= most or np.isnan(self.global_cost):
+            raise ValueError("evaluations and costs should be those of this search")
+        if self.global_best.shape != self.low.shape or not np.isfinite(self.global_best).all():
+            raise ValueError("the best point should be one of this search")
         self.first.restore(part("first"))
         self.local = None
         if local := part("local"):

@@ -1,0 +1,108 @@
+"""The kernels that an exported filter is made of, printed as C for its model and its parameters."""
+
+# pyright: reportPrivateUsage=false, reportArgumentType=false
+# Parts of kernels are private to their files; nothing else than the printer reads them.
+
+from collections.abc import Mapping
+from typing import Any
+
+from sigmaswarm.exports.c_emitter import STATES, Emitter
+from sigmaswarm.filters.compiled import lanes, measurements, planar5, planar8, tilted12
+from sigmaswarm.filters.compiled.layout import MEAN
+from sigmaswarm.filters.models import MODELS
+from sigmaswarm.filters.parameters import FilterParameters
+
+
+def kernels_of(p: FilterParameters, features: Mapping[str, bool], values: Mapping[str, str]) -> str:
+    """The prediction and the measurements of a filter, in C."""
+    emitter = Emitter(_rows(p, values["Q"] + "[{}]", values["R"] + "[{}]", features))
+    model = MODELS[p.model]
+    n, tilted = len(model.states), int(model.tilts is not None)
+    emitter.add(lanes._series, "sine_series")
+    emitter.add(lanes._near, "sine_cosine_near")
+    emitter.add(lanes.sincos, "sine_cosine")
+    if features["USE_SCALAR"]:
+        emitter.add(measurements._absorb_one, n=n)
+    if tilted:
+        _add_tilted(emitter, features)
+    else:
+        if p.kind != "ekf":
+            emitter.add(lanes.spread_of)
+        _add_planar(emitter, p.model, features, n)
+    both = {"n": n, "tilted": tilted}
+    emitter.add(measurements._absorb_two, **both, fold=tilted12.fold)
+    if features["USE_VELOCITY_OR_STANDSTILL"]:
+        emitter.add(measurements._take_velocity, n=n, _absorb_two=measurements._absorb_two)
+    emitter.add(measurements._keep_digits, **both)
+    if features["USE_STRETCH"]:
+        emitter.add(measurements._stretch, n=n)
+    if features["USE_ADAPTIVE"]:
+        emitter.add(measurements._adapt, n=n)
+    return emitter.text()
+
+
+def _add_planar(emitter: Emitter, model: str, features: Mapping[str, bool], n: int) -> None:
+    if model == "planar5":
+        emitter.add(lanes.sinc_cos)
+        emitter.add(planar5._face)
+        emitter.add(planar5._look_away)
+        emitter.add(planar5._turn, "turn_acceleration")
+        emitter.add(planar5.predict_planar5)
+    else:
+        emitter.add(planar8._turn, "turn_acceleration")
+        emitter.add(planar8.predict_planar8)
+    emitter.add(measurements._turn_lever)
+    emitter.add(measurements._measure_fix, n=n)
+    has_biases = features["USE_BIASES"]
+    along = measurements._measure_along
+    if features["USE_LATERAL"]:
+        emitter.add(along, "measure_lateral", n=n, lateral=1, bias=MEAN.index("W") if has_biases else -1)
+        emitter.add(measurements.absorb_lateral, tilted=0, measure_lateral=along)
+    if features["USE_ODOMETER"]:
+        emitter.add(along, "measure_odometer", n=n, lateral=0, bias=MEAN.index("A") if has_biases else -1)
+
+
+def _add_tilted(emitter: Emitter, features: Mapping[str, bool]) -> None:
+    for function in (lanes.sinc_cos, tilted12._turn_far, tilted12._half_turn, tilted12._move, tilted12.fold):
+        emitter.add(function)
+    emitter.add(tilted12.measure_fix_tilted, "measure_fix")
+    if features["USE_LATERAL"]:
+        lateral = tilted12.measure_lateral_tilted
+        emitter.add(lateral, "measure_lateral")
+        emitter.add(measurements.absorb_lateral, tilted=1, measure_lateral=lateral)
+    if features["USE_ODOMETER"]:
+        emitter.add(tilted12.measure_odometer_tilted, "measure_odometer")
+
+
+def _rows(p: FilterParameters, q: str, r: str, features: Mapping[str, bool]) -> dict[str, str | float | None]:
+    """What stands in C for the rows that hold parameters and memory."""
+    spread, fuzzy = p.kind != "ekf", p.kind == "fuzzy-ukf"
+    if p.kind == "adaptive-ukf":
+        q, r = "b->process_noise[{}]", "b->measurement_noise[{}]"
+    elif fuzzy:
+        q, r = f"(b->times_q * {q})", f"b->times_r * {r}"
+    turns_along = p.model == "planar5"
+    accuracy = "b->times_r * ACCURACY_SCALE" if fuzzy else "ACCURACY_SCALE"
+    rows: dict[str, Any] = {
+        **{name: name if spread else 0.0 for name in ("QUARTER_GAMMA", "SHORTENS", "SPREAD")},
+        "SECOND": float(spread),
+        "Q": q,
+        **{f"Q_{letter}": q.format(state) for letter, state in zip(MEAN, STATES, strict=True)},
+        "RX": r.format(0),
+        "RY": r.format(1),
+        "ACCURACY": 0.0 if p.accuracy_scale is None else accuracy,
+        "LATENCY": "LATENCY" if p.latency else 0.0,
+        "R_LATERAL": "LATERAL_NOISE",
+        "REAR_AXLE": "REAR_AXLE",
+        "TIRE_SLIP": "TIRE_SLIP" if features["USE_SLIP"] else 0.0,
+        "R_ODOMETER": "ODOMETER_NOISE",
+        "ODOMETER_SCALE": "PER_ODOMETER_SCALE",
+        "ODOMETER_LATENCY": "ODOMETER_LATENCY",
+        "FORGETTING": "FORGETTING",
+        "OK": "b->failed",
+        **dict.fromkeys(("FACED", "FACED_ALL"), "b->faced" if turns_along else None),
+        **dict.fromkeys(("TINY", "GRAVITY")),
+    }
+    if turns_along:
+        rows |= {"COS": "b->cos", "SIN": "b->sin"}
+    return rows
