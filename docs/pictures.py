@@ -13,10 +13,7 @@ from matplotlib.figure import Figure
 
 DOCS = Path(__file__).parent
 IMAGES = DOCS / "images"
-DEMO = {
-    "trajectory.png": "demo-track.png",
-    "convergence.png": "demo-convergence.png",
-}
+DEMO = {"trajectory.png": "demo-track.png"}
 METHODS = {"with truth": "#0072b2", "without truth": "#d55e00", "raw fixes": "#009e73"}
 
 
