@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from filter_cases import parameters
-from sigmaswarm import dated_back, initial_state, run_filter, simulate
+from sigmaswarm import InputError, dated_back, initial_state, run_filter, simulate
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.filters.models import MODELS
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.geodesy import wrap_angle
 
+EACH_MODEL = pytest.mark.parametrize(
+    "model", [name for name, model in MODELS.items() if not model.measures_imu]
+)
 LATERAL = {"lateral_noise": 0.05, "rear_axle": 1.3, "standstill_noise": 1e-3}
 
 
@@ -27,7 +30,7 @@ def cases(model: str) -> FilterParameters:
     return replace(parameters(model, **LATERAL), measurement_noise=(1.0, 1.0), nominal_interval=interval)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@EACH_MODEL
 def test_no_truth_and_nothing_after_the_start_is_used(model: str):
     drive = hilly()
     start = dated_back(drive, cases(model))
@@ -40,7 +43,7 @@ def test_no_truth_and_nothing_after_the_start_is_used(model: str):
     assert np.array_equal(start.covariance, changed.covariance)
 
 
-@pytest.mark.parametrize("model", MODELS)
+@EACH_MODEL
 def test_all_states_are_estimated_within_their_deviations(model: str):
     drive, p = hilly(), cases(model)
     start, found, truth = dated_back(drive, p), initial_state(drive), drive.truth
@@ -55,7 +58,7 @@ def test_all_states_are_estimated_within_their_deviations(model: str):
         assert abs(start.mean[9]) > 0.0
 
 
-@pytest.mark.parametrize("model", MODELS)
+@EACH_MODEL
 def test_filters_start_from_it(model: str):
     drive, p = hilly(), cases(model)
     start = dated_back(drive, p)
@@ -70,3 +73,8 @@ def test_where_the_filter_fails_the_start_is_the_alignments():
     drive = hilly()
     p = replace(cases("planar8"), process_noise=(-1.0,) * 8)
     assert np.array_equal(dated_back(drive, p).mean, initial_state(drive).mean)
+
+
+def test_a_model_that_measures_the_imu_is_refused():
+    with pytest.raises(InputError, match="dated_back does not support robot-localization"):
+        dated_back(hilly(), parameters("robot-localization"))

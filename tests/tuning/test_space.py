@@ -159,7 +159,7 @@ def test_tire_slip_is_searched_where_it_is_chosen():
     assert "tire_slip" not in search_space("planar8", "log10", use=("lateral",)).names
     space = search_space("planar8", "log10", use=("lateral", "slip"))
     at = space.names.index("tire_slip")
-    assert (space.lowest[at], space.highest[at]) == (0.0, 0.02)
+    assert (space.lowest[at], space.highest[at], bool(space.logarithmic[at])) == (0.0, 0.02, False)
     with pytest.raises(InputError, match="use lateral, too"):
         search_space("planar8", "log10", use=("slip",))
 

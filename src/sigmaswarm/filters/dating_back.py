@@ -14,6 +14,7 @@ from sigmaswarm.drives.prepared import PreparedDrive, prepared
 from sigmaswarm.filters.compiled.layout import state_rows
 from sigmaswarm.filters.compiled.run import new_place
 from sigmaswarm.filters.kernel_array import KernelArray
+from sigmaswarm.filters.models import require_driven_by_imu
 from sigmaswarm.filters.packing import sound_lanes, unpack_states
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.replay import run_steps, start_replays
@@ -47,7 +48,13 @@ def dated_back(
     InitialState
         All states of the model, for ``initial`` of `run_filter` and `smooth`. The alignment's start where a pass fails
         or no earlier fix is usable.
+
+    Raises
+    ------
+    InputError
+        If the model measures the IMU: robot-localization.
     """
+    require_driven_by_imu(parameters.model, "dated_back")
     ready = prepared(drive)
     found, gps = ready.initial, ready.drive.gps
     before = (gps.time > max(found.time - longest, ready.drive.imu.time[0])) & (gps.time < found.time)
