@@ -154,7 +154,9 @@ def test_a_full_disk_leaves_what_was_there(
         assert text in (old.get(file), found.get(file)), file
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long if name == "evaluate" else ()) for name in COMMANDS]
+)
 def test_a_disk_that_is_full_at_each_write(
     sigmaswarm, arguments, drives: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ):
