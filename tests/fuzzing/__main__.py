@@ -3,19 +3,16 @@
 import argparse
 import json
 import resource
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 from pathlib import Path
 
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from fuzzing.check import break_files, check, copied, peak_megabytes
+from fuzzing.check import break_files, check, copied, keep, peak_megabytes, repeat, signature
 from fuzzing.seeds import SEEDS
 from importing.test_datasets import imu_csv
 
@@ -54,14 +51,7 @@ def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, objec
 
         batch = 0
         while time.monotonic() - begin < seconds:
-            run = settings(
-                max_examples=BATCH,
-                database=None,
-                deadline=None,
-                phases=[Phase.generate],
-                suppress_health_check=list(HealthCheck),
-            )(given(data=st.data())(one))
-            seed(number * 100_000 + batch)(run)()
+            repeat(one, BATCH, number * 100_000 + batch)
             batch += 1
     return {
         "reader": name,
@@ -71,21 +61,6 @@ def fuzz(name: str, seconds: float, number: int, found: Path) -> dict[str, objec
         "peak_mb": round(peak_megabytes()),
         "findings": counts,
     }
-
-
-def signature(error: BaseException) -> str:
-    """The kind of a finding: what was raised, and where in our code."""
-    own = [f for f in traceback.extract_tb(error.__traceback__) if "/sigmaswarm/" in f.filename]
-    where = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
-    said = " ".join(str(error).split())[:100] if not own else ""
-    return f"{type(error).__name__} {where}{said}"
-
-
-def keep(folder: Path, source: Path, why: str) -> None:
-    """Keep an input with what it does."""
-    shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(source, folder / "in")
-    (folder / "why.txt").write_text(f"{why}\n\n{traceback.format_exc()}")
 
 
 def main() -> int:

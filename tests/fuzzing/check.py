@@ -4,14 +4,17 @@ import resource
 import shutil
 import signal
 import struct
+import traceback
 import warnings
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import strategies as st
 
 from fuzzing.mutations import Draw, broken, crossed
 from fuzzing.seeds import Seed
@@ -50,7 +53,7 @@ def limited(seconds: int) -> Generator[None]:
 
 
 def reset_peak() -> None:
-    """Begin anew with the peak memory of this process, where the system can (Linux)."""
+    """Reset the peak memory of this process, where the system can (Linux)."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
@@ -78,8 +81,6 @@ def copied(sound: Path, path: Path, folder: Path) -> Path:
 
 def break_files(draw: Draw, seed: Seed, folder: Path) -> int | None:
     """Break one or two files in place; how many records differ, None where that can't be told."""
-    from hypothesis import strategies as st
-
     files = sorted(f for f in folder.rglob("*") if f.is_file())
     touched: int | None = 0
     for file in draw(st.lists(st.sampled_from(files), min_size=1, max_size=2, unique=True)):
@@ -208,3 +209,30 @@ def _clock(drive: Drive, time: np.ndarray) -> np.ndarray:
     """Tenths of a ms of the log's own clock."""
     zero = int(drive.metadata.get("time_origin_s", 0))
     return np.round(np.clip(time * 1e4, -9e17, 9e17)).astype(np.int64) + zero * 10_000
+
+
+def signature(error: BaseException) -> str:
+    """The kind of a finding: what was raised, and where in our code."""
+    own = [f for f in traceback.extract_tb(error.__traceback__) if "/sigmaswarm/" in f.filename]
+    where = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
+    said = " ".join(str(error).split())[:100] if not own else ""
+    return f"{type(error).__name__} {where}{said}"
+
+
+def keep(folder: Path, source: Path, why: str) -> None:
+    """Keep an input with what it does."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(source, folder / "in")
+    (folder / "why.txt").write_text(f"{why}\n\n{traceback.format_exc()}")
+
+
+def repeat(one: Callable[[st.DataObject], None], times: int, number: int) -> None:
+    """Call a function with that many draws, which a seed determines."""
+    run = settings(
+        max_examples=times,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )(given(data=st.data())(one))
+    seed(number)(run)()

@@ -8,11 +8,9 @@ import argparse
 import io
 import json
 import random
-import shutil
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -20,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from fuzzing.check import (
@@ -29,9 +26,12 @@ from fuzzing.check import (
     SECONDS,
     Finding,
     copied,
+    keep,
     limited,
     memory_limit,
     peak_megabytes,
+    repeat,
+    signature,
 )
 from fuzzing.mutations import Draw, broken_bytes, broken_json
 from sigmaswarm import FilterParameters, Tuning, evaluate, tune
@@ -261,24 +261,12 @@ def fuzz(number: int, name: str, inputs: int, found: Path | None = None) -> tupl
             except KeyboardInterrupt:
                 raise
             except BaseException as error:
-                own = [f for f in traceback.extract_tb(error.__traceback__) if "/sigmaswarm/" in f.filename]
-                at = f"{Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
-                kind = f"{type(error).__name__} {at} {str(error)[:100]} ({', '.join(f.name for f in wrong)})"
+                kind = f"{signature(error)} ({', '.join(f.name for f in wrong)})"
                 findings[kind] += 1
                 if found is not None and findings[kind] == 1:
-                    target = found / name / str(len(findings))
-                    shutil.rmtree(target, ignore_errors=True)
-                    shutil.copytree(copy, target / "in")
-                    (target / "why.txt").write_text(f"{kind}\n\n{traceback.format_exc()}")
+                    keep(found / name / str(len(findings)), copy, kind)
 
-        run = settings(
-            max_examples=inputs,
-            database=None,
-            deadline=None,
-            phases=[Phase.generate],
-            suppress_health_check=list(HealthCheck),
-        )(given(data=st.data())(one))
-        seed(number)(run)()
+        repeat(one, inputs, number)
     return findings, accepted
 
 
