@@ -64,9 +64,8 @@ def export(
         raise sigmaswarm.InputError(f"--check is for --to c99 only: {to} is not C that could be built here")
     drive, drives = read_known(replay) if replay else None, read_drives(check or [])
     as_recorded = tuned_as_recorded(tuning)
-    target = "robot_localization" if to == "robot-localization" else to
     written = export_filter(
-        parameters, target, out, replay=drive, as_recorded=as_recorded, lanes=lanes, seed=seed
+        parameters, to, out, replay=drive, as_recorded=as_recorded, lanes=lanes, seed=seed
     )
     checked = (
         check_export(out, parameters, drives, as_recorded=as_recorded, lanes=lanes, seed=seed)

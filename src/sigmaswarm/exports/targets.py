@@ -15,6 +15,8 @@ from sigmaswarm.filters.models import MODELS, require_driven_by_imu
 from sigmaswarm.filters.parameters import FilterParameters
 
 Target = Literal["filterpy", "c99", "robot_localization"]
+Alias = Literal["robot-localization"]
+"""Another name of a target: the model is called so."""
 
 TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]] = {
     "filterpy": filterpy,
@@ -23,14 +25,13 @@ TARGETS: dict[Target, Callable[[FilterParameters, float, bool], dict[str, str]]]
 }
 """From parameters, the IMU interval (s) that Q refers to, and whether drives are taken as recorded, to texts by file
 name."""
-ALIASES: dict[str, Target] = {"robot-localization": "robot_localization"}
 WITH_TILTS: frozenset[Target] = frozenset({"c99"})
 """Those that know models with tilts."""
 
 
 def export_texts(
     parameters: FilterParameters,
-    target: Target,
+    target: Target | Alias,
     *,
     replay: Drive | None = None,
     as_recorded: bool = False,
@@ -65,7 +66,8 @@ def export_texts(
         If the target is unknown or does not know the model, the parameters do not say which interval Q refers to, a
         variance can't be used, or ``replay`` or ``lanes`` is given for a target that does not take it.
     """
-    target = ALIASES.get(target, target)
+    if target == "robot-localization":
+        target = "robot_localization"
     if target not in TARGETS:
         raise InputError(f"no export target is called {target!r}; choose one of {', '.join(TARGETS)}")
     if MODELS[parameters.model].tilts and target not in WITH_TILTS:
@@ -108,7 +110,7 @@ def write_texts(texts: Mapping[str, str], folder: str | Path) -> list[Path]:
 
 
 def export_filter(
-    parameters: FilterParameters, target: Target, folder: str | Path, **options: Any
+    parameters: FilterParameters, target: Target | Alias, folder: str | Path, **options: Any
 ) -> list[Path]:
     """Write the files of a filter for a target; parameters as of `export_texts` and `write_texts`."""
     return write_texts(export_texts(parameters, target, **options), folder)

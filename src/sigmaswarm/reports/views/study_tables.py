@@ -93,10 +93,10 @@ def table_1(results: Results) -> Table:
     """Tabulate the paper's Table I: RMSE of IMU only, UKF and PSO-UKF, against the GPS and against truth."""
     paper = results.paper["table_1"]
     rows: list[Row] = []
-    for protocol, method, beside in _rows(results):
-        if beside not in paper and method != "raw-gps":
+    for protocol, method, paper_row in _rows(results):
+        if paper_row not in paper and method != "raw-gps":
             continue
-        theirs = paper.get(beside, {})
+        theirs = paper.get(paper_row, {})
         copied, true = (mean_cells(results.summary(protocol, method, m)) for m in ("gps_rmse_m", POSITION))
         over = comparison(results, protocol, POSITION, MANUAL) if method == MAIN else None
         ours = (over.improvement, over.improvement_interval) if over else (None, None)
@@ -123,8 +123,11 @@ def table_2(results: Results) -> Table:
     )
     columns = [Column("method"), *with_intervals(["paper"]), *map(figures, titles)]
     rows: list[Row] = []
-    for protocol, method, beside in _rows(results):
-        found, theirs = results.summary(protocol, method, POSITION), results.paper["table_2"].get(beside, {})
+    for protocol, method, paper_row in _rows(results):
+        found, theirs = (
+            results.summary(protocol, method, POSITION),
+            results.paper["table_2"].get(paper_row, {}),
+        )
         if found is not None:
             low_high = theirs.get("interval_m")
             intervals = (found.trial_interval, found.corrected_t_interval, found.bootstrap_interval)
@@ -144,11 +147,11 @@ def table_3(results: Results) -> Table:
             figures(NEW_DRIVES, joined=True),
         ]
     rows: list[Row] = []
-    for protocol, method, beside in _rows(results):
+    for protocol, method, paper_row in _rows(results):
         row: list[Cell] = [results.label(method, protocol)]
         for measure, key in ((HEADING, "heading_deg"), (DRIFT, "outage_drift_m")):
             found = results.summary(protocol, method, measure)
-            theirs = results.paper["table_3"].get(beside, {}).get(key)
+            theirs = results.paper["table_3"].get(paper_row, {}).get(key)
             row += [theirs, *mean_cells(found)]
         rows.append(tuple(row))
     caption = "Table III. Heading error, deg, and drift over a 5 s outage, m"
