@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.names import Name, read_name
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import Columns, heading, place, quantity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
 from sigmaswarm.importing.times import Found, find_time, numbers_of
@@ -140,7 +140,7 @@ def _part(columns: Columns, table: str, role: Role) -> tuple[Part, list[str], li
 
 def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
     """The drive's columns of a role, as expressions in a drive's units."""
-    time = find_time([read_name(c) for c in columns.frame.columns], columns.frame, role)
+    time = find_time(columns.frame, role)
     if time is not None:
         yield "t", time
     located = columns.has("lat", "lon")
@@ -187,10 +187,3 @@ def _alike(
 def _best(tables: Sequence[str], hint: str) -> str:
     """The first table whose name fits, or else the first."""
     return max(tables, key=lambda table: bool(re.search(hint, table, re.IGNORECASE)))
-
-
-def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """The expression of a table's time, if a column looks like it."""
-    names: list[Name] = [read_name(c) for c in frame.columns]
-    found = find_time(names, frame, role)
-    return found.expression or None if found else None

@@ -169,23 +169,23 @@ class Proposal:
 
 
 def proposed(
-    tables: Mapping[str, Mapping[str, str]], wanted: Role, known: Mapping[str, str]
+    tables: Mapping[str, Sequence[str]], wanted: Role, known: Mapping[str, str]
 ) -> tuple[str, dict[str, str]] | None:
     """The table that has most of a role, and the columns that its names say beside those that are ``known``.
 
     Parameters
     ----------
-    tables : by their names, the columns' names and what is their time (``t``), if that was found
+    tables : by their names, the columns' names
     """
     best: tuple[str, dict[str, str]] | None = None
     for table, columns in tables.items():
         found: dict[str, str] = {}
         for name in columns:
-            meaning = meaning_of(name) if name != "t" else None
+            meaning = meaning_of(name)
             if meaning and meaning.role == wanted and meaning.column not in {**known, **found}:
                 found[meaning.column] = meaning.expression
         if found and (best is None or len(found) > len(best[1])):
-            best = table, ({"t": columns["t"]} if "t" in columns and "t" not in known else {}) | found
+            best = table, found
     return best
 
 
