@@ -147,7 +147,7 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
             parts = guessed.get("truth", ())
         roles[role] = request.recipe.roles.get(role, parts)
     mine = [role for role in ROLES if request.home(role) == request.source]
-    times = dict.fromkeys(mine, request.time) if request.time else {}
+    times: dict[Role, str] = {role: request.time for role in mine} if request.time else {}
     roles = with_maps({role: parts for role, parts in roles.items() if parts}, request.maps, times)
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)

@@ -46,6 +46,26 @@ def _ddmm(a: pl.Expr) -> pl.Expr:
     return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
+def _and(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return _truth(a) & _truth(b)
+
+
+def _or(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return _truth(a) | _truth(b)
+
+
+def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return (a * a + b * b).sqrt()
+
+
+def _least(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return pl.when(a <= b).then(a).when(b < a).then(b)
+
+
+def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return -_least(-a, -b)
+
+
 _CONSTANTS = {"pi": math.pi, "g": 9.80665}
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -56,9 +76,9 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Pow: operator.pow,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
-    ast.Not: lambda a: ~_truth(a),
-    ast.And: lambda a, b: _truth(a) & _truth(b),
-    ast.Or: lambda a, b: _truth(a) | _truth(b),
+    ast.Not: lambda a: ~_truth(a),  # pyright: ignore[reportUnknownLambdaType]
+    ast.And: _and,
+    ast.Or: _or,
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -70,11 +90,11 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
     **{name: (1, getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
     **{name: (1, getattr(pl.Expr, name)) for name in ("radians", "degrees")},
     "atan2": (2, pl.arctan2),
-    "hypot": (2, lambda a, b: (a * a + b * b).sqrt()),
+    "hypot": (2, _hypot),
     "ddmm": (1, _ddmm),
     "gps_time": (2, gps_time),
-    "min": (2, lambda a, b: pl.when(a <= b).then(a).when(b < a).then(b)),
-    "max": (2, lambda a, b: pl.when(a >= b).then(a).when(b > a).then(b)),
+    "min": (2, _least),
+    "max": (2, _most),
     "where": (3, _where),
 }
 """A function of expressions: its number of arguments, and its implementation."""
@@ -241,8 +261,9 @@ class _Compiler:
 def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
     """The expression of a time (s) as whole nanoseconds; integer columns keep all their digits, also in a sum."""
     tree = _parse(text)
-    both = isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add)
-    terms = [ast.unparse(tree.left), ast.unparse(tree.right)] if both else [text]
+    terms = [text]
+    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
+        terms = [ast.unparse(tree.left), ast.unparse(tree.right)]
     exact = [term for text in terms if (term := _exact_term(text, frame)) is not None]
     if len(exact) == len(terms):
         return pl.sum_horizontal(exact, ignore_nulls=False) if len(exact) > 1 else exact[0]

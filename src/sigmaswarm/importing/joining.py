@@ -1,6 +1,7 @@
 """The parts of a role joined into one table: times in order, rows complete; omissions are reported."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,13 +108,13 @@ def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple
     return time[good], with_longitudes(_rows(values, good), role, say)
 
 
-def _rows(values: Values, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Values:
+def _rows(values: Values, rows: Any) -> Values:
     return {name: column[rows] for name, column in values.items()}
 
 
 def _finite(values: Values, count: int) -> NDArray[np.bool_]:
     """Whether each value is finite (columns, rows); a row of True where there are no columns."""
-    return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)])
+    return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
 def _complete_rows(

@@ -7,18 +7,9 @@ from dataclasses import dataclass
 import polars as pl
 
 from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
-from sigmaswarm.importing.names import (
-    CLOCK,
-    PARTS_OF_SECONDS,
-    SECONDS,
-    STAMP,
-    TIME_OF_WEEK,
-    WEEK,
-    Name,
-    read_name,
-)
+from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, read_name
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.units import in_si
+from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
@@ -116,7 +107,9 @@ def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | Non
         for first in names
         if first.words and first.words[-1] in SECONDS
         for rest in names
-        if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
+        if rest.words
+        and rest.words[:-1] == first.words[:-1]
+        and rest.words[-1] in {*PARTS_OF_SECONDS} - {"ms"}
     ]
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
