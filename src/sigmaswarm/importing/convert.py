@@ -146,9 +146,11 @@ def complete_recipe(request: Request, guesses: Guesses) -> Recipe:
         if not parts and role == "gps" and request.gps:
             parts = guessed.get("truth", ())
         roles[role] = request.recipe.roles.get(role, parts)
-    mine = [role for role in ROLES if request.home(role) == request.source]
-    times: dict[Role, str] = {role: request.time for role in mine} if request.time else {}
-    roles = with_maps({role: parts for role, parts in roles.items() if parts}, request.maps, times)
+    mine: list[Role] = [role for role in ROLES if request.home(role) == request.source]
+    times: Mapping[Role, str] = dict.fromkeys(mine, request.time or "")
+    roles = with_maps(
+        {role: parts for role, parts in roles.items() if parts}, request.maps, times if request.time else {}
+    )
     if request.recipe.gps_from_truth:
         roles.pop("gps", None)
     origins = [request.recipe.origin, *(g.origin for g in guesses.values())]

@@ -214,9 +214,8 @@ def _corrected(proposal: Proposal, drive: Drive, diagnosis: Diagnosis) -> Propos
     The repairs are done to an IMU whose columns are the unit vectors: a column that becomes a multiple of one of them
     becomes that multiple of its expression.
     """
-    probe = replace(
-        drive, imu=Imu(np.arange(len(IMU)) * 1.0, **dict(zip(IMU, np.eye(len(IMU)), strict=True)))
-    )
+    units = dict(zip(IMU, np.eye(len(IMU)), strict=True))
+    probe = replace(drive, imu=Imu(np.arange(len(IMU), dtype=np.float64), **units))
     repairs = [finding.repair for finding in diagnosis.findings if finding.repair is not None]
     for repair in sorted(
         (r for r in repairs if r.action in CORRECTED), key=lambda r: CORRECTED.index(r.action)

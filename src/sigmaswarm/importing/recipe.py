@@ -80,8 +80,8 @@ class Recipe:
         if unknown := sorted(set(content) - set(known)):
             raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")
         settings = {key: _setting(content[key], key, path) for key in _SETTINGS if key in content}
-        parts = {role: tuple(_parts(content[role], role, path)) for role in ROLES if role in content}
-        return cls(roles=parts, **settings)
+        there: list[Role] = [role for role in ROLES if role in content]
+        return cls(roles={role: tuple(_parts(content[role], role, path)) for role in there}, **settings)
 
     def to_toml(self) -> str:
         """The recipe as TOML that ``load`` reads."""
@@ -111,7 +111,7 @@ def _setting(value: Any, key: str, path: Path) -> Any:
     wanted = kind if isinstance(kind, int) else 1
     sound = len(values) == wanted and all(type(v) in (int, float) and abs(v) < 1e300 for v in values)
     if kind is not str and sound:
-        return tuple(map(float, values)) if isinstance(kind, int) else float(value)
+        return tuple(map(float, values)) if isinstance(kind, int) else float(values[0])
     what = f"{kind} numbers" if isinstance(kind, int) else "text" if kind is str else "a number"
     raise InputError(f"{path}: {key} = {value_shown(value)} can't be used; write {what}")
 
@@ -146,7 +146,7 @@ def with_maps(
     InputError
         An entry is no ``column=expression``, or no role has such a column.
     """
-    mapped = {role: list(parts) for role, parts in roles.items()}
+    mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
     timed: set[Role] = set()
     for role, column, expression in map(_entry, maps):
         parts = mapped.setdefault(role, [])
@@ -184,7 +184,7 @@ def _entry(text: str) -> tuple[Role, str, str]:
         raise InputError(
             f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
-    roles = [role for role in ROLES if prefix in ("", role)]
+    roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
     for role in roles:  # x, y without a role are the fixes'; t, keep the IMU's
         if column in COLUMNS[role]:
             return role, column, expression.strip()

@@ -114,6 +114,10 @@ class Log:
     remarks: list[str] = field(default_factory=list[str])
     mixed: bool = False
 
+    def guessed(self, guess: Guess) -> "Log":
+        """The same log with a guess that leaves no choice."""
+        return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
+
 
 def of_frames(
     path: Path, frames: Mapping[str, pl.DataFrame], kind: str, guess: Callable[[Choice], Guess]

@@ -58,35 +58,34 @@ _DIMENSIONS: dict[tuple[int, int, int], Dimension] = {
     (0, -1, 1): "rate",
 }
 """Powers of length, time and angle."""
-_WORDS: dict[str, tuple[Dimension, float]] = {
-    word: (dimension, factor)
-    for dimension, factor, text in (
-        ("acceleration", G, "g g0 gs gee"),
-        ("acceleration", G / 1e3, "mg milli-g millig"),
-        ("acceleration", G / 1e6, "ug micro-g"),
-        ("acceleration", 0.01, "gal gals"),
-        ("acceleration", 1e-5, "mgal"),
-        ("acceleration", 1.0, "mps2 ms2 mpss ms-2 ms^-2"),
-        ("acceleration", 0.3048, "fps2"),
-        ("rate", _DEGREE, "dps degps degs"),
-        ("rate", _DEGREE / 1e3, "mdps"),
-        ("rate", _DEGREE / 100, "cdps"),
-        ("rate", _DEGREE / 3600, "dph"),
-        ("rate", 1.0, "radps rads"),
-        ("rate", 1e-3, "mradps"),
-        ("rate", math.pi / 30, "rpm"),
-        ("speed", 1.0, "mps"),
-        ("speed", 1 / 3.6, "kmh kmph kph"),
-        ("speed", 0.44704, "mph"),
-        ("speed", 1852 / 3600, "kn kt kts knot knots"),
-        ("speed", 0.3048, "fps"),
-        ("speed", 0.01, "cmps"),
-        ("speed", 1e-3, "mmps"),
-        ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
-    )
-    for word in text.split()
-}
+_MORE: tuple[tuple[Dimension, float, str], ...] = (
+    ("acceleration", G, "g g0 gs gee"),
+    ("acceleration", G / 1e3, "mg milli-g millig"),
+    ("acceleration", G / 1e6, "ug micro-g"),
+    ("acceleration", 0.01, "gal gals"),
+    ("acceleration", 1e-5, "mgal"),
+    ("acceleration", 1.0, "mps2 ms2 mpss ms-2 ms^-2"),
+    ("acceleration", 0.3048, "fps2"),
+    ("rate", _DEGREE, "dps degps degs"),
+    ("rate", _DEGREE / 1e3, "mdps"),
+    ("rate", _DEGREE / 100, "cdps"),
+    ("rate", _DEGREE / 3600, "dph"),
+    ("rate", 1.0, "radps rads"),
+    ("rate", 1e-3, "mradps"),
+    ("rate", math.pi / 30, "rpm"),
+    ("speed", 1.0, "mps"),
+    ("speed", 1 / 3.6, "kmh kmph kph"),
+    ("speed", 0.44704, "mph"),
+    ("speed", 1852 / 3600, "kn kt kts knot knots"),
+    ("speed", 0.3048, "fps"),
+    ("speed", 0.01, "cmps"),
+    ("speed", 1e-3, "mmps"),
+    ("angle", _DEGREE * 1e-7, "dege7 deg_e7 1e-7deg deg1e-7 1e7deg deg1e7 deg*1e7 deg*1e-7 e7"),
+)
 """Words for units that are no product of base units."""
+_WORDS: dict[str, tuple[Dimension, float]] = {
+    word: (dimension, factor) for dimension, factor, text in _MORE for word in text.split()
+}
 NONE = (
     *(
         "",

@@ -6,7 +6,6 @@ Column names carry their units: "Time (s)" since the start on one clock, "Accele
 
 import re
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 from sigmaswarm.importing.limits import Limits
@@ -63,4 +62,4 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
             roles[role] = (*roles.get(role, ()), part)
     if len(roles.get("imu", ())) < 2:
         roles.pop("imu", None)
-    return replace(log, guess=lambda _: Guess(roles, (FLAT,)))
+    return log.guessed(Guess(roles, (FLAT,)))

@@ -6,7 +6,6 @@ with gravity on Android; bearing in degrees from north; negative values are inva
 """
 
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -39,10 +38,10 @@ def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     notes = [FLAT]
     parts: list[tuple[Role, str, dict[str, str]]] = [("gps", _PLACES, _T | _FIX)]
     if _RATES in log.tables and (acceleration := _acceleration(log, notes)):
-        parts += [("imu", table, _T | columns) for table, columns in acceleration.items()]
-        parts += [("imu", _RATES, _T | {"gx": "y", "gy": "-x", "gz": "z"})]
+        imu = {**acceleration, _RATES: {"gx": "y", "gy": "-x", "gz": "z"}}
+        parts.extend(("imu", table, _T | columns) for table, columns in imu.items())
     guess = Guess(roles_of(parts, {name: table.columns for name, table in log.tables.items()}), tuple(notes))
-    return replace(log, guess=lambda _: guess)
+    return log.guessed(guess)
 
 
 def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
