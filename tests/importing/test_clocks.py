@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sigmaswarm.importing.clocks import time_expression
 from sigmaswarm.importing.dates import GPS_EPOCH, LEAP_SECONDS, gps_to_unix
+from sigmaswarm.importing.expressions import time_expression
 
 
 def seconds(*date: int) -> float:

@@ -9,8 +9,8 @@ import pytest
 
 from importing.logs import a_drive
 from sigmaswarm.importing.convert import Request
-from sigmaswarm.importing.look import LOOKED_AT, SAMPLE, _beginnings, look
-from sigmaswarm.importing.readers.messages import MessageLog
+from sigmaswarm.importing.look import LOOKED_AT, SAMPLE, beginnings, look
+from sigmaswarm.importing.readers.messages import message_log
 from sigmaswarm.importing.source import CHUNK, Table
 
 
@@ -25,7 +25,7 @@ def test_a_long_log_is_read_at_its_beginning_only():
     tables = {
         topic: Table(("received", "value"), "some/msg/Value") for topic in ("/often", "/seldom", "/never")
     }
-    rows = _beginnings(MessageLog(Path("log"), tables, stream))
+    rows = beginnings(message_log(Path("log"), tables, stream))
     assert read <= LOOKED_AT + CHUNK
     assert len(rows["/often"]) == SAMPLE and len(rows["/seldom"]) > 5 and len(rows["/never"]) == 0
 

@@ -166,7 +166,7 @@ def test_names_are_read_word_by_word(name: str, meaning: tuple[str, str, str] | 
 def test_a_shell_runs_nothing_of_a_log_s_header(tmp_path: Path):
     """What is proposed is pasted: by `sh` as by `shlex` it comes back as it is."""
     names = ["Acc Fwd (g)", "acc left $(touch dollar)", "acc up `touch tick` m s2", "yaw rate 'cw' \"dps\""]
-    said = proposed({"imu.csv; touch semicolon": {name: name for name in names}}, "imu", {})
+    said = proposed({"imu.csv; touch semicolon": names}, "imu", {})
     assert said is not None
     table, columns = said
     assert list(columns) == ["ax", "ay", "az", "gz"]

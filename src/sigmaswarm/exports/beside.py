@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError, SigmaswarmWarning
-from sigmaswarm.importing.readers.messages import broken
 from sigmaswarm.importing.readers.ros import bag_paths
-from sigmaswarm.importing.source import library
+from sigmaswarm.importing.source import broken, library
 
 RawMessage = tuple[int, Any, Any]
 """Time in ns, rosbags' connection of the bag that is written, and the message's bytes."""

@@ -10,8 +10,8 @@ from sigmaswarm.drives.checks import shortage_of
 from sigmaswarm.drives.drive import Array, Drive, Gps, Imu, Odometer, Truth
 from sigmaswarm.errors import InputError
 from sigmaswarm.geodesy import enu_to_geodetic, wrap_angle
-from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
-from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.mounting import parse_mount, rotate
 from sigmaswarm.importing.places import MOVING, Say, Values, course_of, fitting_angle, level, require_degrees
@@ -31,7 +31,7 @@ LONGEST_OFFSET = 4e9
 @np.errstate(all="ignore")  # what becomes infinite is refused when the drive is read back
 def assemble(
     name: str,
-    gathered: Mapping[Role, Sequence[Columns]],
+    gathered: Mapping[Role, Sequence[Gathered]],
     recipe: Recipe,
     say: Say,
     recording: int | None = None,

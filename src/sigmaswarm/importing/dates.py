@@ -1,4 +1,4 @@
-"""Dates in text and GPS time, as seconds since 1970 in UTC."""
+"""Dates in text and GPS time, as seconds since 1970 in UTC; times in the importer are whole nanoseconds."""
 
 from collections.abc import Sequence
 
@@ -6,6 +6,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+Nanoseconds = NDArray[np.int64]
+SECOND = 1_000_000_000
+"""ns."""
+LONG_AGO = 1_000_000 * SECOND
+"""Clocks beyond this (12 days) count from 1970 or a phone's start: a drive then counts from its own beginning."""
 GPS_EPOCH = 315_964_800
 """s from 1970-01-01 to 1980-01-06, the beginning of GPS time (IS-GPS-200)."""
 WEEK = 604_800

@@ -4,7 +4,8 @@
 ```Acceleration x (m/s^2)` ``: names are columns; a column whose name is no plain name goes between backticks.
 
 Everything is a number. An empty cell is null, and so is every result of it. A comparison is 1 or 0 in arithmetic, and a
-number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0.
+number is true, for ``not``, ``and``, ``or``, ``where`` and ``keep``, where it is not 0. A time can also be made whole
+nanoseconds.
 """
 
 import ast
@@ -19,34 +20,11 @@ from typing import Any
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import as_text, gps_time, parse_dates
+from sigmaswarm.importing.dates import SECOND, as_text, gps_time, parse_dates
 from sigmaswarm.wording import names_shown, quoted, shown
 
 LONGEST = 1000
 """Most characters of an expression, to limit its nesting."""
-
-
-def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return (a * a + b * b).sqrt()
-
-
-def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    true = _truth(condition)
-    return pl.when(true).then(a).when(~true).then(b)
-
-
-def _least(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return pl.when(a <= b).then(a).when(b < a).then(b)
-
-
-def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    return pl.when(a >= b).then(a).when(b > a).then(b)
-
-
-def _ddmm(a: pl.Expr) -> pl.Expr:
-    """Degrees of a place in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
-    whole = (a.abs() / 100).floor()
-    return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
 def _number(a: pl.Expr) -> pl.Expr:
@@ -57,8 +35,15 @@ def _truth(a: pl.Expr) -> pl.Expr:
     return _number(a).fill_nan(None) != 0
 
 
-def _not(a: pl.Expr) -> pl.Expr:
-    return ~_truth(a)
+def _where(condition: pl.Expr, a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    true = _truth(condition)
+    return pl.when(true).then(a).when(~true).then(b)
+
+
+def _ddmm(a: pl.Expr) -> pl.Expr:
+    """Degrees of a place in degrees and minutes, 4807.038 for 48 deg 7.038 min."""
+    whole = (a.abs() / 100).floor()
+    return (whole + (a.abs() - whole * 100) / 60) * a.sign()
 
 
 def _and(a: pl.Expr, b: pl.Expr) -> pl.Expr:
@@ -67,6 +52,18 @@ def _and(a: pl.Expr, b: pl.Expr) -> pl.Expr:
 
 def _or(a: pl.Expr, b: pl.Expr) -> pl.Expr:
     return _truth(a) | _truth(b)
+
+
+def _hypot(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return (a * a + b * b).sqrt()
+
+
+def _least(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return pl.when(a <= b).then(a).when(b < a).then(b)
+
+
+def _most(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    return -_least(-a, -b)
 
 
 _CONSTANTS = {"pi": math.pi, "g": 9.80665}
@@ -79,7 +76,7 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Pow: operator.pow,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
-    ast.Not: _not,
+    ast.Not: lambda a: ~_truth(a),  # pyright: ignore[reportUnknownLambdaType]
     ast.And: _and,
     ast.Or: _or,
     ast.Eq: operator.eq,
@@ -90,15 +87,8 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.GtE: operator.ge,
 }
 _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
-    "abs": (1, pl.Expr.abs),
-    "sqrt": (1, pl.Expr.sqrt),
-    "exp": (1, pl.Expr.exp),
-    "log": (1, pl.Expr.log),
-    "sin": (1, pl.Expr.sin),
-    "cos": (1, pl.Expr.cos),
-    "tan": (1, pl.Expr.tan),
-    "radians": (1, pl.Expr.radians),
-    "degrees": (1, pl.Expr.degrees),
+    **{name: (1, getattr(pl.Expr, name)) for name in ("abs", "sqrt", "exp", "log", "sin", "cos", "tan")},
+    **{name: (1, getattr(pl.Expr, name)) for name in ("radians", "degrees")},
     "atan2": (2, pl.arctan2),
     "hypot": (2, _hypot),
     "ddmm": (1, _ddmm),
@@ -108,8 +98,6 @@ _FUNCTIONS: dict[str, tuple[int, Callable[..., pl.Expr]]] = {
     "where": (3, _where),
 }
 """A function of expressions: its number of arguments, and its implementation."""
-FUNCTIONS = (*_FUNCTIONS, "utc")
-"""Functions of expressions."""
 
 
 @dataclass(frozen=True)
@@ -126,16 +114,6 @@ class Expression:
         return _truth(self.polars)
 
 
-@dataclass(frozen=True)
-class _Context:
-    """The text being compiled, the columns there are, and those used so far: all, and as numbers."""
-
-    text: str
-    columns: Collection[str]
-    used: set[str]
-    numbers: set[str]
-
-
 def compile_expression(text: str, columns: Collection[str]) -> Expression:
     """Compile a text over a table's columns.
 
@@ -144,37 +122,24 @@ def compile_expression(text: str, columns: Collection[str]) -> Expression:
     InputError
         The text is not an expression, names a missing column, or uses a forbidden construct.
     """
-    about = _Context(text, columns, set(), set())
+    compiler = _Compiler(text, columns)
     try:
-        polars = _build(parse(text), about)
-        return Expression(polars, frozenset(about.used), frozenset(about.numbers))
+        polars = compiler.build(_parse(text))
     except RecursionError:
         raise InputError(f"the expression {text[:40]!r}... is nested too deeply; simplify it") from None
+    return Expression(polars, frozenset(compiler.used), frozenset(compiler.numbers))
 
 
-def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
-    """The column and the factor where a text says just ``column`` or ``column * number``, else None.
-
-    Whole numbers of nanoseconds since 1970 have more digits than a float holds: such a time is best scaled as integers.
-    """
-    tree = parse(text)
-    factor = 1.0
-    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
-        right = tree.right
-        if not isinstance(right, ast.Constant) or not isinstance(right.value, int | float) or not right.value:
-            return None
-        try:
-            factor = float(right.value) if isinstance(tree.op, ast.Mult) else 1 / float(right.value)
-        except (OverflowError, ZeroDivisionError):  # a whole number of 400 digits, or 1e-400
-            return None
-        if not math.isfinite(factor):
-            return None
-        tree = tree.left
-    name = _column_name(tree)
-    return None if name is None or name not in columns else (name, factor)
+def fits(text: str, columns: Collection[str]) -> bool:
+    """Return True if a text can be compiled over these columns."""
+    try:
+        compile_expression(text, columns)
+    except InputError:
+        return False
+    return True
 
 
-def parse(text: str) -> ast.expr:
+def _parse(text: str) -> ast.expr:
     """The syntax tree of a text, backticked names turned into ``col("...")``."""
     if len(text) > LONGEST:
         raise InputError(f"the expression {text[:40]!r}... is longer than {LONGEST} characters; shorten it")
@@ -203,105 +168,155 @@ def _column_name(node: ast.AST) -> str | None:
             return None
 
 
-def _build(node: ast.AST, about: _Context) -> pl.Expr:
-    """One node of the tree, checked against what is allowed."""
+class _Compiler:
+    """The text being compiled, the columns there are, and those used so far: all, and as numbers."""
 
-    def build(inner: ast.AST) -> pl.Expr:
-        return _build(inner, about)
+    def __init__(self, text: str, columns: Collection[str]) -> None:
+        self.text, self.columns = text, columns
+        self.used: set[str] = set()
+        self.numbers: set[str] = set()
 
-    name = _column_name(node)
-    if name is not None:
-        return _column(name, about)
-    match node:
-        case ast.Constant(value=bool() | int() | float() as value):
-            return _constant(value, about)
-        case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_number(build(operand)))
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_number(build(left)), _number(build(right)))
-        case ast.Compare(left=left, ops=ops, comparators=others) if {type(o) for o in ops} <= set(_OPERATORS):
-            return _chain(left, ops, others, about)
-        case ast.BoolOp(op=op, values=values):
-            first, *rest = (build(v) for v in values)
-            for other in rest:
-                first = _OPERATORS[type(op)](first, other)
-            return first
-        case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
-            return _utc(args, about)
-        case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
-            wanted, function = _FUNCTIONS[f]
-            if len(args) != wanted:
+    def build(self, node: ast.AST) -> pl.Expr:
+        """One node of the tree, checked against what is allowed."""
+        if (name := _column_name(node)) is not None:
+            return self._column(name)
+        match node:
+            case ast.Constant(value=bool() | int() | float() as value):
+                return self._constant(value)
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)](_number(self.build(operand)))
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)](_number(self.build(left)), _number(self.build(right)))
+            case ast.Compare(left=left, ops=ops, comparators=others) if {*map(type, ops)} <= {*_OPERATORS}:
+                pairs = zip([left, *others], ops, others, strict=False)  # a < b < c as a < b and b < c
+                return pl.all_horizontal(*(self._compare(a, op, b) for a, op, b in pairs))
+            case ast.BoolOp(op=op, values=values):
+                first, *rest = map(self.build, values)
+                for other in rest:
+                    first = _OPERATORS[type(op)](first, other)
+                return first
+            case ast.Call(func=ast.Name(id="utc"), args=[_, *_] as args, keywords=[]):
+                return self._utc(args)
+            case ast.Call(func=ast.Name(id=f), args=args, keywords=[]) if f in _FUNCTIONS:
+                wanted, function = _FUNCTIONS[f]
+                if len(args) != wanted:
+                    raise InputError(
+                        f"{f} in {quoted(self.text)} takes {wanted} value(s), not {len(args)}; mend the expression"
+                    )
+                return function(*(_number(self.build(a)) for a in args))
+            case _:
                 raise InputError(
-                    f"{f} in {quoted(about.text)} takes {wanted} value(s), not {len(args)}; mend the expression"
+                    f"{quoted(ast.unparse(node))} in {quoted(self.text)} is not allowed; use columns, numbers, "
+                    f"+ - * / ** %, comparisons, and {', '.join((*_FUNCTIONS, 'utc'))}"
                 )
-            return function(*(_number(build(a)) for a in args))
-        case _:
+
+    def _constant(self, value: float) -> pl.Expr:
+        try:
+            return pl.lit(float(value))
+        except OverflowError:
             raise InputError(
-                f"{quoted(ast.unparse(node))} in {quoted(about.text)} is not allowed; use columns, numbers, "
-                f"+ - * / ** %, comparisons, and {', '.join(FUNCTIONS)}"
+                f"{quoted(self.text)} has a number beyond 1.8e308; write a smaller one"
+            ) from None
+
+    def _column(self, name: str) -> pl.Expr:
+        """A column as float64, null where it is empty, NaN or no number; or a constant."""
+        if name in _CONSTANTS and name not in self.columns:
+            return pl.lit(_CONSTANTS[name])
+        self.numbers.add(name)
+        return self._use(name).cast(pl.Float64, strict=False).fill_nan(None)
+
+    def _use(self, name: str) -> pl.Expr:
+        if name not in self.columns:
+            near = difflib.get_close_matches(name, self.columns, 1, 0.5)
+            hint = f"perhaps `{shown(near[0])}`" if near else f"there are {names_shown(self.columns, '`')}"
+            raise InputError(
+                f"{quoted(self.text)} names the column {quoted(name)}, which is not there; {hint}"
             )
+        self.used.add(name)
+        return pl.col(name)
+
+    def _compare(self, a: ast.expr, op: ast.cmpop, b: ast.expr) -> pl.Expr:
+        """A comparison; a column and a text compare as texts."""
+        name = _column_name(a)
+        if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
+            return _OPERATORS[type(op)](self._use(name).cast(pl.String), pl.lit(b.value))
+        return _OPERATORS[type(op)](_number(self.build(a)), _number(self.build(b)))
+
+    def _utc(self, args: list[ast.expr]) -> pl.Expr:
+        """Seconds since 1970 of dates in a column, or a day and a time of day in two, and how they are written."""
+        form = ""
+        if isinstance(args[-1], ast.Constant) and isinstance(args[-1].value, str):
+            form, args = args[-1].value, args[:-1]
+        names = [name for arg in args if (name := _column_name(arg)) is not None]
+        if len(names) < len(args) or not names:
+            raise InputError(
+                f"utc(...) in {quoted(self.text)} takes the name of a column, or of two, and how dates are written, as "
+                "utc(date, '%d.%m.%Y %H:%M:%S'); mend the expression"
+            )
+        for name in names:
+            self._use(name)
+        return parse_dates(as_text(names), form)
 
 
-def _chain(left: ast.expr, ops: list[ast.cmpop], others: list[ast.expr], about: _Context) -> pl.Expr:
-    """``a < b < c`` as ``a < b and b < c``; text on one side compares as text."""
-    pairs = zip([left, *others], ops, others, strict=False)
-    return pl.all_horizontal(*(_compare(a, op, b, about) for a, op, b in pairs))
-
-
-def _compare(a: ast.expr, op: ast.cmpop, b: ast.expr, about: _Context) -> pl.Expr:
-    name = _column_name(a)
-    if isinstance(b, ast.Constant) and isinstance(b.value, str) and name is not None:
-        _require_column(name, about)
-        return _OPERATORS[type(op)](pl.col(name).cast(pl.String), pl.lit(b.value))
-    return _OPERATORS[type(op)](_number(_build(a, about)), _number(_build(b, about)))
-
-
-def _constant(value: float, about: _Context) -> pl.Expr:
-    try:
-        return pl.lit(float(value))
-    except OverflowError:
-        raise InputError(f"{quoted(about.text)} has a number beyond 1.8e308; write a smaller one") from None
-
-
-def _column(name: str, about: _Context) -> pl.Expr:
-    """A column as float64, null where it is empty, NaN or no number; or a constant."""
-    if name in _CONSTANTS and name not in about.columns:
-        return pl.lit(_CONSTANTS[name])
-    _require_column(name, about)
-    about.numbers.add(name)
-    return pl.col(name).cast(pl.Float64, strict=False).fill_nan(None)
-
-
-def _require_column(name: str, about: _Context) -> None:
-    if name not in about.columns:
-        near = difflib.get_close_matches(name, about.columns, 1, 0.5)
-        hint = f"perhaps `{shown(near[0])}`" if near else f"there are {names_shown(about.columns, '`')}"
-        raise InputError(f"{quoted(about.text)} names the column {quoted(name)}, which is not there; {hint}")
-    about.used.add(name)
-
-
-def _utc(args: list[ast.expr], about: _Context) -> pl.Expr:
-    """Seconds since 1970 of dates in a column, or a day and a time of day in two, and how they are written."""
-    form = ""
-    match args[-1]:
-        case ast.Constant(value=str(text)):
-            form, args = text, args[:-1]
-        case _:
-            pass
-    names = [name for arg in args if (name := _column_name(arg)) is not None]
-    if len(names) < len(args) or not names:
-        raise InputError(
-            f"utc(...) in {quoted(about.text)} takes the name of a column, or of two, and how dates are written, as "
-            "utc(date, '%d.%m.%Y %H:%M:%S'); mend the expression"
-        )
-    for name in names:
-        _require_column(name, about)
-    return parse_dates(as_text(names), form)
-
-
-def terms_of(text: str) -> list[str]:
-    """The two terms of a sum; the text itself where it is no sum."""
-    tree = parse(text)
+def time_expression(text: str, frame: pl.DataFrame) -> pl.Expr:
+    """The expression of a time (s) as whole nanoseconds; integer columns keep all their digits, also in a sum."""
+    tree = _parse(text)
+    terms = [text]
     if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add):
-        return [ast.unparse(tree.left), ast.unparse(tree.right)]
-    return [text]
+        terms = [ast.unparse(tree.left), ast.unparse(tree.right)]
+    exact = [term for text in terms if (term := _exact_term(text, frame)) is not None]
+    if len(exact) == len(terms):
+        return pl.sum_horizontal(exact, ignore_nulls=False) if len(exact) > 1 else exact[0]
+    return _rounded(compile_expression(text, frame.columns))
+
+
+def _rounded(expression: Expression) -> pl.Expr:
+    return (expression.polars * float(SECOND)).round().cast(pl.Int64, strict=False)
+
+
+def _exact_term(text: str, frame: pl.DataFrame) -> pl.Expr | None:
+    """One ``column * number`` in ns, where its column holds whole numbers or dates; else None."""
+    scaled = integer_scale(text, frame.columns)
+    if scaled is None:
+        return None
+    name, factor = scaled
+    kind = frame.schema[name]
+    if isinstance(kind, pl.Datetime) and factor == 1:
+        counted = {"ms": 1_000_000, "us": 1000, "ns": 1}[kind.time_unit]
+        return _scaled(pl.col(name).dt.timestamp(kind.time_unit), counted)
+    whole = round(factor * SECOND)
+    if abs(whole - factor * SECOND) >= 1e-9 * whole or whole > SECOND:
+        return None
+    if kind.is_integer():
+        return _scaled(pl.col(name).cast(pl.Int64, strict=False), whole)
+    if kind == pl.String:  # padded or quoted cells
+        exact = _scaled(pl.col(name).str.strip_chars().cast(pl.Int64, strict=False), whole)
+        return pl.coalesce(exact, _rounded(compile_expression(text, frame.columns)))
+    return None
+
+
+def integer_scale(text: str, columns: Collection[str]) -> tuple[str, float] | None:
+    """The column and the factor where a text says just ``column`` or ``column * number``, else None.
+
+    Whole numbers of nanoseconds since 1970 have more digits than a float holds: such a time is best scaled as integers.
+    """
+    tree, factor = _parse(text), 1.0
+    if isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Mult | ast.Div):
+        right = tree.right
+        if not isinstance(right, ast.Constant) or not isinstance(right.value, int | float):
+            return None
+        try:
+            factor = float(right.value) if isinstance(tree.op, ast.Mult) else 1 / float(right.value)
+        except (OverflowError, ZeroDivisionError):  # a whole number of 400 digits, or 1e-400
+            return None
+        if not factor or not math.isfinite(factor):
+            return None
+        tree = tree.left
+    name = _column_name(tree)
+    return None if name is None or name not in columns else (name, factor)
+
+
+def _scaled(count: pl.Expr, factor: int) -> pl.Expr:
+    """A count (64 bits) times a factor; null where that leaves 64 bits, instead of some other time."""
+    most = (2**63 - 1) // max(factor, 1)
+    return pl.when(count.is_between(-most, most)).then(count * factor)

@@ -1,6 +1,5 @@
 """Fixes of another receiver than the drive's own, put on the drive's clock and plane: of a log, or of another drive."""
 
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,10 +10,9 @@ from sigmaswarm.drives.drive import Array, Drive, Gps
 from sigmaswarm.drives.reader import has_table, read_with_warnings
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.assemble import placed_fixes
-from sigmaswarm.importing.clocks import LONG_AGO, SECOND, Nanoseconds
-from sigmaswarm.importing.convert import Request, complete_recipe, guess_of, with_only_table
-from sigmaswarm.importing.formats import open_log
-from sigmaswarm.importing.gather import check_part, gather
+from sigmaswarm.importing.convert import Request, complete_recipe, opened
+from sigmaswarm.importing.dates import LONG_AGO, SECOND, Nanoseconds
+from sigmaswarm.importing.gather import complete_part, gather
 from sigmaswarm.importing.joining import join
 from sigmaswarm.importing.places import Say, Values
 from sigmaswarm.wording import names_shown
@@ -70,30 +68,23 @@ def read_fixes(path: Path, drive: Drive, offset: float = 0.0) -> ReceiverLog:
 def _gathered(path: Path, say: Say) -> tuple[Nanoseconds, Values, NDArray[np.bool_]]:
     """Times, columns, and which of the rows the receiver is sure of."""
     request = Request(source=path)
-    with ExitStack() as stack:
-        source = stack.enter_context(open_log(path, None, request.limits))
-        guess = guess_of(source, request)
-        parts = complete_recipe(request, {path: guess}).roles.get("gps", ()) or guess.roles.get("truth", ())
+    with opened(request) as (logs, guesses):
+        log, guess = logs[path], guesses[path]
+        parts = complete_recipe(request, guesses).roles.get("gps", ()) or guess.roles.get("truth", ())
         if not parts:
-            there = names_shown(source.tables)
+            there = names_shown(log.tables)
             raise InputError(
                 f"{path}: no position fixes found in {there}; name the receiver's own log, or make a drive of it with "
                 "sigmaswarm import and name that"
             )
-        parts = [with_only_table(part, source, "gps") for part in parts]
-        for part in parts:
-            check_part(part, source, "gps")
+        parts = [complete_part(part, log, "gps") for part in parts]
         fixed = [replace(parts[0], columns={**parts[0].columns, "keep": guess.fixed})] if guess.fixed else []
-        read = gather(source, [*parts, *fixed], _unwatched, request.limits)
-        for note in (*guess.notes, *source.remarks):
+        read = gather(log, [*parts, *fixed], lambda done: None, request.limits)
+        for note in (*guess.notes, *log.remarks):
             say(note)
     time, values = join(read[: len(parts)], "gps", (), say)
-    sure = np.isin(time, read[-1].time) if fixed else np.ones(len(time), dtype=np.bool_)
+    sure = np.isin(time, read[-1].finish()[0]) if fixed else np.ones(len(time), dtype=np.bool_)
     return time, values, sure
-
-
-def _unwatched(done: float) -> None:
-    """A receiver's log is read in seconds."""
 
 
 def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
@@ -102,9 +93,8 @@ def _of_drive(other: Drive, drive: Drive, offset: float) -> ReceiverLog:
     apart = clocks[0] - clocks[1] if clocks[0] is not None and clocks[1] is not None else 0.0
     gps = replace(other.gps, time=other.gps.time + apart + offset)
     if other.origin != drive.origin:
-        values = {k: v for k, v in vars(gps).items() if k != "time" and v is not None}
-        if gps.lat is not None:
-            values = {k: v for k, v in values.items() if k not in ("x", "y")}
+        replaced = {"time", "x", "y"} if gps.lat is not None else {"time"}
+        values = {k: v for k, v in vars(gps).items() if k not in replaced and v is not None}
         gps = _placed(values, gps.time, drive, Path(other.name), lambda _: None)
     return ReceiverLog(gps, np.ones(len(gps), dtype=np.bool_))
 

@@ -1,15 +1,15 @@
 """The formats that can be read: one file and one line each, in the order in which they are looked for."""
 
 import difflib
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Source, first_bytes
+from sigmaswarm.importing.source import Log, first_bytes
 from sigmaswarm.limits import require_regular, require_text
 
 READERS: dict[str, tuple[str, str]] = {
@@ -29,72 +29,55 @@ READERS: dict[str, tuple[str, str]] = {
     "gnss-logger": ("gnss_logger", "a text of Android's GnssLogger"),
     "csv": ("columns", "CSV or Parquet, a file or a folder of them"),
 }
-"""By the name for --format: the module in ``readers/``, and a description. The most general one comes last."""
+"""By the name for --format: the module in ``readers/``, and a description. The most general one comes last.
 
-
+A module has ``recognizes(path)``, True if a file or folder looks like the format by its name or first bytes, without
+the format's library; and ``open_log(path, limits, stack)``, which returns a `Log` and has the stack close its files.
+"""
 _TEXTS = ("rtklib", "nmea", "gnss-logger", "csv")
-NOT_READ: tuple[tuple[tuple[str, ...], bytes, str], ...] = (
-    ((".xlsx", ".xls", ".ods"), b"", "a spreadsheet; save it as CSV"),
+NOT_READ: dict[tuple[str, ...], str] = {
+    (".xlsx", ".xls", ".ods"): "a spreadsheet; save it as CSV",
     (
-        (".tlog",),
-        b"",
-        "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
-    ),
+        ".tlog",
+    ): "a MAVLink telemetry log; run: mavlogdump.py --format csv --types RAW_IMU,GPS_RAW_INT, or take the .bin",
+    (".bbl", ".bfl"): "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
+    (".mf4", ".mdf"): "a measurement file of ASAM; export it as CSV, as with asammdf",
+    (".sbf",): "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools",
     (
-        (".bbl", ".bfl"),
-        b"H Product:Blackbox",
-        "a blackbox log; run: blackbox_decode --merge-gps, and import the .csv",
-    ),
-    ((".mf4", ".mdf"), b"MDF  ", "a measurement file of ASAM; export it as CSV, as with asammdf"),
-    ((".sbf",), b"", "a Septentrio stream; convert it to NMEA with sbfconvert or RxTools"),
+        ".rtcm",
+        ".rtcm3",
+        ".obs",
+        ".rnx",
+    ): "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
     (
-        (".rtcm", ".rtcm3", ".obs", ".rnx"),
-        b"",
-        "raw measurements; make fixes with RTKLIB (convbin, rnx2rtkp), import the .pos",
-    ),
+        ".gpx",
+        ".kml",
+        ".kmz",
+        ".fit",
+    ): "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
+    (".json", ".jsonl", ".ndjson"): "JSON; write it as CSV, as with pandas.read_json(...).to_csv",
     (
-        (".gpx", ".kml", ".kmz", ".fit"),
-        b"",
-        "a track; convert it to CSV, as: gpsbabel -i gpx -f IN -o unicsv -F track.csv",
-    ),
-    ((".json", ".jsonl", ".ndjson"), b"", "JSON; write it as CSV, as with pandas.read_json(...).to_csv"),
-    (
-        (".npy", ".npz", ".pkl"),
-        b"",
-        "arrays of Python; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
-    ),
-    ((".h5", ".hdf5"), b"\x89HDF", "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv"),
-    ((".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"), b"\x1f\x8b", "packed; unpack it"),
-    ((".db", ".sqlite"), b"", "a database; export its tables as CSV (a ROS 2 bag is called .db3)"),
-    (
-        (".pcap", ".pcapng"),
-        b"",
-        "packets of a network; decode them with the sensor's own program, and export CSV",
-    ),
-)
-"""Endings and first bytes of unsupported formats: their names, and how to convert them."""
+        ".npy",
+        ".npz",
+        ".pkl",
+    ): "arrays of Python; make a drive with sigmaswarm.Drive.from_arrays, or save them as CSV",
+    (".h5", ".hdf5"): "HDF5; write its tables as CSV, as with pandas.read_hdf(...).to_csv",
+    (".gz", ".bz2", ".xz", ".zst", ".7z", ".tar", ".tgz"): "packed; unpack it",
+    (".db", ".sqlite"): "a database; export its tables as CSV (a ROS 2 bag is called .db3)",
+    (".pcap", ".pcapng"): "packets of a network; decode them with the sensor's own program, and export CSV",
+}
+"""Endings of unsupported formats: their names, and how to convert them."""
+_MAGIC = {b"H Product:Blackbox": ".bbl", b"MDF  ": ".mf4", b"\x89HDF": ".h5", b"\x1f\x8b": ".gz"}
+"""First bytes of some of them."""
 
 
-class Reader(Protocol):
-    """Protocol of a module in ``readers/``."""
-
-    __name__: str
-
-    def recognizes(self, path: Path) -> bool:
-        """Return True if a file or folder looks like the format, by its name or first bytes; needs no library."""
-        ...
-
-    def open_log(self, path: Path, limits: Limits) -> AbstractContextManager[Source]:
-        """Open the log; InputError where it is broken, or the format's library is missing."""
-        ...
-
-
+@contextmanager
 def open_log(
     path: Path,
     form: str | None = None,
     limits: Limits | None = None,
     definitions: Sequence[Path] = (),
-) -> AbstractContextManager[Source]:
+) -> Generator[Log]:
     """Open a log of a format that is named, or found out by looking.
 
     Parameters
@@ -104,7 +87,7 @@ def open_log(
     Raises
     ------
     InputError
-        Nothing is there, it is empty, or no format fits.
+        Nothing is there, it is empty, broken or of no known format, or the format's library is missing.
     """
     if not path.exists():
         raise InputError(f"{path} does not exist; name a log file or its folder")
@@ -114,10 +97,9 @@ def open_log(
     form = form or format_of(path)
     for text in _texts(path, form):
         require_text(text)
-    reader = _reader(form)
-    if definitions and reader.__name__.endswith(".ros"):
-        return cast("Any", reader).open_log(path, limits or Limits(), definitions)
-    return reader.open_log(path, limits or Limits())
+    more = (definitions,) if form == "ros" else ()
+    with ExitStack() as stack:
+        yield _reader(form).open_log(path, limits or Limits(), stack, *more)
 
 
 def _texts(path: Path, form: str) -> list[Path]:
@@ -135,17 +117,21 @@ def format_of(path: Path) -> str:
     for name in READERS:
         if _reader(name).recognizes(path):
             return name
-    for endings, magic, what in NOT_READ:
-        if path.suffix.lower() in endings or (magic and first_bytes(path, 64).startswith(magic)):
+    kinds = {
+        path.suffix.lower(),
+        *(end for magic, end in _MAGIC.items() if first_bytes(path, 64).startswith(magic)),
+    }
+    for endings, what in NOT_READ.items():
+        if kinds & set(endings):
             raise InputError(f"{path}: is not read, since it is {what}")
     raise InputError(
         f"{path}: is of no format that is known here; name it with --format: {', '.join(READERS)}"
     )
 
 
-def _reader(name: str) -> Reader:
+def _reader(name: str) -> Any:
     if name not in READERS:
         near = difflib.get_close_matches(name, READERS, 1)
         hint = f"perhaps {near[0]}" if near else f"there are {', '.join(READERS)}"
         raise InputError(f"--format {name!r} is unknown; {hint}")
-    return cast("Reader", import_module(f"sigmaswarm.importing.readers.{READERS[name][0]}"))
+    return import_module(f"sigmaswarm.importing.readers.{READERS[name][0]}")

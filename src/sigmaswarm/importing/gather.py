@@ -1,18 +1,21 @@
 """From a log's batches to a drive's columns: expressions evaluated, rows that can't be used left out and counted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from shlex import quote
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.clocks import Nanoseconds, time_expression
-from sigmaswarm.importing.expressions import compile_expression
+from sigmaswarm.importing.dates import Nanoseconds
+from sigmaswarm.importing.expressions import Expression, compile_expression, fits, time_expression
+from sigmaswarm.importing.guess import SAMPLE
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.quantities import PLACEHOLDERS
-from sigmaswarm.importing.source import Part, Progress, Source
+from sigmaswarm.importing.source import FILES, Log, Part, Progress, Role
+from sigmaswarm.importing.times import time_of, wrong_unit
 from sigmaswarm.wording import names_shown, quoted, shown
 
 ROW = "row"
@@ -24,61 +27,86 @@ NO_VALUE = ("", "nan", "null", "none", "na", "n/a", "-")
 
 
 @dataclass
-class Columns:
-    """Columns of a part, gathered in chunks.
+class Gathered:
+    """Columns of a part: ``t`` in ns, and others, null where the log has no value.
 
     Attributes
     ----------
-    time : (n,) ns
-    values : by name, each (n,); NaN where the log has none
-    unkept, timeless : rows left out since ``keep`` is false, since they have no time
+    rows : in chunks
+    seen, unkept, timeless : rows of the table, those left out since ``keep`` is false, since they have no time
     placeholders : by column of the table, the marker of missing values, and its count
     """
 
     part: Part
-    time: Nanoseconds = field(default_factory=lambda: np.zeros(0, np.int64))
-    values: dict[str, Array] = field(default_factory=dict[str, Array])
+    expressions: dict[str, Expression]
+    rows: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
+    seen: int = 0
     unkept: int = 0
     timeless: int = 0
-    seen: int = 0
     placeholders: dict[str, tuple[float, int]] = field(default_factory=dict[str, tuple[float, int]])
-    chunks: list[pl.DataFrame] = field(default_factory=list[pl.DataFrame])
 
-    def add(self, frame: pl.DataFrame, source: Source) -> None:
+    def add(self, frame: pl.DataFrame, log: Log) -> None:
         """Evaluate the part's expressions on some rows of its table."""
         frame = frame.with_columns(pl.col(pl.String).str.strip_chars())
         if ROW not in frame.columns:
             frame = frame.with_columns(pl.int_range(self.seen, self.seen + len(frame)).alias(ROW))
-        _require_numbers(frame, self.part, source, self.seen)
+        self._require_numbers(frame, log)
         self.seen += len(frame)
         frame = self._without_placeholders(frame)
         try:
-            rows = self._evaluated(frame)
+            if (keep := self.expressions.get("keep")) is not None:
+                kept = frame.filter(keep.truth.fill_null(False))
+                self.unkept += len(frame) - len(kept)
+                frame = kept
+            values = {
+                n: e.polars.cast(pl.Float64) for n, e in self.expressions.items() if n not in ("t", "keep")
+            }
+            time = time_expression(self.part.columns["t"], frame)
+            rows = frame.lazy().select(t=time, **values).collect()
         except pl.exceptions.PolarsError as error:  # a list where a number is wanted, a text that is no date
             said = shown(" ".join(str(error).split("\n")[0].split()), 160)
             raise InputError(
-                f"{source.path}, {self.part.table}: its columns can't be made numbers ({said}); map others"
+                f"{log.path}, {self.part.table}: its columns can't be made numbers ({said}); map others"
             ) from None
         usable = rows.filter(pl.col("t").is_not_null())
         self.timeless += len(rows) - len(usable)
-        if len(usable):
-            self.chunks.append(usable)
+        self.rows += [usable] if len(usable) else []
+
+    def finish(self) -> tuple[Nanoseconds, dict[str, Array]]:
+        """The times (n,), ns, and the columns (n,); NaN where the log has no value."""
+        if not self.rows:
+            return np.zeros(0, np.int64), {}
+        whole = pl.concat(self.rows)
+        self.rows.clear()
+        columns = {name: whole[name].fill_null(np.nan) for name in whole.columns[1:]}
+        time = whole["t"].to_numpy().astype(np.int64)
+        return time, {name: column.to_numpy().astype(np.float64) for name, column in columns.items()}
+
+    def _require_numbers(self, frame: pl.DataFrame, log: Log) -> None:
+        """Refuse text where a number is needed, with its row."""
+        texts = {c for e in self.expressions.values() for c in e.numbers if frame.schema[c] == pl.String}
+        for name in sorted(texts, key=log.tables[self.part.table].columns.index):
+            said = frame[name]
+            wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
+            if wrong.fill_null(False).any():
+                i = int(wrong.fill_null(False).arg_max() or 0)
+                raise InputError(
+                    f"{log.path}, {shown(self.part.table)}, row {self.seen + i + 1} of the data, column {shown(name)}: "
+                    f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
+                    "holds dates"
+                )
 
     def _without_placeholders(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Null for placeholders: -999 or 1e10 far from all other values, or in both coordinates."""
-        texts = {n: compile_expression(t, frame.columns).numbers for n, t in self.part.columns.items()}
-        used = {c for n, columns in texts.items() if n not in ("t", "keep") for c in columns}
-        numbers = {
-            c: frame[c].cast(pl.Float64, strict=False)
-            for c in sorted(used)
-            if not frame.schema[c].is_nested()
-        }
-        marked = {c: values.is_in(PLACEHOLDERS).fill_null(False) for c, values in numbers.items()}
-        alone = {c: mark & _far(numbers[c], mark) for c, mark in marked.items() if mark.any()}
+        used = {n: e.numbers for n, e in self.expressions.items() if n not in ("t", "keep")}
+        names = [c for c in sorted(set().union(*used.values())) if not frame.schema[c].is_nested()]
+        numbers = frame.select(pl.col(names).cast(pl.Float64, strict=False))
+        marks = {s.name: mark for s in numbers if (mark := s.is_in(PLACEHOLDERS).fill_null(False)).any()}
+        alone = {name: mark & _far(numbers[name], mark) for name, mark in marks.items()}
         for first, second in (("lat", "lon"), ("x", "y")):
-            pair = [next(iter(texts[n])) for n in (first, second) if len(texts.get(n, ())) == 1]
+            pair = [c for n in (first, second) for c in used.get(n, ()) if len(used[n]) == 1]
             if len(pair) == 2 and all(c in alone for c in pair):
-                both = marked[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
+                both = marks[pair[0]] & (numbers[pair[0]] == numbers[pair[1]]).fill_null(False)
                 alone |= {c: alone[c] | both for c in pair}
         for column, mark in alone.items():
             if count := int(mark.sum()):
@@ -86,29 +114,6 @@ class Columns:
                 self.placeholders[column] = (value, self.placeholders.get(column, (value, 0))[1] + count)
                 frame = frame.with_columns(pl.when(~mark).then(pl.col(column)).alias(column))
         return frame
-
-    def _evaluated(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """The time and the values of the rows that are kept."""
-        texts = dict(self.part.columns)
-        keep, time = texts.pop("keep", None), texts.pop("t")
-        if keep:
-            kept = frame.filter(compile_expression(keep, frame.columns).truth.fill_null(False))
-            self.unkept += len(frame) - len(kept)
-            frame = kept
-        expressions = [
-            compile_expression(t, frame.columns).polars.cast(pl.Float64).alias(n) for n, t in texts.items()
-        ]
-        return frame.lazy().select(time_expression(time, frame).alias("t"), *expressions).collect()
-
-    def finish(self) -> "Columns":
-        """Put the chunks together."""
-        if self.chunks:
-            whole = pl.concat(self.chunks)
-            self.chunks = []
-            self.time = whole["t"].to_numpy().astype(np.int64)
-            for name in whole.columns[1:]:
-                self.values[name] = whole[name].fill_null(np.nan).to_numpy().astype(np.float64)
-        return self
 
 
 def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
@@ -120,56 +125,70 @@ def _far(numbers: pl.Series, marked: pl.Series) -> pl.Series:
     return ((numbers - middle).abs() > FAR * (high - low) + 1e-9).fill_null(False)
 
 
-def check_part(part: Part, source: Source, role: str) -> None:
-    """Refuse a part whose table or columns the log does not have, or that has no time."""
-    if part.table not in source.tables:
-        there = names_shown(source.tables)
-        raise InputError(f"{source.path}: has no {quoted(part.table)} for the {role}; there are {there}")
+def complete_part(part: Part, log: Log, role: Role) -> Part:
+    """A part with its table and time: the only table where none is named, and the column that looks like a time.
+
+    Raises
+    ------
+    InputError
+        The log has no such table or column, or the time has another unit.
+    """
+    part = _with_table(part, log, role)
+    columns = log.tables[part.table].columns
+    batches = log.batches({part.table: columns})
+    rows = next((rows.head(SAMPLE) for _, rows, _ in batches if len(rows)), None)
+    if rows is not None:
+        if "t" not in part.columns and (time := time_of(rows)) is not None:
+            part = replace(part, columns={"t": time, **part.columns})
+        elif unit := wrong_unit(part.columns.get("t", ""), rows, role):
+            raise InputError(f"{log.path}: {unit}")
     if "t" not in part.columns:
         raise InputError(
-            f"{source.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
+            f"{log.path}: which column of {shown(part.table)} is the time of the {role} was not found; "
             "say it with --time"
         )
-    columns = (*source.tables[part.table].columns, ROW)
     for text in part.columns.values():
         try:
-            compile_expression(text, columns)
+            compile_expression(text, (*columns, ROW))
         except InputError as error:
-            raise InputError(f"{source.path}, {shown(part.table)}: {error}") from None
+            raise InputError(f"{log.path}, {shown(part.table)}: {error}") from None
+    return part
 
 
-def gather(
-    source: Source, parts: Sequence[Part], progress: Progress, limits: Limits | None = None
-) -> list[Columns]:
+def _with_table(part: Part, log: Log, role: Role) -> Part:
+    """The table of a part that names none, or that names a file, of another day's log: the only one."""
+    if part.table in log.tables:
+        return part
+    if len(log.tables) == 1:
+        ((name, table),) = log.tables.items()
+        if not part.table or table.kind == FILES:
+            return replace(part, table=name)
+    if part.table:
+        there = names_shown(log.tables)
+        raise InputError(f"{log.path}: has no {quoted(part.table)} for the {role}; there are {there}")
+    columns = part.columns.values()
+    fitting = [n for n, table in log.tables.items() if all(fits(text, table.columns) for text in columns)]
+    chosen = quote(fitting[0]) if len(fitting) == 1 else "TABLE"
+    raise InputError(
+        f"{log.path}: none of its tables {names_shown(log.tables)} was chosen for {', '.join(part.columns)}; "
+        f"add --{role}-topic {chosen}, or write a recipe with table = ..."
+    )
+
+
+def gather(log: Log, parts: Sequence[Part], progress: Progress, limits: Limits) -> list[Gathered]:
     """Read the log once and evaluate all parts."""
-    limits = limits or Limits()
-    gathered = [Columns(part) for part in parts]
+    gathered: list[Gathered] = []
     wanted: dict[str, set[str]] = {}
     for part in parts:
-        columns = source.tables[part.table].columns
-        for text in part.columns.values():
-            used = compile_expression(text, (*columns, ROW)).columns
-            wanted.setdefault(part.table, set()).update(used if ROW in columns else used - {ROW})
-    for batch in source.batches(wanted):
+        columns = log.tables[part.table].columns
+        texts = {name: compile_expression(text, (*columns, ROW)) for name, text in part.columns.items()}
+        used = {c for expression in texts.values() for c in expression.columns}
+        wanted.setdefault(part.table, set()).update(used & {*columns})
+        gathered.append(Gathered(part, texts))
+    for table, rows, done in log.batches(wanted):
         for columns in gathered:
-            if columns.part.table == batch.table:
-                columns.add(batch.rows, source)
-                limits.check_rows(columns.seen, source.path, batch.table)
-        progress(batch.done)
-    return [columns.finish() for columns in gathered]
-
-
-def _require_numbers(frame: pl.DataFrame, part: Part, source: Source, seen: int) -> None:
-    """Refuse text where a number is needed, with its row."""
-    used = (compile_expression(text, frame.columns).numbers for text in part.columns.values())
-    texts = {n for names in used for n in names if frame.schema[n] == pl.String}
-    for name in sorted(texts, key=source.tables[part.table].columns.index):
-        said = frame[name]
-        wrong = said.cast(pl.Float64, strict=False).is_null() & ~said.str.to_lowercase().is_in(NO_VALUE)
-        if wrong.fill_null(False).any():
-            i = int(wrong.fill_null(False).arg_max() or 0)
-            raise InputError(
-                f"{source.path}, {shown(part.table)}, row {seen + i + 1} of the data, column {shown(name)}: "
-                f"{quoted(said[i])} is not a number; mend or delete the row, or use utc(...) where the column "
-                "holds dates"
-            )
+            if columns.part.table == table:
+                columns.add(rows, log)
+                limits.check_rows(columns.seen, log.path, table)
+        progress(done)
+    return gathered

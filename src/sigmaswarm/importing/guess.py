@@ -1,15 +1,15 @@
 """Guess the roles of a log's tables by the names, units and first values of their columns."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.names import Name, read_name
+from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.quantities import Columns, heading, place, quantity
 from sigmaswarm.importing.source import Fault, Guess, Part, Role
-from sigmaswarm.importing.times import Found, find_time, numbers_of
+from sigmaswarm.importing.times import Found, find_time, median_of, numbers_of
 from sigmaswarm.wording import names_shown
 
 SAMPLE = 2000
@@ -29,7 +29,7 @@ _WANTED: dict[Role, tuple[str, ...]] = {
     "truth": ("lat", "lon", "alt", "x", "y", "vx", "vy", "theta", "bearing"),
     "odometer": ("wheel_speed", "speed"),
 }
-_HINTS: dict[Role, str] = {
+_HINTS: dict[str, str] = {
     "imu": "imu",
     "gps": "gps|gnss|fix|location|position",
     "truth": "truth",
@@ -37,7 +37,7 @@ _HINTS: dict[Role, str] = {
 }
 
 
-def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] | None = None) -> Guess:
+def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str]) -> Guess:
     """Find the tables of IMU, fixes and truth, by their columns, and among several by their names.
 
     Parameters
@@ -45,8 +45,7 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
     samples : the first rows of each table
     chosen : the table of a role, if the user chose it
     """
-    chosen = chosen or {}
-    found = {table: find_columns(frame, table) for table, frame in samples.items()}
+    found = {table: _find_columns(frame, table) for table, frame in samples.items()}
     roles: dict[Role, tuple[Part, ...]] = {}
     notes: list[str] = []
     faults: list[Fault] = []
@@ -55,22 +54,30 @@ def guess_roles(samples: Mapping[str, pl.DataFrame], chosen: Mapping[str, str] |
             raise InputError(f"there is no table {chosen[role]!r}; there are {names_shown(samples)}")
         if not tables and role not in chosen:
             continue
-        best = chosen[role] if role in chosen else _best(tables, _HINTS[role])
-        notes.extend(_alike(role, best, [t for t in tables if t not in chosen.values()], samples))
-        parts = [best, *_rates_beside(best, found)] if role == "imu" else [best]
-        made = [_part(found[table], table, role) for table in parts]
-        roles[role] = tuple(part for part, _, _ in made)
-        notes += [note for _, said, _ in made for note in said]
-        faults += [fault for _, _, wrong in made for fault in wrong]
+        # the first table whose name fits, or else the first
+        best = chosen.get(role) or max(tables, key=lambda t: bool(re.search(_HINTS[role], t, re.IGNORECASE)))
+        others = [t for t in tables if t not in (best, *chosen.values())]
+        if alike := [t for t in others if samples[t].columns == samples[best].columns]:
+            notes.append(
+                f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {best}, and only {best} "
+                f"is taken for the {role}; choose with --{role}-table, and import each log into a drive of its own"
+            )
+        rates = [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
+        for table in [best, *rates] if role == "imu" and "gz" not in found[best] else [best]:
+            expressions: dict[str, str] = {}
+            for what, one in _expressions(found[table], role):
+                notes += [one.note] if one.note else []
+                faults += [Fault(role, what, table, one.fault)] if one.fault else []
+                expressions |= {what: one.expression} if one.expression else {}
+            roles[role] = (*roles.get(role, ()), Part(table, expressions))
     downward = _downward(found[roles["imu"][0].table]) if "imu" in roles else ""
     return Guess(roles, tuple(dict.fromkeys(notes)), downward=downward, faults=tuple(faults))
 
 
-def find_columns(frame: pl.DataFrame, table: str = "") -> Columns:
+def _find_columns(frame: pl.DataFrame, table: str) -> Columns:
     """Assign columns to quantities; of several candidates the first. x, y, z of an IMU's table are the IMU's."""
-    names = [read_name(column) for column in frame.columns]
     columns = Columns(frame)
-    for name in names:
+    for name in map(read_name, frame.columns):
         if (what := name.meaning) is not None and what != "t":
             columns.names.setdefault(what, name)
     letter = "a" if _FORCES.search(table) else "g" if _RATES.search(table) else ""
@@ -78,119 +85,61 @@ def find_columns(frame: pl.DataFrame, table: str = "") -> Columns:
         for axis in "xyz":
             if axis in columns:
                 columns.names.setdefault(f"{letter}{axis}", columns.names.pop(axis))
-    if "ax" in columns and columns.names["ax"].plain == "linear_x" and not _holds_gravity(columns):
-        columns.names = {what: name for what, name in columns.names.items() if what not in ("ax", "ay", "az")}
-    if _NO_PLACES.search(table) or "q" in columns or letter:
-        columns.names = {what: name for what, name in columns.names.items() if what not in ("x", "y")}
+    dropped = {"x", "y"} if _NO_PLACES.search(table) or "q" in columns or letter else set[str]()
+    if "ax" in columns and columns.names["ax"].plain == "linear_x":  # velocities have these names as well
+        size = columns.norm(["ax", "ay", "az"]) if columns.has("ax", "ay", "az") else 0.0
+        dropped |= set() if 8.0 < size < 12.0 or 0.85 < size < 1.15 else {"ax", "ay", "az"}
+    columns.names = {what: name for what, name in columns.names.items() if what not in dropped}
     return columns
-
-
-def _holds_gravity(columns: Columns) -> bool:
-    """Whether ax, ay, az are specific forces, in m/s2 or g, and no velocities, which have these names as well."""
-    size = columns.norm(["ax", "ay", "az"]) if columns.has("ax", "ay", "az") else 0.0
-    return 8.0 < size < 12.0 or 0.85 < size < 1.15
 
 
 def _candidates(found: Mapping[str, Columns]) -> dict[Role, list[str]]:
     """The tables that could give each role; where one has latitude and longitude, x and y are no fixes."""
-    whole = [t for t, c in found.items() if c.has("ax", "ay", "gz")]
-    forces = [
-        t for t, c in found.items() if c.has("ax", "ay") and not re.search("lin|gravity", t, re.IGNORECASE)
-    ]
-    rates = [t for t, c in found.items() if c.has("gz")]
-    placed = [t for t, c in found.items() if c.has("lat", "lon") and not _TRUTH.search(t)]
-    metres = [t for t, c in found.items() if c.has("x", "y") and not _TRUTH.search(t)]
-    return {
-        "imu": whole or (forces if rates else []),
-        "truth": [
-            t for t, c in found.items() if _TRUTH.search(t) and (c.has("lat", "lon") or c.has("x", "y"))
-        ],
-        "gps": placed or metres,
-        "odometer": [t for t, c in found.items() if _counted(t, c)],
+    forces = {t for t, c in found.items() if c.has("ax", "ay")}
+    rates = {t for t, c in found.items() if "gz" in c}
+    degrees = {t for t, c in found.items() if c.has("lat", "lon")}
+    located = degrees | {t for t, c in found.items() if c.has("x", "y")}
+    truth = {t for t in found if _TRUTH.search(t)}
+    loose = {t for t in forces if rates and not re.search("lin|gravity", t, re.IGNORECASE)}
+    counted = {
+        t
+        for t, c in found.items()
+        if "wheel_speed" in c or ("speed" in c and _WHEELS.search(t) and t not in located)
     }
-
-
-def _counted(table: str, columns: Columns) -> bool:
-    """Whether a table has the wheels' speed: by the column's name, or by the table's where it has no position."""
-    located = columns.has("lat", "lon") or columns.has("x", "y")
-    return "wheel_speed" in columns or ("speed" in columns and bool(_WHEELS.search(table)) and not located)
-
-
-def _rates_beside(table: str, found: Mapping[str, Columns]) -> list[str]:
-    """The table of angular rates for one that has accelerations alone."""
-    if "gz" in found[table]:
-        return []
-    return [t for t, c in found.items() if "gz" in c and not c.has("ax", "ay")][:1]
-
-
-def _part(columns: Columns, table: str, role: Role) -> tuple[Part, list[str], list[Fault]]:
-    """A table's part in a role, the assumptions, and reasons not to use a column."""
-    expressions: dict[str, str] = {}
-    notes: list[str] = []
-    faults: list[Fault] = []
-    for what, found in _expressions(columns, role):
-        if found.note:
-            notes.append(found.note)
-        if found.fault:
-            faults.append(Fault(role, what, table, found.fault))
-        if found.expression:
-            expressions[what] = found.expression
-    return Part(table, expressions), notes, faults
+    chosen: dict[Role, set[str]] = {
+        "imu": forces & rates or loose,
+        "truth": truth & located,
+        "gps": degrees - truth or located - truth,
+        "odometer": counted,
+    }
+    return {role: [t for t in found if t in tables] for role, tables in chosen.items()}
 
 
 def _expressions(columns: Columns, role: Role) -> Iterator[tuple[str, Found]]:
     """The drive's columns of a role, as expressions in a drive's units."""
-    time = find_time([read_name(c) for c in columns.frame.columns], columns.frame, role)
+    time = find_time(columns.frame, role)
     if time is not None:
         yield "t", time
     located = columns.has("lat", "lon")
     if located and role in ("gps", "truth"):
         yield from place(columns, role).items()
+    skipped = {"lat", "lon"} | ({"x", "y"} if located else set())
+    skipped |= {"bearing"} if ("theta" if role == "truth" else "course") in columns else set()
+    skipped |= {"speed"} if role == "odometer" and "wheel_speed" in columns else set()
     for what in _WANTED[role]:
-        if what not in columns or what in ("lat", "lon") or (what in ("x", "y") and located):
+        if what not in columns or what in skipped:
             continue
-        if what == "wheel_speed" or (what == "speed" and role == "odometer" and "wheel_speed" not in columns):
-            yield "speed", quantity(columns, what, role)
-        elif what == "bearing" and (
-            (role == "truth" and "theta" in columns) or (role == "gps" and "course" in columns)
-        ):
-            continue
-        elif what in ("course", "bearing", "theta"):
+        if what in ("course", "bearing", "theta"):
             yield ("theta" if role == "truth" else "course"), heading(columns, what, role)
-        elif what != "speed" or role in ("gps",):
-            yield what, quantity(columns, what, role)
+        else:
+            yield what.removeprefix("wheel_"), quantity(columns, what, role)
 
 
 def _downward(imu: Columns) -> str:
     """A sentence where the vertical axis of an IMU points down."""
-    middle = numbers_of(imu.frame[imu.names["az"].column]).median() if "az" in imu else 0.0
-    if float(middle or 0.0) >= 0:  # pyright: ignore[reportArgumentType]
+    if "az" not in imu or median_of(numbers_of(imu.frame[imu.names["az"].column])) >= 0:
         return ""
     return (
         f"{imu.names['az'].column} is negative, so that axis points down; where the others point forward "
         "and to the right, say --mount x=x,y=-y; `sigmaswarm doctor` tells whether it was right"
     )
-
-
-def _alike(
-    role: Role, taken: str, tables: Sequence[str], samples: Mapping[str, pl.DataFrame]
-) -> Iterator[str]:
-    """Tables of the same columns as the one that is taken: another part of the log, or another log."""
-    alike = [t for t in tables if t != taken and samples[t].columns == samples[taken].columns]
-    if alike:
-        yield (
-            f"{names_shown(alike)} {'has' if len(alike) == 1 else 'have'} the columns of {taken}, and only {taken} is "
-            f"taken for the {role}; choose with --{role}-table, and import each log into a drive of its own"
-        )
-
-
-def _best(tables: Sequence[str], hint: str) -> str:
-    """The first table whose name fits, or else the first."""
-    return max(tables, key=lambda table: bool(re.search(hint, table, re.IGNORECASE)))
-
-
-def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
-    """The expression of a table's time, if a column looks like it."""
-    names: list[Name] = [read_name(c) for c in frame.columns]
-    found = find_time(names, frame, role)
-    return found.expression or None if found else None

@@ -1,14 +1,15 @@
 """The parts of a role joined into one table: times in order, rows complete; omissions are reported."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.clocks import SECOND, Nanoseconds
-from sigmaswarm.importing.gather import Columns
+from sigmaswarm.importing.dates import SECOND, Nanoseconds
+from sigmaswarm.importing.gather import Gathered
 from sigmaswarm.importing.places import Say, Values, good_places, with_longitudes
 from sigmaswarm.importing.source import Role
 from sigmaswarm.importing.timeline import in_order, require_likely
@@ -20,10 +21,13 @@ TURNS = {"course": 2 * np.pi, "theta": 2 * np.pi, "lon": 360.0}
 """Columns of angles, with a full turn: rad, rad, deg."""
 SPARSE = 0.1
 """An optional column that is empty in more than this share of the rows is left out, instead of the rows."""
+POSITIONS = ("lat", "lon", "x", "y")
+TOGETHER = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+"""Columns that are left out together."""
 
 
 def join(
-    parts: Sequence[Columns], role: Role, required: Sequence[str], say: Say, recording: int | None = None
+    parts: Sequence[Gathered], role: Role, required: Sequence[str], say: Say, recording: int | None = None
 ) -> tuple[Nanoseconds, Values]:
     """One table of a role's parts: at the first part's times, the others interpolated between their neighbours.
 
@@ -31,8 +35,7 @@ def join(
     ----------
     recording : its number, from 1, if a clock restarts within a table
     """
-    first, *others = [_in_order(part, role, recording, say) for part in parts]
-    time, values = first
+    (time, values), *others = [_in_order(part, role, recording, say) for part in parts]
     for other_time, other in others:
         if not len(other_time):
             continue
@@ -42,18 +45,13 @@ def join(
         if not inside.any():
             raise InputError(f"the {role}: its tables have no time in common; put them on one clock")
         time, values = time[inside], {k: v[inside] for k, v in values.items()}
-        since = other_time[0] if len(other_time) else 0
+        at, known_at = ((t - other_time[0]) / SECOND for t in (time, other_time))
         for name, column in other.items():
             known = np.isfinite(column)
             if known.any():
                 target = name.removeprefix("+")
                 added = values.get(target, 0.0) if name.startswith("+") else 0.0
-                values[target] = added + _between(
-                    (time - since) / SECOND,
-                    (other_time[known] - since) / SECOND,
-                    column[known],
-                    TURNS.get(target),
-                )
+                values[target] = added + _between(at, known_at[known], column[known], TURNS.get(target))
     return _complete_rows(time, values, role, required, say)
 
 
@@ -76,49 +74,47 @@ def _between(time: Array, known: Array, values: Array, turn: float | None) -> Ar
     return np.where(wraps, angle - np.copysign(turn, angle), angle)
 
 
-def _in_order(part: Columns, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
+def _in_order(part: Gathered, role: Role, number: int | None, say: Say) -> tuple[Nanoseconds, Values]:
     """A part's rows with their times strictly increasing."""
+    time, values = part.finish()
     table = shown(part.part.table)
+    where = f"{role}: {table}"
     if part.unkept:
-        say(
-            f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {part.part.columns['keep']} is not true"
-        )
+        keep = part.part.columns["keep"]
+        say(f"{role}: {part.unkept} of {part.seen} rows of {table} left out: {keep} is not true")
     if part.timeless:
         say(f"{role}: {part.timeless} rows of {table} without a time left out")
-    time, values = part.time, part.values
     if not len(time):
         why = "no usable row; --show shows what it holds"
         if part.timeless:
             why = "no time within 292 years of 1970; say its column and unit with --time"
         raise InputError(f"the {role}: {table} holds {why}")
-    where = f"{role}: {table}"
     for name, (value, count) in part.placeholders.items():
         say(f"{where}: {count} values of {shown(name)} are {value:g}, a placeholder: left out")
-    filled = np.any([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+    filled = _finite(values, len(time)).any(axis=0)
     if 0 < (empty := int(np.count_nonzero(~filled))) < 0.5 * len(time):
         say(f"{role}: {empty} rows with an empty cell left out")
-    if role == "gps":
-        filled &= ~_repeats(time, values)
+    if role == "gps":  # a row that repeats the time and the place of the row before
+        same = [np.diff(column) == 0 for column in (time, *(values[n] for n in POSITIONS if n in values))]
+        filled &= ~np.append(False, np.all(same, axis=0))
     if filled.any():
-        time, values = time[filled], {k: v[filled] for k, v in values.items()}
-    line = in_order(time, role, where, number)
-    for note in line.notes:
-        say(note)
-    require_likely(line.time, role, where, part.part.columns["t"])
-    values = {k: v[line.rows] for k, v in values.items()}
+        time, values = time[filled], _rows(values, filled)
+    time, rows = in_order(time, role, where, number, say)
+    require_likely(time, role, where, part.part.columns["t"])
+    values = _rows(values, rows)
     if role not in ("gps", "truth"):
-        return line.time, values
-    good = good_places(line.time, values, role, say)
-    return line.time[good], with_longitudes({k: v[good] for k, v in values.items()}, role, say)
+        return time, values
+    good = good_places(time, values, role, say)
+    return time[good], with_longitudes(_rows(values, good), role, say)
 
 
-def _repeats(time: Nanoseconds, values: Values) -> NDArray[np.bool_]:
-    """The rows (n,) that repeat the row before, its time and its place."""
-    same = np.diff(time) == 0
-    for name in ("lat", "lon", "x", "y"):
-        if name in values:
-            same &= np.diff(values[name]) == 0
-    return np.concatenate([[False], same])
+def _rows(values: Values, rows: Any) -> Values:
+    return {name: column[rows] for name, column in values.items()}
+
+
+def _finite(values: Values, count: int) -> NDArray[np.bool_]:
+    """Whether each value is finite (columns, rows); a row of True where there are no columns."""
+    return np.array([np.isfinite(v) for v in values.values()] or [np.ones(count, bool)], bool)
 
 
 def _complete_rows(
@@ -129,24 +125,20 @@ def _complete_rows(
         if name not in values or not np.isfinite(values[name]).any():
             raise InputError(f"the {role}: nothing gives {name}; say what does with --map {role}.{name}=...")
     values = dict(values)
-    for name in ("std_x", "std_y"):
-        if name in values:
-            values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
-    positions = ("lat", "lon", "x", "y")
-    together = (("std_x", "std_y"), ("speed", "course"), ("vx", "vy"))
+    for name in values.keys() & {"std_x", "std_y"}:
+        values[name] = np.where(values[name] > LEAST_STD, values[name], np.nan)
     # positions may be sparse (one table with IMU and fixes); other sparse columns are omitted
-    placed = np.all(
-        [np.isfinite(values[n]) for n in positions if n in values] or [np.ones(len(time), bool)], axis=0
-    )
-    for name in [n for n in values if n not in positions and n not in required]:
-        empty = ~np.isfinite(values[name][placed]) if name in values and placed.any() else np.zeros(0)
-        if empty.size and np.mean(empty) > SPARSE:
-            gone = next((pair for pair in together if name in pair), (name,))
+    placed = _finite({n: values[n] for n in POSITIONS if n in values}, len(time)).all(axis=0)
+    for name in [n for n in values if n not in POSITIONS and n not in required]:
+        if name not in values or not placed.any():
+            continue
+        empty = ~np.isfinite(values[name][placed])
+        if np.mean(empty) > SPARSE:
+            gone = next((pair for pair in TOGETHER if name in pair), (name,))
             if not empty.all():
                 say(f"{role}: {' and '.join(gone)} left out, empty in {np.mean(empty):.0%} of the rows")
-            for other in gone:
-                values.pop(other, None)
-    full = np.all([np.isfinite(v) for v in values.values()] or [np.ones(len(time), bool)], axis=0)
+            values = {n: column for n, column in values.items() if n not in gone}
+    full = _finite(values, len(time)).all(axis=0)
     if not full.any():
         raise InputError(
             f"the {role}: no row has all of {', '.join(values)}; leave one out with --map {role}.NAME="
@@ -154,17 +146,13 @@ def _complete_rows(
     sparse = role == "gps" and np.mean(placed) < 0.5
     if (left := int(np.count_nonzero(~full))) and not sparse:
         say(f"{role}: {left} rows with an empty cell left out")
-    time, values = time[full], {k: v[full] for k, v in values.items()}
-    return (time, values) if role != "gps" else _changed_only(time, values, say)
-
-
-def _changed_only(time: Nanoseconds, values: Values, say: Say) -> tuple[Nanoseconds, Values]:
-    """Fixes that are repeated until the next one comes (a table at the IMU's rate) count once."""
-    position = [values[n] for n in ("lat", "lon", "x", "y") if n in values]
-    if not position:
+    time, values = time[full], _rows(values, full)
+    position = [values[n] for n in POSITIONS if n in values]
+    if role != "gps" or not position or len(time) < 10:
         return time, values
     changed = np.append(True, np.any([np.diff(p) != 0 for p in position], axis=0))
-    if len(time) < 10 or np.mean(changed) > 0.5:
+    if np.mean(changed) > 0.5:
         return time, values
+    # fixes that are repeated until the next one comes (a table at the IMU's rate) count once
     say(f"gps: {int(np.count_nonzero(~changed))} rows that repeat the position before left out")
-    return time[changed], {k: v[changed] for k, v in values.items()}
+    return time[changed], _rows(values, changed)

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,21 +9,20 @@ import polars as pl
 
 from sigmaswarm.drives.drive import Drive
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.clocks import SECOND, time_expression
 from sigmaswarm.importing.convert import (
     Request,
     complete_recipe,
     faults_left,
-    guess_of,
-    home_of,
     import_drive,
-    open_logs,
+    notes_of,
+    opened,
 )
-from sigmaswarm.importing.guess import time_of
+from sigmaswarm.importing.dates import SECOND
+from sigmaswarm.importing.expressions import time_expression
 from sigmaswarm.importing.proposal import Proposal, judged, proposed
 from sigmaswarm.importing.recipe import Recipe
-from sigmaswarm.importing.source import ROLES, Role, Source
-from sigmaswarm.importing.times import numbers_of
+from sigmaswarm.importing.source import ROLES, Log, Role
+from sigmaswarm.importing.times import numbers_of, time_of
 
 SAMPLE = 5000
 """Rows of a table from which ranges are computed."""
@@ -77,68 +75,55 @@ class Look:
         for glance in self.tables:
             names = [r.column for r in glance.ranges]
             left = tuple(c for c in names if not re.search(rf"(?<![\w.]){re.escape(c)}(?![\w.])", said))
-            if left:
-                unread[glance.table] = left
+            unread |= {glance.table: left} if left else {}
         return unread
+
+
+Beginnings = Mapping[Path, Mapping[str, pl.DataFrame]]
+"""The first rows of every table of every log."""
 
 
 def look(request: Request) -> Look:
     """Look at the beginning of each log. Writes nothing, and a guess that fails is a note."""
-    notes: list[str] = []
-    with ExitStack() as stack:
-        sources = open_logs(request, stack)
-        guesses = {path: guess_of(source, request) for path, source in sources.items()}
+    with opened(request) as (logs, guesses):
         try:
             recipe = complete_recipe(request, guesses)
-            notes += faults_left(request, recipe, guesses)
+            notes = faults_left(request, recipe, guesses)
         except InputError as error:
             recipe, notes = request.recipe, [str(error)]
         times = {
-            (home_of(role, request), part.table): part.columns["t"]
+            (request.home(role), part.table): part.columns["t"]
             for role in ROLES
             for part in recipe.roles.get(role, ())
             if "t" in part.columns
         }
+        first: Beginnings = {path: beginnings(log) for path, log in logs.items()}
         tables = [
-            _glance(table, frame, source, times.get((path, table)))
-            for path, source in sources.items()
-            for table, frame in _beginnings(source).items()
+            Glance(name, table.kind, table.rows, _rate(rows, times.get((path, name))), tuple(_ranges(rows)))
+            for path, log in logs.items()
+            for name, table in log.tables.items()
+            for rows in [first[path][name]]
         ]
-        columns = {
-            path: {
-                name: {c: c for c in frame.columns} | _time(frame)
-                for name, frame in _beginnings(source).items()
-            }
-            for path, source in sources.items()
-        }
-    for source in sources.values():
-        notes += source.remarks
-    for guess in guesses.values():
-        notes += guess.said(mounted=bool(recipe.mount))
-    proposal, evidence = _proposal(request, recipe, columns)
+    notes += notes_of(logs, guesses, recipe)
+    proposal, evidence = _proposal(request, recipe, first)
     return Look(tuple(tables), recipe, tuple(dict.fromkeys(notes)), proposal, evidence)
 
 
-def _time(frame: pl.DataFrame) -> dict[str, str]:
-    time = time_of(frame) if len(frame) else None
-    return {} if time is None else {"t": time}
-
-
-def _proposal(
-    request: Request, recipe: Recipe, columns: Mapping[Path, Mapping[str, Mapping[str, str]]]
-) -> tuple[str, str]:
+def _proposal(request: Request, recipe: Recipe, first: Beginnings) -> tuple[str, str]:
     """The options that would read unrecognized columns, and how far they were checked; else empty."""
     tables: dict[Role, str] = {}
     found: dict[Role, Mapping[str, str]] = {}
     for role in ("imu", "gps"):
-        there = columns[home_of(role, request)]
+        there = first[request.home(role)]
         parts = recipe.roles.get(role, ())
         known = {name: text for part in parts for name, text in part.columns.items()}
-        chosen = {part.table: there[part.table] for part in parts if part.table in there} or there
-        if (one := proposed(chosen, role, known)) is not None:
-            found[role] = one[1]
+        chosen = [part.table for part in parts if part.table in there] or list(there)
+        if (one := proposed({table: there[table].columns for table in chosen}, role, known)) is not None:
+            table, columns = one
+            time = time_of(there[table]) if "t" not in known and len(there[table]) else None
+            found[role] = ({"t": time} if time else {}) | columns
             if not parts and len(there) > 1:
-                tables[role] = one[0]
+                tables[role] = table
     if not found:
         return "", ""
 
@@ -151,48 +136,39 @@ def _proposal(
     return proposal.options, evidence
 
 
-def _beginnings(source: Source) -> dict[str, pl.DataFrame]:
+def beginnings(log: Log) -> dict[str, pl.DataFrame]:
     """The first rows of every table."""
-    wanted = {name: table.columns for name, table in source.tables.items() if table.columns}
-    rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in source.tables}
-    mixed = getattr(source, "interleaved", False)
-    for some in [wanted] if mixed else [{name: columns} for name, columns in wanted.items()]:
+    wanted = {name: table.columns for name, table in log.tables.items() if table.columns}
+    rows: dict[str, pl.DataFrame] = {name: pl.DataFrame() for name in log.tables}
+    for some in [wanted] if log.mixed else [{name: columns} for name, columns in wanted.items()]:
         seen = 0
-        for batch in source.batches(some):
-            seen += len(batch.rows)
-            held = rows[batch.table]
-            if len(held) < SAMPLE:
-                new = batch.rows.head(SAMPLE - len(held))
-                rows[batch.table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
+        for table, batch, _ in log.batches(some):
+            seen += len(batch)
+            held = rows[table]
+            new = batch.head(max(SAMPLE - len(held), 0))
+            rows[table] = pl.concat([held, new], how="vertical_relaxed") if len(held) else new
             if seen >= LOOKED_AT or all(len(rows[name]) >= SAMPLE for name in some):
                 break
     return rows
 
 
-def _glance(name: str, frame: pl.DataFrame, source: Source, time: str | None) -> Glance:
-    table = source.tables[name]
-    return Glance(name, table.kind, table.rows, _rate(frame, time), tuple(_ranges(frame)))
-
-
-def _rate(frame: pl.DataFrame, time: str | None) -> float | None:
+def _rate(rows: pl.DataFrame, time: str | None) -> float | None:
     """Hz, from the median step of the time; None without one."""
-    time = time or (time_of(frame) if len(frame) else None)
-    if time is None or len(frame) < 2:
+    if len(rows) < 2 or (time := time or time_of(rows)) is None:
         return None
     try:
-        steps = frame.select(time_expression(time, frame).alias("t"))["t"].diff().drop_nulls()
+        steps = rows.select(time_expression(time, rows).alias("t"))["t"].diff().drop_nulls()
     except pl.exceptions.PolarsError:  # a list, or a text that is no date
         return None
     step = steps.filter(steps > 0).median()
     return SECOND / step if isinstance(step, int | float) and step > 0 else None
 
 
-def _ranges(frame: pl.DataFrame) -> Iterator[Range]:
-    for name in frame.columns:
-        values = frame[name].drop_nulls()
-        example = str(values.first() if len(values) else "")
-        numbers = numbers_of(values)
-        if len(numbers):
-            yield Range(name, *(float(v) for v in (numbers.min(), numbers.median(), numbers.max())), example)  # type: ignore
-        else:
-            yield Range(name, None, None, None, example)
+def _ranges(rows: pl.DataFrame) -> Iterator[Range]:
+    for values in rows:
+        filled = values.drop_nulls()
+        example = str(filled.first() if len(filled) else "")
+        numbers = numbers_of(filled)
+        shape = (numbers.min(), numbers.median(), numbers.max()) if len(numbers) else (None, None, None)
+        low, middle, high = (None if v is None else float(v) for v in shape)  # type: ignore[arg-type]
+        yield Range(values.name, low, middle, high, example)

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from sigmaswarm.importing.units import COUNTS, Unit, parse_unit
+from sigmaswarm.importing.units import COUNTS, PARTS_OF_SECONDS, Unit, parse_unit
 
 LONGEST_NAME = 200
 """Characters of a name that can mean something."""
@@ -20,17 +20,6 @@ CLOCK = (
 """Names of times that are taken where a table has none of the usual ones."""
 STAMP = "(?:.*_)?header_(?:time_?)?stamp"
 """The time of a ROS message's header, in tables made of bags."""
-_OWN_UNITS = {"millis": "ms", "milliseconds": "ms", "ms": "ms", "micros": "us", "microseconds": "us", "us": "us",
-              "nanos": "ns", "nanoseconds": "ns", "ns": "ns"}  # fmt: skip
-"""Names of times that are a unit."""
-SECONDS = ("s", "sec", "secs", "second", "seconds")
-PARTS_OF_SECONDS = {
-    **dict.fromkeys(
-        ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds", "nanos"), 1e-9
-    ),
-    **dict.fromkeys(("us", "usec", "usecs", "microsec", "microseconds", "micros"), 1e-6),
-    **dict.fromkeys(("msec", "msecs", "millisec", "milliseconds", "millis"), 1e-3),
-}
 WEEK = "(?:gps|gnss)?_?(?:week|wn|weeks)(?:_?(?:no|num|number))?"
 TIME_OF_WEEK = (
     "(?:gps|gnss)?_?(?:i?tow|sow|wsec|(?:time|secs?|seconds|ms)_?(?:of|in|into)_?(?:the_)?week|"
@@ -127,7 +116,7 @@ def read_name(column: str) -> Name:
     if len(text) > LONGEST_NAME:
         return Name(column, "")
     if element := re.fullmatch(r"([^\[\]]{1,100})\[([012])\]", text):
-        return _element(column, element[1], "xyz"[int(element[2])])
+        return _with_unit(column, plain_words(element[1]), "xyz"[int(element[2])])
     if text and text[-1] in ")]":
         begin = text.rfind("(" if text[-1] == ")" else "[")
         if begin > 0:
@@ -136,32 +125,26 @@ def read_name(column: str) -> Name:
     plain = "_".join(words)
     if len(words) > 2 and words[-2] == "in":
         return Name(column, "_".join(words[:-2]), parse_unit(words[-1]))
-    if plain in _OWN_UNITS:
-        return Name(column, plain, parse_unit(_OWN_UNITS[plain]))
-    if meaning_of_plain(plain) is not None:
-        return Name(column, plain)
+    if plain in PARTS_OF_SECONDS:
+        return Name(column, plain, parse_unit(plain))
+    return Name(column, plain) if meaning_of_plain(plain) is not None else _with_unit(column, words)
+
+
+def _with_unit(column: str, words: list[str], axis: str = "") -> Name:
+    """A name whose last words, before an axis, are a unit; without a unit where they are none."""
     for count in (3, 2, 1):
-        unit = _unit_of(words[-count:]) if len(words) > count else None
-        rest = "_".join(words[:-count])
-        counts = words[-1:] != ["raw"] and bool(set(words[-1:]) & set(COUNTS))
-        timed = re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
+        unit = unit_of(words[-count:]) if len(words) > count else None
+        rest = "_".join([*words[:-count], *axis])
+        counts = not axis and {*words[-1:]} & {*COUNTS} - {"raw"}
+        timed = not axis and re.fullmatch(f"{CLOCK}|{TIME_OF_WEEK}|{STAMP}", rest)
         if unit is not None and (unit.known or counts) and (meaning_of_plain(rest) or timed):
             return Name(column, rest, unit)
-    return Name(column, plain)
+    return Name(column, "_".join([*words, *axis]))
 
 
-def _element(column: str, text: str, axis: str) -> Name:
-    """The name of an element of an array, accelerometer_m_s2[0]: its axis stands behind, its unit in front."""
-    words = plain_words(text)
-    for count in (3, 2, 1):
-        unit = _unit_of(words[-count:]) if len(words) > count else None
-        plain = "_".join([*words[:-count], axis])
-        if unit is not None and unit.known and meaning_of_plain(plain):
-            return Name(column, plain, unit)
-    return Name(column, "_".join([*words, axis]))
-
-
-def _unit_of(words: list[str]) -> Unit | None:
+def unit_of(words: list[str]) -> Unit | None:
     """The unit that the last words of a name state: ["deg", "s"], ["m", "s", "2"], ["dps"]."""
-    first, *rest = words
-    return parse_unit(first if not rest else f"{first}/{rest[0]}{''.join(rest[1:])}")
+    first, *rest = [word for word in words if word != "per"] or [""]
+    if words[:1] == ["per"]:
+        return None
+    return parse_unit(f"{first}/{''.join(rest)}" if rest else first)

@@ -12,31 +12,19 @@ import tomli_w
 from sigmaswarm.drives.description import value_shown
 from sigmaswarm.errors import InputError
 from sigmaswarm.files import make_folder, write_whole
-from sigmaswarm.importing.source import ROLES, Guess, Part, Role
+from sigmaswarm.importing.source import ROLES, Part, Role
 from sigmaswarm.limits import read_toml_text
 from sigmaswarm.wording import quoted, shown
 
 COLUMNS: dict[Role, tuple[str, ...]] = {
     "imu": ("t", "ax", "ay", "az", "gx", "gy", "gz", "keep"),
     "gps": (
-        *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y", "speed", "course"),
-        *("vx", "vy", "keep"),
+        *("t", "lat", "lon", "alt", "x", "y", "std_x", "std_y"),
+        *("speed", "course", "vx", "vy", "keep"),
     ),
     "truth": (
-        "t",
-        "x",
-        "y",
-        "lat",
-        "lon",
-        "alt",
-        "vx",
-        "vy",
-        "speed",
-        "course",
-        "forward",
-        "left",
-        "theta",
-        "keep",
+        *("t", "x", "y", "lat", "lon", "alt", "vx", "vy"),
+        *("speed", "course", "forward", "left", "theta", "keep"),
     ),
     "odometer": ("t", "speed", "keep"),
 }
@@ -44,13 +32,12 @@ COLUMNS: dict[Role, tuple[str, ...]] = {
 north), ``forward, left`` (m/s in the body), ``speed, course`` and ``lat, lon, alt`` of the truth, and ``keep``, which
 rows count. A further table's ``+ax`` is added to ``ax``."""
 
-_SETTINGS: dict[str, type] = {
+_SETTINGS: dict[str, type | int] = {
     "mount": str,
-    "gps_offset_s": float,
-    "truth_offset_s": float,
-    "odometer_offset_s": float,
+    **dict.fromkeys(("gps_offset_s", "truth_offset_s", "odometer_offset_s"), float),
+    **{"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2},
 }
-_PLACES = {"origin": 3, "gps_lever_arm_m": 3, "gps_from_truth": 2}
+"""Kinds of the settings; for several numbers how many."""
 
 
 @dataclass(frozen=True)
@@ -89,20 +76,16 @@ class Recipe:
             content = tomllib.loads(text)
         except (ValueError, RecursionError) as error:  # also numbers of 5000 digits, and lists 3000 deep
             raise InputError(f"{path} is not valid TOML: {shown(error, 160)}; mend that line") from None
-        known = (*ROLES, *_SETTINGS, *_PLACES)
+        known = (*ROLES, *_SETTINGS)
         if unknown := sorted(set(content) - set(known)):
             raise InputError(f"{path}: {quoted(unknown[0])} is unknown; the keys are {', '.join(known)}")
-        settings = {
-            key: _setting(content[key], key, path) for key in (*_SETTINGS, *_PLACES) if key in content
-        }
-        roles: dict[Role, tuple[Part, ...]] = {
-            role: tuple(_parts(content[role], role, path)) for role in ROLES if role in content
-        }
-        return cls(roles=roles, **settings)
+        settings = {key: _setting(content[key], key, path) for key in _SETTINGS if key in content}
+        there: list[Role] = [role for role in ROLES if role in content]
+        return cls(roles={role: tuple(_parts(content[role], role, path)) for role in there}, **settings)
 
     def to_toml(self) -> str:
         """The recipe as TOML that ``load`` reads."""
-        content: dict[str, Any] = {k: v for k in (*_SETTINGS, *_PLACES) if (v := getattr(self, k))}
+        content: dict[str, Any] = {k: v for k in _SETTINGS if (v := getattr(self, k))}
         for role, parts in self.roles.items():
             content[role] = [{"table": part.table, **part.columns} for part in parts]
         return tomli_w.dumps(content)
@@ -112,8 +95,7 @@ class Recipe:
         for role, parts in self.roles.items():
             for part in parts:
                 of = f" of {part.table}" if part.table else ""
-                columns = (f"{k}={v}" for k, v in part.columns.items())
-                yield f"{role}{of}: {', '.join(columns)}"
+                yield f"{role}{of}: {', '.join(f'{k}={v}' for k, v in part.columns.items())}"
 
     def save(self, path: Path) -> None:
         """Write the recipe as a file."""
@@ -122,33 +104,26 @@ class Recipe:
 
 
 def _setting(value: Any, key: str, path: Path) -> Any:
-    length = _PLACES.get(key)
-    if length:
-        values = cast("list[Any]", value if isinstance(value, list) else [])
-        if len(values) == length and all(type(v) in (int, float) and abs(v) < 1e300 for v in values):
-            return tuple(float(v) for v in values)
-        raise InputError(f"{path}: {key} = {value_shown(value)} can't be used; write {length} numbers")
     kind = _SETTINGS[key]
-    if kind is float and type(value) in (int, float) and abs(value) < 1e300:
-        return float(value)
-    if isinstance(value, kind):
+    if kind is str and isinstance(value, str):
         return value
-    raise InputError(
-        f"{path}: {key} = {value_shown(value)} can't be used; write {'text' if kind is str else 'a number'}"
-    )
+    values = cast("list[Any]", value if isinstance(kind, int) and isinstance(value, list) else [value])
+    wanted = kind if isinstance(kind, int) else 1
+    sound = len(values) == wanted and all(type(v) in (int, float) and abs(v) < 1e300 for v in values)
+    if kind is not str and sound:
+        return tuple(map(float, values)) if isinstance(kind, int) else float(values[0])
+    what = f"{kind} numbers" if isinstance(kind, int) else "text" if kind is str else "a number"
+    raise InputError(f"{path}: {key} = {value_shown(value)} can't be used; write {what}")
 
 
 def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
-    entries = cast("list[Any]", content if isinstance(content, list) else [content])
-    for entry in entries:
+    for entry in cast("list[Any]", content if isinstance(content, list) else [content]):
         if not isinstance(entry, dict):
             raise InputError(
                 f"{path}: {role} = {value_shown(entry)} can't be used; write [[{role}]] and its columns below"
             )
-        columns = {
-            str(k): v if isinstance(v, str) else value_shown(v)
-            for k, v in cast("dict[str, Any]", entry).items()
-        }
+        cells = cast("dict[str, Any]", entry)
+        columns = {str(k): v if isinstance(v, str) else value_shown(v) for k, v in cells.items()}
         table = columns.pop("table", "")
         if unknown := sorted(c for c in columns if c.removeprefix("+") not in COLUMNS[role]):
             raise InputError(
@@ -157,8 +132,10 @@ def _parts(content: Any, role: Role, path: Path) -> Iterator[Part]:
         yield Part(table, columns)
 
 
-def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> Guess:
-    """Replace parts of the guess by mappings of the user, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``.
+def with_maps(
+    roles: Mapping[Role, tuple[Part, ...]], maps: Sequence[str], times: Mapping[Role, str]
+) -> dict[Role, tuple[Part, ...]]:
+    """Replace expressions by mappings of the user, ``ax=-acc_y*9.80665`` or ``gps.t=stamp``; "az=" omits a column.
 
     Parameters
     ----------
@@ -169,23 +146,22 @@ def with_maps(guess: Guess, maps: Sequence[str], times: Mapping[Role, str]) -> G
     InputError
         An entry is no ``column=expression``, or no role has such a column.
     """
-    roles = {role: list(parts) for role, parts in guess.roles.items()}
-    for entry in maps:
-        role, column, expression = _entry(entry)
-        parts = roles.setdefault(role, [])
-        if not parts:
-            parts.append(Part("", {}))
+    mapped: dict[Role, list[Part]] = {role: list(parts) for role, parts in roles.items()}
+    timed: set[Role] = set()
+    for role, column, expression in map(_entry, maps):
+        parts = mapped.setdefault(role, [])
+        parts += [] if parts else [Part("", {})]
         place = next((i for i, part in enumerate(parts) if column in part.columns), 0)
-        if column == "t" or expression:
-            parts[place] = replace(parts[place], columns={**parts[place].columns, column: expression})
-        else:  # "az=" leaves the column out
-            left = {k: v for k, v in parts[place].columns.items() if k != column}
-            parts[place] = replace(parts[place], columns=left)
-    said = {role for role, column, _ in map(_entry, maps) if column == "t"}
+        columns = {**parts[place].columns, column: expression}
+        if column == "t":
+            timed.add(role)
+        elif not expression:
+            del columns[column]
+        parts[place] = replace(parts[place], columns=columns)
     for role, time in times.items():
-        if role in roles and role not in said:
-            roles[role] = [replace(part, columns={**part.columns, "t": time}) for part in roles[role]]
-    return replace(guess, roles={role: tuple(parts) for role, parts in roles.items()})
+        if role in mapped and role not in timed:
+            mapped[role] = [replace(part, columns={**part.columns, "t": time}) for part in mapped[role]]
+    return {role: tuple(parts) for role, parts in mapped.items()}
 
 
 def mapped_roles(maps: Sequence[str]) -> frozenset[str]:
@@ -208,12 +184,9 @@ def _entry(text: str) -> tuple[Role, str, str]:
         raise InputError(
             f"--map {text!r}: {prefix!r} is none of {', '.join(ROLES)}; write for example gps.t=stamp"
         )
-    for role in ROLES:  # x, y without a role are the fixes'; t, keep the IMU's
-        if (prefix or role) == role and column in COLUMNS[role]:
+    roles: list[Role] = [role for role in ROLES if prefix in ("", role)]
+    for role in roles:  # x, y without a role are the fixes'; t, keep the IMU's
+        if column in COLUMNS[role]:
             return role, column, expression.strip()
-    home = (
-        COLUMNS[cast("Role", prefix)]
-        if prefix
-        else tuple(dict.fromkeys(c for r in ROLES for c in COLUMNS[r]))
-    )
-    raise InputError(f"--map {text!r}: there is no column {column!r} to map to; there are {', '.join(home)}")
+    there = dict.fromkeys(c for role in roles for c in COLUMNS[role])
+    raise InputError(f"--map {text!r}: there is no column {column!r} to map to; there are {', '.join(there)}")

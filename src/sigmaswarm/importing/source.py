@@ -1,28 +1,31 @@
-"""Interface of readers: a log as named tables of columns, read in batches."""
+"""A log as named tables that are read in batches, and the parts of its tables that make a drive."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.wording import quoted
+from sigmaswarm.importing.expressions import fits
+from sigmaswarm.wording import quoted, shown
 
 Role = Literal["imu", "gps", "truth", "odometer"]
 ROLES: tuple[Role, ...] = ("imu", "gps", "truth", "odometer")
-
 CHUNK = 5000
 """Rows of a batch, where they are decoded one by one."""
-
-Progress = Callable[[float], None]
-"""Called with the share of the log that is read, 0 to 1."""
-
-
 FILES = "columns"
 """The kind of tables that are files of columns, named as the files are."""
+Progress = Callable[[float], None]
+"""Called with the share of the log that is read, 0 to 1."""
+Wanted = Mapping[str, Collection[str]]
+"""Columns to read, by table."""
+Batch = tuple[str, pl.DataFrame, float]
+"""A table, some of its rows with the wanted columns, and the share of the log that is read, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -32,22 +35,6 @@ class Table:
     columns: tuple[str, ...]
     kind: str = ""
     rows: int | None = None
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Some rows of one table, in the log's order.
-
-    Attributes
-    ----------
-    table : str
-    rows : DataFrame with the wanted columns
-    done : share of the log that is read, 0 to 1
-    """
-
-    table: str
-    rows: pl.DataFrame
-    done: float
 
 
 @dataclass(frozen=True)
@@ -91,10 +78,6 @@ class Guess:
     fixed: str = ""
     faults: tuple[Fault, ...] = ()
 
-    def said(self, *, mounted: bool) -> list[str]:
-        """The sentences, once it is known whether the user said how the IMU sits in the vehicle."""
-        return [*self.notes, *([self.downward] if self.downward and not mounted else [])]
-
 
 @dataclass(frozen=True)
 class Choice:
@@ -112,100 +95,83 @@ class Choice:
     mapped: frozenset[str] = frozenset()
 
 
-class Source(Protocol):
-    """An open log."""
-
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
-        ...
-
-    @property
-    def tables(self) -> Mapping[str, Table]:
-        """The tables."""
-        ...
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """Remarks of the reading, one sentence each."""
-        ...
-
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
-        """The wanted columns of the wanted tables, in the order in which the log has them."""
-        ...
-
-    def guess(self, choice: Choice) -> Guess:
-        """How to make a drive of this log."""
-        ...
-
-
 @dataclass(frozen=True)
-class Frames:
-    """A source whose tables fit into memory, as of most readers."""
-
-    path: Path
-    frames: Mapping[str, pl.DataFrame]
-    guessed: Guess
-    kinds: Mapping[str, str] = field(default_factory=dict[str, str])
-
-    @property
-    def tables(self) -> dict[str, Table]:
-        """The tables, as any source tells them."""
-        return {k: Table(tuple(f.columns), self.kinds.get(k, ""), len(f)) for k, f in self.frames.items()}
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Nothing: all was noticed when the guess was made."""
-        return ()
-
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
-        """Each table as one batch."""
-        for number, (table, columns) in enumerate(wanted.items(), 1):
-            yield Batch(table, self.frames[table].select(list(columns)), number / len(wanted))
-
-    def guess(self, choice: Choice) -> Guess:
-        """The reader's guess; there is nothing to choose."""
-        return self.guessed
-
-
-@dataclass(frozen=True)
-class Rows:
-    """A source of one table whose rows are decoded one after the other, as of streams of receivers.
+class Log:
+    """An open log, as every reader returns it.
 
     Attributes
     ----------
-    read : yields rows in the order of ``columns``, and the share of the file that is read
+    batches : reads the wanted columns, in the order of the log
+    guess : makes a recipe
+    remarks : sentences of the reading; some are added while batches are read
+    mixed : rows of the tables alternate, so that the beginning of the log shows all of them
     """
 
     path: Path
-    table: str
-    columns: tuple[str, ...]
-    read: Callable[[], Iterator[tuple[tuple[float, ...], float]]]
-    guessed: Guess
+    tables: Mapping[str, Table]
+    batches: Callable[[Wanted], Iterator[Batch]]
+    guess: Callable[[Choice], Guess]
     remarks: list[str] = field(default_factory=list[str])
+    mixed: bool = False
 
-    @property
-    def tables(self) -> dict[str, Table]:
-        """The one table."""
-        return {self.table: Table(self.columns, "decoded")}
+    def guessed(self, guess: Guess) -> "Log":
+        """The same log with a guess that leaves no choice."""
+        return Log(self.path, self.tables, self.batches, lambda _: guess, self.remarks, self.mixed)
 
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
-        """Some thousand rows at a time."""
+
+def of_frames(
+    path: Path, frames: Mapping[str, pl.DataFrame], kind: str, guess: Callable[[Choice], Guess]
+) -> Log:
+    """Make a log of tables in memory."""
+    tables = {name: Table(tuple(f.columns), kind, len(f)) for name, f in frames.items()}
+
+    def batches(wanted: Wanted) -> Iterator[Batch]:
+        for number, (table, columns) in enumerate(wanted.items(), 1):
+            yield table, frames[table].select(list(columns)), number / len(wanted)
+
+    return Log(path, tables, batches, guess)
+
+
+def of_rows(
+    path: Path,
+    table: str,
+    columns: tuple[str, ...],
+    read: Callable[[], Iterator[tuple[tuple[float, ...], float]]],
+    guess: Guess,
+    remarks: list[str],
+) -> Log:
+    """Make a log of one table whose rows are decoded one by one, each with the share of the file that is read."""
+
+    def batches(wanted: Wanted) -> Iterator[Batch]:
         rows: list[tuple[float, ...]] = []
-        for row, done in self.read():
+        schema = dict.fromkeys(columns, pl.Float64)
+        for row, done in read():
             rows.append(row)
             if len(rows) >= CHUNK:
-                yield Batch(self.table, self._frame(rows), done)
+                yield table, pl.DataFrame(rows, schema, orient="row", strict=False), done
                 rows = []
         if rows:
-            yield Batch(self.table, self._frame(rows), 1.0)
+            yield table, pl.DataFrame(rows, schema, orient="row", strict=False), 1.0
 
-    def _frame(self, rows: list[tuple[float, ...]]) -> pl.DataFrame:
-        return pl.DataFrame(rows, schema=dict.fromkeys(self.columns, pl.Float64), orient="row", strict=False)
+    return Log(path, {table: Table(columns, "decoded")}, batches, lambda _: guess, remarks)
 
-    def guess(self, choice: Choice) -> Guess:
-        """The reader's guess; there is nothing to choose."""
-        return self.guessed
+
+def roles_of(
+    parts: Iterable[tuple[Role, str, Mapping[str, str | tuple[str, ...]]]], tables: Wanted
+) -> dict[Role, tuple[Part, ...]]:
+    """The parts whose tables are there; of a tuple of expressions the first whose columns are there, else none."""
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role, table, columns in parts:
+        if table in tables:
+            options = {name: (text,) if isinstance(text, str) else text for name, text in columns.items()}
+            required = {name for name, text in columns.items() if isinstance(text, str)}
+            found = {
+                name: next((text for text in texts if name in required or fits(text, tables[table])), "")
+                for name, texts in options.items()
+            }
+            part = Part(table, {name: text for name, text in found.items() if text})
+            roles[role] = (*roles.get(role, ()), part)
+    return roles
 
 
 EXTRAS = {"ros": "rosbags mcap mcap-protobuf-support", "logs": "pyubx2 pynmeagps pyulog pymavlink"}
@@ -236,3 +202,23 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
         return b""
     with path.open("rb") as file:
         return file.read(count)
+
+
+@contextmanager
+def whole(path: Path, what: str = "", remedy: str = "record or copy it again") -> Generator[None]:
+    """Turn what a library raises on damaged bytes, which may be anything, into one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        raise broken(path, error, what, remedy) from None
+
+
+def broken(
+    path: Path, error: Exception, what: str = "", remedy: str = "record or copy it again"
+) -> InputError:
+    """Return the error of a library about a damaged file in one line."""
+    said = " ".join(str(error).split()) or type(error).__name__
+    said = shown(re.sub(r"^b'(.*)'$", r"\1", said), 160)
+    return InputError(f"{path}: {what or 'is cut short or broken'} ({said}); {remedy}")

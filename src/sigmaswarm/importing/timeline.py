@@ -1,16 +1,15 @@
 """Make a time line of a table's times: unwrap counters, choose a recording, spread repeated stamps, sort."""
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.clocks import SECOND, Nanoseconds
-from sigmaswarm.importing.dates import WEEK
+from sigmaswarm.importing.dates import SECOND, WEEK, Nanoseconds
+from sigmaswarm.importing.places import Say
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP
+from sigmaswarm.importing.times import LONGEST_STEP, SHORTEST_STEP, UNITS
 
 WRAPS: tuple[tuple[int, str], ...] = (
     (2**32 * 1000, "a counter of microseconds, 2^32"),
@@ -30,15 +29,6 @@ REPEATED = 0.02
 """The share of rows with the time of the row before, above which they are more than a few double rows."""
 UNEVEN = 0.1
 """The share of stamps whose rows may be counted otherwise than usual."""
-
-
-@dataclass(frozen=True)
-class Line:
-    """Times (n,) ns in the order of the rows that are used: ``rows`` are their places in the table."""
-
-    time: Nanoseconds
-    rows: NDArray[np.int64]
-    notes: tuple[str, ...] = ()
 
 
 def unwrap(time: Nanoseconds) -> tuple[Nanoseconds, str]:
@@ -129,31 +119,28 @@ def spread(time: Nanoseconds, role: Role, where: str) -> tuple[Nanoseconds, str]
     return fine, f"{usual:g} rows share a stamp of {step / SECOND:g} s: spread evenly"
 
 
-def in_order(time: Nanoseconds, role: Role, where: str, part: int | None) -> Line:
-    """A table's times, strictly increasing, and the rows that they belong to."""
-    notes: list[str] = []
-    time, said = unwrap(time)
-    if said:
-        notes.append(f"{where}: {said}")
-    taken, said = choose_part(time, part, where)
-    rows = np.arange(len(time))[taken]
-    time = time[taken]
-    if said:
-        notes.append(said)
+def in_order(
+    time: Nanoseconds, role: Role, where: str, part: int | None, say: Say
+) -> tuple[Nanoseconds, NDArray[np.int64]]:
+    """A table's times (n,), strictly increasing, and the places of their rows in the table."""
+    time, note = unwrap(time)
+    taken, chosen = choose_part(time, part, where)
+    rows, time = np.arange(len(time))[taken], time[taken]
+    for text in (f"{where}: {note}" if note else "", chosen):
+        if text:
+            say(text)
     if backwards := int(np.count_nonzero(np.diff(time) < 0)):
         order = np.argsort(time, kind="stable")
         moved = int(np.count_nonzero(order != np.arange(len(order))))
-        notes.append(
-            f"{where}: {moved} rows came out of order ({backwards} falls of the time); sorted by time"
-        )
+        say(f"{where}: {moved} rows came out of order ({backwards} falls of the time); sorted by time")
         time, rows = time[order], rows[order]
-    time, said = spread(time, role, where)
-    if said:
-        notes.append(f"{where}: {said}")
+    time, note = spread(time, role, where)
+    if note:
+        say(f"{where}: {note}")
     new = np.diff(time, prepend=time[0] - 1) > 0
     if not new.all():
-        notes.append(f"{where}: {int(np.count_nonzero(~new))} rows with the time of the row before left out")
-    return Line(time[new], rows[new], tuple(notes))
+        say(f"{where}: {int(np.count_nonzero(~new))} rows with the time of the row before left out")
+    return time[new], rows[new]
 
 
 def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None:
@@ -161,11 +148,10 @@ def require_likely(time: Nanoseconds, role: Role, where: str, text: str) -> None
     step = float(np.median(np.diff(time))) / SECOND if len(time) > 2 else SHORTEST_STEP * 2
     if SHORTEST_STEP / 2 < step < 4 * LONGEST_STEP[role]:
         return
-    units = [("days", 86400.0), ("h", 3600.0), ("min", 60.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)]
-    likely = [(u, f) for u, f in units if SHORTEST_STEP < step * f < LONGEST_STEP[role]]
-    more = (
-        f'; were they in {likely[0][0]}, write --map "{role}.t=({text})*{likely[0][1]:g}"' if likely else ""
-    )
+    units = {
+        unit: factor for unit, factor in UNITS.items() if SHORTEST_STEP < step * factor < LONGEST_STEP[role]
+    }
+    more = next((f'; were they in {u}, write --map "{role}.t=({text})*{f:g}"' for u, f in units.items()), "")
     raise InputError(
         f"{where}: {text} as seconds puts {step:.4g} s between two rows of the {role}{more or '; map its time'}"
     )

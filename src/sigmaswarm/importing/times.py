@@ -1,15 +1,15 @@
 """The time of a table: which column or columns hold it, and the expression that makes it seconds."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import polars as pl
 
 from sigmaswarm.importing.dates import EXCEL_EPOCH, MATLAB_EPOCH, as_text, parse_dates
-from sigmaswarm.importing.names import CLOCK, PARTS_OF_SECONDS, SECONDS, STAMP, TIME_OF_WEEK, WEEK, Name
+from sigmaswarm.importing.names import CLOCK, STAMP, TIME_OF_WEEK, WEEK, Name, read_name
 from sigmaswarm.importing.source import Role
-from sigmaswarm.importing.units import in_si
+from sigmaswarm.importing.units import PARTS_OF_SECONDS, SECONDS, in_si
 from sigmaswarm.wording import quoted, shown
 
 LONGEST_STEP: dict[Role, float] = {"imu": 0.5, "gps": 15.0, "truth": 15.0, "odometer": 5.0}
@@ -32,8 +32,9 @@ DATE_FORMATS = (
     "%H:%M:%S%.f",
 )
 """Of dates in text, in the order in which they are tried; the first is ISO 8601."""
-_UNITS = (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
-_SCALES = {"s": "{}", "ms": "{}*1e-3", "us": "{}*1e-6", "ns": "{}*1e-9"}
+COUNTED = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+UNITS = {**COUNTED, "days": 86400.0, "h": 3600.0, "min": 60.0}
+"""Units of times, s; those that clocks count in come first."""
 _DATES_S = (3e8, 4e9)
 """s since 1970, from 1979 to 2096."""
 
@@ -47,12 +48,17 @@ class Found:
     fault: str = ""
 
 
-def find_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def find_time(frame: pl.DataFrame, role: Role) -> Found | None:
     """The time of a table, by its columns' names and values; None where it has none."""
-    for find in (_pair, _stamp, _week, _date_and_time, _single):
-        if (found := find(names, frame, role)) is not None:
-            return found
-    return None
+    names = [read_name(column) for column in frame.columns]
+    several = _seconds_and_rest(names, frame) or _header_stamp(names, frame, role) or _week(names, frame)
+    return several or _date_and_time(names, frame) or _single(names, frame, role)
+
+
+def time_of(frame: pl.DataFrame, role: Role = "imu") -> str | None:
+    """The expression of a table's time, if a column looks like it."""
+    found = find_time(frame, role)
+    return found.expression or None if found else None
 
 
 def written(column: str) -> str:
@@ -69,32 +75,41 @@ def numbers_of(values: pl.Series) -> pl.Series:
     return values.cast(pl.Float64, strict=False).drop_nulls().drop_nans()
 
 
+def median_of(values: pl.Series) -> float:
+    """The median of numbers, 0 where there are none."""
+    return float(values.median() or 0.0)  # pyright: ignore[reportArgumentType]
+
+
 def step_of(values: pl.Series) -> float:
     """The median of a time's forward steps; rows that share a stamp share a step."""
     steps = numbers_of(values).diff().drop_nulls()
     forward = steps.filter(steps > 0)
     shared = len(forward) / (len(forward) + int((steps == 0).sum())) if len(forward) else 1.0
-    return float(forward.median() or 0.0) * (shared if shared < 0.9 else 1.0)  # pyright: ignore[reportArgumentType]
+    return median_of(forward) * (shared if shared < 0.9 else 1.0)
 
 
-def _stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _scaled(text: str, unit: str) -> str:
+    return text if unit == "s" else f"{text}*{UNITS[unit]:.0e}".replace("e-0", "e-")
+
+
+def _header_stamp(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
     """The stamp of a message's header, before the time at which the message was recorded."""
-    stamps = [n for n in names if n.is_one(STAMP)]
-    if not stamps or not len(
-        numbers_of(frame[stamps[0].column]).filter(numbers_of(frame[stamps[0].column]) > 0)
-    ):
+    stamp = next((n for n in names if n.is_one(STAMP)), None)
+    if stamp is None or not (numbers_of(frame[stamp.column]) > 0).any():
         return None
-    return _of_column(stamps[0], frame, role)
+    return _of_column(stamp, frame, role)
 
 
-def _pair(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _seconds_and_rest(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     """Whole seconds in one column, the rest of a second in another of the same name before it."""
     pairs = [
         (first, rest, PARTS_OF_SECONDS[rest.words[-1]])
         for first in names
         if first.words and first.words[-1] in SECONDS
         for rest in names
-        if rest.words and rest.words[:-1] == first.words[:-1] and rest.words[-1] in PARTS_OF_SECONDS
+        if rest.words
+        and rest.words[:-1] == first.words[:-1]
+        and rest.words[-1] in {*PARTS_OF_SECONDS} - {"ms"}
     ]
     for first, rest, scale in sorted(pairs, key=lambda p: "stamp" not in p[0].words):
         whole, part = numbers_of(frame[first.column]), numbers_of(frame[rest.column])
@@ -109,7 +124,7 @@ def _pair(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | Non
     return None
 
 
-def _week(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _week(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     """GPS week and time of week."""
     week = next((n for n in names if n.is_one(WEEK)), None)
     tow = next((n for n in names if n.is_one(TIME_OF_WEEK)), None)
@@ -118,39 +133,31 @@ def _week(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | Non
     if tow.unit is not None and tow.unit.dimension == "time":
         seconds = in_si(tow.unit, written(tow.column))
     else:
-        values = numbers_of(frame[tow.column])
-        unit = "ms" if len(values) and float(values.max() or 0) > 604_800 else "s"  # pyright: ignore[reportArgumentType]
-        seconds = _SCALES[unit].format(written(tow.column))
+        long = (numbers_of(frame[tow.column]) > 604_800).any()
+        seconds = _scaled(written(tow.column), "ms" if long else "s")
     return Found(f"gps_time({written(week.column)}, {seconds})", "GPS week and time of week made UTC")
 
 
-def _date_and_time(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
+def _date_and_time(names: Sequence[Name], frame: pl.DataFrame) -> Found | None:
     """A day in one column of text, the time of day in another."""
-    day = next((n for n in names if n.plain in ("date", "day", "utc_date", "gps_date")), None)
-    clock = next(
-        (n for n in names if n.plain in ("time", "time_of_day", "utc_time", "gps_time", "clock")), None
+    days, clocks = (
+        ("date", "day", "utc_date", "gps_date"),
+        ("time", "time_of_day", "utc_time", "gps_time", "clock"),
     )
-    if (
-        day is None
-        or clock is None
-        or frame.schema[clock.column] != pl.String
-        or len(numbers_of(frame[clock.column]))
-    ):
+    day, clock = (next((n.column for n in names if n.plain in those), None) for those in (days, clocks))
+    if day is None or clock is None or frame.schema[clock] != pl.String or len(numbers_of(frame[clock])):
         return None
-    return _of_text([day.column, clock.column], frame)
+    return _of_text([day, clock], frame)
 
 
 def _single(names: Sequence[Name], frame: pl.DataFrame, role: Role) -> Found | None:
-    """A column called as times are; or else a clock that runs."""
-    usual = next((n for n in names if n.meaning == "t" and not _unset(frame[n.column])), None)
-    if usual is None:
-        usual = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
-    return None if usual is None else _of_column(usual, frame, role)
-
-
-def _unset(values: pl.Series) -> bool:
-    """Return True if a time is 0 in all rows, as unset stamps are."""
-    return len(numbers := numbers_of(values)) > 1 and bool((numbers == 0).all())
+    """A column called as times are, unless it is 0 in all rows, as unset stamps are; or else a clock that runs."""
+    for name in names:
+        numbers = numbers_of(frame[name.column]) if name.meaning == "t" else None
+        if numbers is not None and not (len(numbers) > 1 and (numbers == 0).all()):
+            return _of_column(name, frame, role)
+    running = next((n for n in names if n.is_one(CLOCK) and step_of(frame[n.column]) > 0), None)
+    return None if running is None else _of_column(running, frame, role)
 
 
 def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
@@ -160,24 +167,19 @@ def _of_column(name: Name, frame: pl.DataFrame, role: Role) -> Found:
         return _of_text([name.column], frame)
     if values.dtype.is_temporal():
         return Found(text)
-    if name.unit is not None and name.unit.known and name.unit.dimension == "time":
+    if name.unit is None:
+        return _of_numbers(values, text, role)
+    if name.unit.dimension == "time":
         return Found(in_si(name.unit, text))
-    if name.unit is not None:
-        return Found("", fault=unknown_unit(name, "t", "time", role))
-    return _of_numbers(values, text, role)
+    return Found("", fault=unknown_unit(name, "t", "time", role))
 
 
 def unknown_unit(name: Name, column: str, dimension: str, role: Role) -> str:
     """The sentence on a unit that can't be converted."""
-    unit = name.unit.text if name.unit else ""
-    kind = (
-        f"a unit of {name.unit.dimension}, not of {dimension}"
-        if name.unit and name.unit.known
-        else "not known"
-    )
-    entry = f"{role}.{column}={written(name.column)}*1.0"
-    said = f"column {quoted(name.column)}: the unit {quoted(unit)} is {kind}"
-    return f'{said}; give the factor to SI units, as --map "{entry}"'
+    known = name.unit is not None and name.unit.known
+    kind = f"a unit of {name.unit.dimension}, not of {dimension}" if name.unit and known else "not known"
+    said = f"column {quoted(name.column)}: the unit {quoted(name.unit.text if name.unit else '')} is {kind}"
+    return f'{said}; give the factor to SI units, as --map "{role}.{column}={written(name.column)}*1.0"'
 
 
 def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
@@ -188,38 +190,35 @@ def _of_text(columns: Sequence[str], frame: pl.DataFrame) -> Found:
     called = ", ".join(map(written, columns))
     if not fitting:
         return Found(f"utc({called})")
-    if len(fitting) > 1 and fitting[0].startswith("%m/%d") and fitting[1].startswith("%d/%m"):
-        said = f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {fitting[0]} if the month does"
-        return Found(
-            "", fault=f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {said}"
-        )
     form = fitting[0]
+    if len(fitting) > 1 and form.startswith("%m/%d") and fitting[1].startswith("%d/%m"):
+        said = (
+            f"--time \"utc({called}, '{fitting[1]}')\" if the day comes first, with {form} if the month does"
+        )
+        fault = f"column {quoted(columns[0])}: {shown(texts[0])} may be two days; write {said}"
+        return Found("", fault=fault)
     note = "times of day without a date" if form == "%H:%M:%S%.f" else ""
-    return Found(f"utc({called})" if not form else f"utc({called}, '{form}')", note)
+    return Found(f"utc({called}, '{form}')" if form else f"utc({called})", note)
 
 
 def _reads(texts: pl.Series, form: str) -> bool:
     if not form and not texts.str.contains(r"^\d{4}-\d").all():
         return False
-    moments = texts.to_frame("date").select(parse_dates(pl.col("date"), form).alias("t"))["t"]
-    return moments.null_count() == 0
+    return texts.to_frame("date").select(parse_dates(pl.col("date"), form))["date"].null_count() == 0
 
 
 def _of_numbers(values: pl.Series, text: str, role: Role) -> Found:
     """A time in numbers without a unit: by their size, if they count from 1970, else by a likely step."""
     numbers = numbers_of(values)
-    size, step = float(numbers.abs().median() or 0.0), step_of(values)  # pyright: ignore[reportArgumentType]
+    size, step = median_of(numbers.abs()), step_of(values)
     column = text.strip("`")
-    for unit, scale in _UNITS:
-        dated = _DATES_S[0] < size * scale < _DATES_S[1]
-        if dated and (unit != "s" or step == 0 or step < LONGEST_STEP[role]):
-            return Found(_SCALES[unit].format(text), "" if unit == "s" else f"{column} taken as {unit}")
-    if 0 < step < SHORTEST_STEP / 2:
+    dated = [unit for unit, scale in COUNTED.items() if _DATES_S[0] < size * scale < _DATES_S[1]]
+    dated = [unit for unit in dated if unit != "s" or step == 0 or step < LONGEST_STEP[role]]
+    if not dated and 0 < step < SHORTEST_STEP / 2:
         return _of_days(numbers, text, column, step, role)
-    for unit, scale in _UNITS:
-        if step * scale < LONGEST_STEP[role]:
-            return Found(_SCALES[unit].format(text), "" if unit == "s" else f"{column} taken as {unit}")
-    return Found(text)
+    likely = [unit for unit, scale in COUNTED.items() if step * scale < LONGEST_STEP[role]]
+    unit = (*dated, *likely, "s")[0]
+    return Found(_scaled(text, unit), "" if unit == "s" else f"{column} taken as {unit}")
 
 
 def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role) -> Found:
@@ -232,16 +231,15 @@ def _of_days(numbers: pl.Series, text: str, column: str, step: float, role: Role
     if likely and low > 1e-3 and high < 1:
         return Found(f"{text}*86400", f"{column} taken as shares of a day (days)")
     said = f'--time "{text}*86400" for days, *3600 for hours, *60 for minutes'
-    return Found(
-        "",
-        fault=f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}",
-    )
+    fault = f"column {quoted(column)}: steps of {step:.2g} are too short for seconds; state the unit: write {said}"
+    return Found("", fault=fault)
 
 
 def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
     """Describe an error in the unit of a time, ``column`` or ``column*number``, with the remedy; else empty.
 
-    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely.
+    Its unit is wrong if its steps are far from what a sensor's are, and another unit makes them likely; best one that
+    makes it a date of our days.
     """
     plain = re.fullmatch(r"\s*(`[^`]+`|[A-Za-z_]\w*)\s*(?:\*\s*([\d.eE+-]+)|/\s*([\d.eE+-]+))?\s*", text)
     name = plain[1].strip("`") if plain else ""
@@ -251,25 +249,14 @@ def wrong_unit(text: str, rows: pl.DataFrame, role: Role) -> str:
         scale = float(plain[2] or 1.0) / float(plain[3] or 1.0)
     except (ValueError, ZeroDivisionError):
         return ""
-    step = step_of(rows[name])
-    if not step or SHORTEST_STEP < step * scale < 4 * LONGEST_STEP[role]:
+    step, size, longest = step_of(rows[name]), median_of(numbers_of(rows[name]).abs()), 4 * LONGEST_STEP[role]
+    likely = [(u, f) for u, f in UNITS.items() if SHORTEST_STEP < step * f < longest]
+    if not step or SHORTEST_STEP < step * scale < longest or not likely:
         return ""
-    for unit, factor in _likely_units(rows[name], step, role):
-        t = "--time" if role == "imu" else f"--map {role}.t="
-        return (
-            f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
-            f'{step * factor:.4g} s: write {t}{" " if role == "imu" else ""}"{plain[1]}{_factor(factor)}"'
-        )
-    return ""
-
-
-def _likely_units(values: pl.Series, step: float, role: Role) -> Iterator[tuple[str, float]]:
-    """Units in which a time's steps are a sensor's, the best first: those that make it a date of our days."""
-    size = float(numbers_of(values).abs().median() or 0.0)  # pyright: ignore[reportArgumentType]
-    units = (*_UNITS, ("days", 86400.0), ("h", 3600.0), ("min", 60.0))
-    likely = [(u, f) for u, f in units if SHORTEST_STEP < step * f < 4 * LONGEST_STEP[role]]
-    yield from sorted(likely, key=lambda u: not _DATES_S[0] < size * u[1] < _DATES_S[1])
-
-
-def _factor(factor: float) -> str:
-    return "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
+    unit, factor = min(likely, key=lambda u: not _DATES_S[0] < size * u[1] < _DATES_S[1])
+    times = "" if factor == 1 else f"*{factor:g}".replace("e-0", "e-")
+    option = '--time "' if role == "imu" else f'--map {role}.t="'
+    return (
+        f"{text} in s would put {step * scale:.4g} s between two rows of the {role}; in {unit} it is "
+        f'{step * factor:.4g} s: write {option}{plain[1]}{times}"'
+    )

@@ -1,9 +1,8 @@
 """CSV and Parquet: a file, or a folder of them, each file a table. Rows stream through polars."""
 
 import re
-from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from itertools import count
 from pathlib import Path
 from typing import Any, cast
@@ -15,7 +14,7 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.dialect import BLANKS, Dialect, dialect_of, is_table, uneven_row
-from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Source, Table, first_bytes
+from sigmaswarm.importing.source import FILES, Batch, Choice, Guess, Log, Table, Wanted, first_bytes
 from sigmaswarm.wording import names_shown, quoted, shown
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".parquet", ".pq")
@@ -34,54 +33,44 @@ def _files(path: Path) -> list[Path]:
     return [path] if path.suffix.lower() in SUFFIXES else []
 
 
-@dataclass(frozen=True)
-class ColumnFiles:
-    """Tables in files, scanned when they are wanted; ``guessed`` where a format says what they are."""
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
+    """Open a table file or a folder of them."""
+    remarks: list[str] = []
+    files = _files(path) if path.is_dir() else [path]
+    return of_files(
+        path, {file.name: scan(file, file, limits, remarks) for file in files}, FILES, None, remarks
+    )
 
-    path: Path
-    scans: Mapping[str, pl.LazyFrame]
-    tables: Mapping[str, Table]
-    guessed: Guess | None = None
-    remarks: tuple[str, ...] = ()
 
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
-        """The files one after the other, some hundred thousand rows at a time."""
+def of_files(
+    path: Path,
+    scans: Mapping[str, pl.LazyFrame],
+    kind: str,
+    guessed: Guess | None = None,
+    remarks: Sequence[str] = (),
+) -> Log:
+    """Make a log of tables in files, scanned when they are wanted; guessed by their columns' names if by no reader."""
+    tables = {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
+
+    def batches(wanted: Wanted) -> Iterator[Batch]:
         for number, (table, columns) in enumerate(wanted.items()):
-            size = _expected_rows(self.path / table if self.path.is_dir() else self.path)
-            seen = 0
-            rows = self.scans[table].select(list(columns))
+            size, seen = _expected_rows(path / table if path.is_dir() else path), 0
+            rows = scans[table].select(list(columns))
             try:
                 for frame in rows.collect_batches(chunk_size=CHUNK, maintain_order=True):
                     seen += len(frame)
-                    yield Batch(table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted))
+                    yield table, frame, (number + min(seen / max(size, seen), 1.0)) / len(wanted)
             except BROKEN as error:
-                raise broken_table(self.path, table, error) from None
+                raise broken_table(path, table, error) from None
 
-    def guess(self, choice: Choice) -> Guess:
-        """As the format says, or by the columns' names, and units by their first rows."""
-        if self.guessed is not None:
-            return self.guessed
-        samples = {
-            name: collect(rows.head(SAMPLE), self.path, name).with_columns(
-                pl.col(pl.String).str.strip_chars()
-            )
-            for name, rows in self.scans.items()
-        }
-        return guess_roles(samples, choice.tables)
+    def guess(choice: Choice) -> Guess:
+        if guessed is not None:
+            return guessed
+        heads = {name: collect(rows.head(SAMPLE), path, name) for name, rows in scans.items()}
+        stripped = pl.col(pl.String).str.strip_chars()
+        return guess_roles({name: head.with_columns(stripped) for name, head in heads.items()}, choice.tables)
 
-
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Open a table file or a folder of them."""
-    files = _files(path) if path.is_dir() else [path]
-    remarks: list[str] = []
-    scans = {file.name: scan(file, file, limits, remarks) for file in files}
-    yield ColumnFiles(path, scans, tables_of(scans, FILES), remarks=tuple(remarks))
-
-
-def tables_of(scans: Mapping[str, pl.LazyFrame], kind: str) -> dict[str, Table]:
-    """The tables with their columns' names."""
-    return {name: Table(tuple(rows.collect_schema().names()), kind) for name, rows in scans.items()}
+    return Log(path, tables, batches, guess, list(remarks))
 
 
 def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.LazyFrame:
@@ -93,47 +82,43 @@ def scan(file: Path, shown_as: Path, limits: Limits, remarks: list[str]) -> pl.L
     remarks : receives columns that share a name
     """
     if first_bytes(file, 4) == b"PAR1":
-        frame = _parquet(file, shown_as, limits)
-        names: Sequence[str] = frame.collect_schema().names()
+        try:
+            frame = pl.scan_parquet(**one_file(file))
+            limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
+            names = frame.collect_schema().names()
+        except (*BROKEN, OSError) as error:
+            raise broken_table(shown_as, shown_as.name, error) from None
+        _check_names(names, shown_as, limits)
     else:
         _require_closed_quotes(file, shown_as)
         dialect = dialect_of(file, shown_as)
         names = dialect.names
         remarks += dialect.remarks
-        _require_two(names, shown_as)
-        limits.first_columns(iter(names), shown_as)
+        _check_names(names, shown_as, limits)
         frame = _text(file, dialect, shown_as)
-    _require_two(names, shown_as)
-    limits.first_columns(iter(names), shown_as)
     frame = frame.with_columns(pl.col(pl.Categorical, pl.Enum).cast(pl.String))  # their numbers mean nothing
     old = frame.collect_schema().names()
     return frame.rename(dict(zip(old, _plain(names, shown_as, remarks), strict=True)))
 
 
-def _require_two(names: Sequence[str], shown_as: Path) -> None:
+def _check_names(names: Sequence[str], shown_as: Path, limits: Limits) -> None:
     if len(names) < 2:
         raise InputError(
             f"{shown_as}: is one column, {quoted(''.join(names))}; name the format, or separate cells by commas"
         )
-
-
-def _parquet(file: Path, shown_as: Path, limits: Limits) -> pl.LazyFrame:
-    try:
-        frame = pl.scan_parquet(**one_file(file))
-        limits.check_rows(frame.select(pl.len()).collect().item(), shown_as, shown_as.name)
-        frame.collect_schema()
-    except (*BROKEN, OSError) as error:
-        raise broken_table(shown_as, shown_as.name, error) from None
-    return frame
+    limits.first_columns(iter(names), shown_as)
 
 
 def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
     """The rows of a text table under the names of its dialect, as c1, c2, ...; texts of numbers have decimal dots."""
-    width = len(dialect.names) + dialect.surplus
-    columns = [f"c{k}" for k in range(1, width + 1)]
+    columns = [f"c{k}" for k in range(1, len(dialect.names) + dialect.surplus + 1)]
     try:
-        if dialect.separator == BLANKS:
-            frame = _parted_by_blanks(file, dialect, columns)
+        if dialect.separator == BLANKS:  # any number of them
+            cells = (
+                pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
+            )
+            lines = text_lines(file, dialect.skip, comment_prefix="#", encoding="utf8")
+            frame = lines.select(cells.struct.rename_fields(columns).alias("cells")).unnest("cells")
         else:
             frame = pl.scan_csv(
                 **one_file(file),
@@ -152,27 +137,32 @@ def _text(file: Path, dialect: Dialect, shown_as: Path) -> pl.LazyFrame:
     except pl.exceptions.NoDataError:
         return pl.LazyFrame(schema=dict.fromkeys(columns[: len(dialect.names)], pl.String))
     except (*BROKEN, OSError) as error:
-        if (uneven := uneven_row(file, dialect)) is not None:
-            row, cells = uneven
-            raise InputError(
-                f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or "
-                "write a header with a name for each column"
-            ) from None
-        raise broken_table(shown_as, shown_as.name, error) from None
+        if (uneven := uneven_row(file, dialect)) is None:
+            raise broken_table(shown_as, shown_as.name, error) from None
+        row, cells = uneven
+        raise InputError(
+            f"{shown_as}, row {row}: has {cells} cells and the header {len(dialect.names)}; delete the row, or "
+            "write a header with a name for each column"
+        ) from None
     missing = [pl.lit(None, pl.Float64).alias(c) for c in columns if c not in there]
     commas = [columns[k] for k in dialect.comma_columns if there.get(columns[k]) == pl.String]
     dotted = [pl.col(c).str.strip_chars().str.replace(",", ".", literal=True) for c in commas]
     return frame.with_columns(*missing, *dotted).select(columns[: len(dialect.names)])
 
 
-def _parted_by_blanks(file: Path, dialect: Dialect, columns: Sequence[str]) -> pl.LazyFrame:
-    """The cells of lines, which any number of blanks part, as text."""
-    lines = pl.scan_csv(
-        **one_file(file), separator="\x1f", has_header=False, new_columns=["line"], quote_char=None,
-        skip_lines=dialect.skip, infer_schema=False, comment_prefix="#",
-    )  # fmt: skip
-    cells = pl.col("line").str.strip_chars().str.replace_all(r"\s+", " ").str.splitn(" ", len(columns))
-    return lines.select(cells.struct.rename_fields(list(columns)).alias("cells")).unnest("cells")
+def text_lines(file: Path, skip: int, encoding: str = "utf8-lossy", **options: Any) -> pl.LazyFrame:
+    """The lines of a text after the first ``skip``, as the column ``line``; empty ones are null."""
+    return pl.scan_csv(
+        **one_file(file),
+        separator="\x1f",
+        has_header=False,
+        new_columns=["line"],
+        quote_char=None,
+        skip_lines=skip,
+        infer_schema=False,
+        encoding=cast("Any", encoding),
+        **options,
+    )
 
 
 def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
@@ -199,8 +189,8 @@ def _plain(names: Sequence[str], file: Path, remarks: list[str]) -> list[str]:
 def _require_closed_quotes(file: Path, shown_as: Path) -> None:
     """Refuse a text with an odd number of quotes: the rest of the file would count as one cell."""
     with file.open("rb") as stream:
-        count = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
-    if count % 2:
+        quotes = sum(block.count(b'"') for block in iter(lambda: stream.read(1 << 20), b""))
+    if quotes % 2:
         raise InputError(f'{shown_as}: a quote (") is not closed; close or delete it')
 
 

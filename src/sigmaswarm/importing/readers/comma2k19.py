@@ -5,8 +5,7 @@ H. Schafer et al., "A Commute in Data: The comma2k19 Dataset", 2018, and the dat
 w first, that turn the device's axes to ECEF.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -16,26 +15,34 @@ import pymap3d
 from sigmaswarm.drives.drive import Array
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.source import Guess, Log, Role, of_frames, roles_of, whole
 
-_SENSORS = {
-    "accelerometer": ("IMU/accelerometer", "IMU/acceleration"),
-    "gyro": ("IMU/gyro", "IMU/gyro_uncalibrated"),
-    "gnss": ("GNSS/live_gnss_ublox", "GNSS/live_gnss_qcom"),
-    "speed": ("CAN/speed",),
+_TURNED = ("forward", "right", "down")
+_SENSORS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "accelerometer": (("IMU/accelerometer", "IMU/acceleration"), _TURNED),
+    "gyro": (("IMU/gyro", "IMU/gyro_uncalibrated"), _TURNED),
+    "gnss": (
+        ("GNSS/live_gnss_ublox", "GNSS/live_gnss_qcom"),
+        ("latitude", "longitude", "speed", "utc", "altitude", "bearing"),
+    ),
+    "speed": (("CAN/speed",), ("speed",)),
 }
-_COLUMNS = {
-    "accelerometer": ("forward", "right", "down"),
-    "gyro": ("forward", "right", "down"),
-    "gnss": ("latitude", "longitude", "speed", "utc", "altitude", "bearing"),
-    "speed": ("speed",),
-}
+"""By table: the folders that may hold it, and its columns."""
 _FIX = {
-    **{"t": "t", "lat": "latitude", "lon": "longitude", "alt": "altitude"},
-    **{"speed": "speed", "course": "radians(90 - bearing)"},
+    "lat": "latitude",
+    "lon": "longitude",
+    "alt": "altitude",
+    "speed": "speed",
+    "course": "radians(90 - bearing)",
 }
-_TRUTH = {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}
+PARTS: tuple[tuple[Role, str, dict[str, str]], ...] = (
+    ("imu", "accelerometer", {"t": "t", "ax": "forward", "ay": "-right", "az": "-down"}),
+    ("imu", "gyro", {"t": "t", "gx": "forward", "gy": "-right", "gz": "-down"}),
+    ("gps", "gnss", {"t": "t", **_FIX}),
+    ("truth", "pose", {name: name for name in ("t", "lat", "lon", "alt", "vx", "vy", "theta")}),
+    ("odometer", "speed", {"t": "t", "speed": "speed"}),
+)
+_NOTE = "the IMU's axes turned from forward, right, down; the truth is the camera's"
 
 
 def recognizes(path: Path) -> bool:
@@ -43,73 +50,44 @@ def recognizes(path: Path) -> bool:
     return (path / "processed_log" / "IMU").is_dir()
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read a segment: a minute, a few MB."""
     frames: dict[str, pl.DataFrame] = {}
-    for name, folders in _SENSORS.items():
-        folder = next((f for f in (path / "processed_log" / f for f in folders) if f.is_dir()), None)
-        if folder is not None:
-            frames[name] = _table(folder, _COLUMNS[name])
-    pose = next((f for f in (path / "global_pose", path / "global_pos") if f.is_dir()), None)
-    if pose is not None:
-        frames["pose"] = _pose(pose)
-    roles: dict[Role, tuple[Part, ...]] = {}
-    if {"accelerometer", "gyro"} <= frames.keys():
-        acceleration = {"t": "t", "ax": "forward", "ay": "-right", "az": "-down"}
-        rates = {"t": "t", "gx": "forward", "gy": "-right", "gz": "-down"}
-        roles["imu"] = (Part("accelerometer", acceleration), Part("gyro", rates))
-    if "gnss" in frames:
-        roles["gps"] = (Part("gnss", _FIX),)
-    if "pose" in frames:
-        roles["truth"] = (Part("pose", _TRUTH),)
-    if "speed" in frames:
-        roles["odometer"] = (Part("speed", {"t": "t", "speed": "speed"}),)
-    notes = ("the IMU's axes turned from forward, right, down; the truth is the camera's",)
-    yield Frames(path, frames, Guess(roles, notes, metadata={"licence": "MIT", "dataset": "comma2k19"}))
+    for name, (folders, columns) in _SENSORS.items():
+        for folder in [f for f in (path / "processed_log" / f for f in folders) if f.is_dir()][:1]:
+            time = _load(folder / "t", 1)
+            values = _load(folder / "value", len(columns), len(time))
+            frames[name] = pl.DataFrame({"t": time[:, 0], **dict(zip(columns, values.T, strict=True))})
+    for folder in [f for f in (path / "global_pose", path / "global_pos") if f.is_dir()][:1]:
+        frames["pose"] = _pose(folder)
+    parts = [p for p in PARTS if p[0] != "imu" or {"accelerometer", "gyro"} <= frames.keys()]
+    roles = roles_of(parts, {name: frame.columns for name, frame in frames.items()})
+    guess = Guess(roles, (_NOTE,), metadata={"licence": "MIT", "dataset": "comma2k19"})
+    return of_frames(path, frames, "", lambda _: guess)
 
 
-def _load(path: Path) -> Array:
-    try:
+def _load(path: Path, width: int, rows: int | None = None) -> Array:
+    """An array (rows, width) of numbers; (rows,) may stand for (rows, 1)."""
+    with whole(path, "can't be read as a NumPy array", "unpack the segment again"):
         # mapped, a header that says more than the file holds is refused before memory is asked for
         array = np.load(path, allow_pickle=False, mmap_mode="r")
         if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
             raise ValueError("no array of numbers")
-        return np.array(array, dtype=np.float64)
-    except Exception as error:  # a damaged header is evaluated as Python, and raises whatever that does
-        said = shown(" ".join(str(error).split()), 120)
-        raise InputError(
-            f"{path}: can't be read as a NumPy array ({said}); unpack the segment again"
-        ) from None
-
-
-def _table(folder: Path, columns: tuple[str, ...]) -> pl.DataFrame:
-    """Times and values of a sensor."""
-    time, values = _load(folder / "t"), _load(folder / "value")
-    _require_shape(time, (time.size,), folder / "t")
-    if len(columns) == 1 and values.ndim == 1:
-        values = values[:, np.newaxis]
-    _require_shape(values, (len(time), len(columns)), folder / "value")
-    return pl.DataFrame({"t": time, **dict(zip(columns, values.T, strict=True))})
-
-
-def _require_shape(array: Array, shape: tuple[int, ...], path: Path) -> None:
-    if array.shape != shape:
+        array = np.array(array, dtype=np.float64)
+    shape = (array.size,) if rows is None else (rows, width)
+    if array.shape != shape and not (width == 1 and array.shape == shape[:1]):
         raise InputError(f"{path}: has shape {array.shape}, not {shape}; unpack the segment again")
+    return array.reshape(len(array), width)
 
 
 @np.errstate(all="ignore")
 def _pose(folder: Path) -> pl.DataFrame:
     """The camera's place in degrees, and its velocity and heading about the first place."""
-    time, ecef = _load(folder / "frame_times"), _load(folder / "frame_positions")
-    velocity, quaternion = _load(folder / "frame_velocities"), _load(folder / "frame_orientations")
-    _require_shape(time, (max(time.size, 1),), folder / "frame_times")
-    for array, width, name in (
-        (ecef, 3, "positions"),
-        (velocity, 3, "velocities"),
-        (quaternion, 4, "orientations"),
-    ):
-        _require_shape(array, (len(time), width), folder / f"frame_{name}")
+    time = _load(folder / "frame_times", 1)
+    if not len(time):
+        raise InputError(f"{folder / 'frame_times'}: has shape (0,), not (1,); unpack the segment again")
+    widths = {"positions": 3, "velocities": 3, "orientations": 4}
+    ecef, velocity, quaternion = (_load(folder / f"frame_{n}", k, len(time)) for n, k in widths.items())
     lat, lon, alt = pymap3d.ecef2geodetic(*ecef.T)
     first = lat[0], lon[0]
     w, x, y, z = quaternion.T
@@ -117,5 +95,5 @@ def _pose(folder: Path) -> pl.DataFrame:
     forward = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
     east, north, _ = pymap3d.ecef2enuv(*forward, *first)
     vx, vy, _ = pymap3d.ecef2enuv(velocity[:, 0], velocity[:, 1], velocity[:, 2], *first)
-    columns = {"t": time, "lat": lat, "lon": lon, "alt": alt, "vx": vx, "vy": vy}
+    columns = {"t": time[:, 0], "lat": lat, "lon": lon, "alt": alt, "vx": vx, "vy": vy}
     return pl.DataFrame({**columns, "theta": np.arctan2(north, east)})

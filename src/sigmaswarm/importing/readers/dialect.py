@@ -4,7 +4,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from sigmaswarm.errors import InputError
@@ -26,6 +26,7 @@ _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
 _DIGITS = re.compile(r"\d{8} ?\d{4,6}[\d.]{0,10}")
 """A date and a time of day without marks between their parts."""
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-", "inf", "-inf")
+Rows = Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Dialect:
     encoding: str = "utf8"
     comma_columns: tuple[int, ...] = ()
     surplus: bool = False
-    remarks: tuple[str, ...] = field(default=())
+    remarks: tuple[str, ...] = ()
 
 
 def dialect_of(file: Path, shown_as: Path) -> Dialect:
@@ -60,21 +61,37 @@ def dialect_of(file: Path, shown_as: Path) -> Dialect:
     lines, encoding = _lines(file, shown_as)
     stated = re.fullmatch(r'"?sep=(.)"?', lines[0].strip(" \r")) if lines else None
     begin = 1 if stated else 0
-    rows = [i for i in _some(lines, begin) if lines[i].strip() and lines[i].lstrip()[:1] not in COMMENTS]
-    separator = (stated[1] if stated else "") or _separator([lines[i] for i in rows])
+    rows = [
+        i for i in _first_lines(lines, begin) if lines[i].strip() and lines[i].lstrip()[:1] not in COMMENTS
+    ]
+    separator = stated[1] if stated else _separator([lines[i] for i in rows])
     cells = {i: split(lines[i], separator) for i in rows}
     numeric = _numeric_columns([cells[i] for i in rows[-40:]])
     first = next((i for i in rows if _is_data(cells[i], numeric)), None)
     if first is None:  # nothing but texts: the first line is the header
-        first = rows[0] + 1 if rows else 0
-        return Dialect(
-            separator, tuple(_titles(lines[first - 1], separator)) if rows else (), first, encoding
-        )
+        names = _titles(lines[rows[0]], separator) if rows else []
+        return Dialect(separator, tuple(names), rows[0] + 1 if rows else 0, encoding)
     data = [cells[i] for i in rows if i >= first]
-    names, remarks, surplus = _header(lines, begin, first, data, separator, shown_as)
-    commas = tuple(
-        k for k in numeric if any("," in row[k] for row in data if k < len(row)) and _plain(data, k)
-    )
+    above = [i for i in range(begin, first) if lines[i].strip()]
+    width, most = Counter(map(len, data)).most_common(1)[0][0], max(map(len, data))
+    open_end = all(not row[-1].strip() for row in data if len(row) == width)
+    names, surplus = _header([lines[i] for i in above], separator, width, most, open_end)
+    remarks: list[str] = []
+    if not names:
+        last = lines[above[-1]] if above else "#"
+        if last.lstrip()[:1] not in COMMENTS and len(found := _titles(last, separator)) > 1:
+            raise InputError(
+                f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(found)}; give the header "
+                f"{width} names"
+            )
+        names = [""] * most
+    if not any(name and not name.startswith(" [") for name in names):
+        remarks.append(
+            f"{shown_as.name}: has no header; its columns are called c1 to c{len(names)}: write a header line, as "
+            "t,ax,ay,az,gx,gy,gz, or map them with --map"
+        )
+    names = [f"c{k}{name}" if name[:1] in ("", " ") else name for k, name in enumerate(names, 1)]
+    commas = tuple(k for k in numeric if _has_decimal_commas([row[k] for row in data if k < len(row)]))
     if commas:
         remarks.append(f"{shown_as.name}: numbers with decimal commas")
     return Dialect(separator, tuple(names), first, encoding, commas, surplus, tuple(remarks))
@@ -90,10 +107,11 @@ def is_table(file: Path) -> bool:
     return len(lines) > 5 and all(len(c) > 2 and sum(map(is_value, c)) > 0.5 * len(c) for c in cells)
 
 
-def _plain(data: Sequence[Sequence[str]], k: int) -> bool:
-    """Return True if a column holds numbers and no texts with commas, as dates."""
-    filled = [row[k].strip() for row in data if k < len(row) and row[k].strip().lower() not in _EMPTY]
-    return sum(_NUMBER.fullmatch(c) is not None for c in filled[:100]) >= 0.9 * len(filled[:100])
+def _has_decimal_commas(cells: Sequence[str]) -> bool:
+    """Return True if a column holds numbers with commas, and no texts with commas, as dates."""
+    filled = [cell.strip() for cell in cells if cell.strip().lower() not in _EMPTY][:100]
+    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in filled)
+    return any("," in cell for cell in cells) and numbers >= 0.9 * len(filled)
 
 
 def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
@@ -110,7 +128,7 @@ def _lines(file: Path, shown_as: Path) -> tuple[list[str], str]:
         return cut.decode("latin-1").split("\n"), "utf8-lossy"
 
 
-def _some(lines: Sequence[str], begin: int) -> list[int]:
+def _first_lines(lines: Sequence[str], begin: int) -> list[int]:
     """The places of the first lines, until they are many characters."""
     size, places = 0, list[int]()
     for i, line in enumerate(lines[begin : begin + MOST_LINES], begin):
@@ -151,88 +169,59 @@ def _separator(lines: Sequence[str]) -> str:
             break
         profile = [(len(c), sum(map(is_value, c))) for c in (split(line, separator) for line in lines[-40:])]
         widths = Counter(n for n, values in profile if n > 1 and values)
-        if not widths:
-            continue
-        width = widths.most_common(1)[0][0]
-        score = float(sum(values for n, values in profile if n == width))
-        if score > most:
-            best, most = separator, score
+        if widths:
+            width = widths.most_common(1)[0][0]
+            score = float(sum(values for n, values in profile if n == width))
+            best, most = (separator, score) if score > most else (best, most)
     return best or max(",;\t|", key=(lines[0] if lines else "").count)
 
 
-def _numeric_columns(rows: Sequence[Sequence[str]]) -> list[int]:
+def _numeric_columns(rows: Rows) -> list[int]:
     """The places of columns that hold values in most of the rows in which they hold anything."""
-    width = max((len(row) for row in rows), default=0)
-    filled, values = [0] * width, [0] * width
+    filled, values = Counter[int](), Counter[int]()
     for row in rows:
         for k, cell in enumerate(row):
             if cell.strip().lower() not in _EMPTY:
                 filled[k] += 1
                 values[k] += is_value(cell)
-    return [k for k in range(width) if values[k] and values[k] >= 0.5 * filled[k]]
+    return sorted(k for k in values if values[k] and values[k] >= 0.5 * filled[k])
 
 
 def _is_data(cells: Sequence[str], numeric: Sequence[int]) -> bool:
     """Return True if at least half of the filled cells of the columns of numbers are values."""
-    if len(cells) < 2 or len(numeric) < 1:
+    if len(cells) < 2 or not numeric:
         return False
     filled = [cells[k] for k in numeric if k < len(cells) and cells[k].strip().lower() not in _EMPTY]
-    return (
-        bool(filled) and len(cells) > 0.5 * max(numeric) and sum(map(is_value, filled)) >= 0.5 * len(filled)
-    )
+    values = sum(map(is_value, filled))
+    return bool(filled) and len(cells) > 0.5 * max(numeric) and values >= 0.5 * len(filled)
 
 
 def _header(
-    lines: Sequence[str],
-    begin: int,
-    first: int,
-    data: Sequence[Sequence[str]],
-    separator: str,
-    shown_as: Path,
-) -> tuple[list[str], list[str], bool]:
-    """The columns' names, remarks, and whether the rows end in a separator."""
-    above = [i for i in range(begin, first) if lines[i].strip()]
-    width = Counter(map(len, data)).most_common(1)[0][0]
-    most = max(map(len, data))
-    open_end = all(not row[-1].strip() for row in data if len(row) == width)
-    titles, place = [], len(above)
-    for place in range(len(above) - 1, max(len(above) - 4, -1), -1):
-        titles = _fitting(lines[above[place]], separator, width, most, open_end)
-        if titles:
-            break
-    if not titles:
-        if (
-            above
-            and lines[above[-1]].lstrip()[:1] not in COMMENTS
-            and len(cells := _titles(lines[above[-1]], separator)) > 1
-        ):
-            raise InputError(
-                f"{shown_as}, row {first + 1}: has {width} cells and the header above it {len(cells)}; give the header "
-                f"{width} names"
-            )
-        return [f"c{k}" for k in range(1, most + 1)], [_no_header(shown_as, most)], False
-    if not (
-        upper := _fitting(lines[above[place - 1]], separator, width, most, open_end) if place > 0 else []
-    ):
-        if _are_units(titles):
-            names = [_with_unit(f"c{k}", u) for k, u in enumerate(titles, 1)]
-            return names, [_no_header(shown_as, len(names))], width == len(titles) + 1 and open_end
-    elif _are_units(titles, upper):
-        titles = [_with_unit(n, u) for n, u in zip(upper, titles, strict=False)] + upper[len(titles) :]
+    above: Sequence[str], separator: str, width: int, most: int, open_end: bool
+) -> tuple[list[str], bool]:
+    """The names that lines above the rows give, and whether the rows end in a separator; a name may be missing.
+
+    Parameters
+    ----------
+    width, most : the usual and the largest number of cells of a row
+    open_end : the last of the usual number is always empty
+    """
+    fitting = [_fitting(line, separator, width, most, open_end) for line in above]
+    place = next((k for k in range(len(above) - 1, max(len(above) - 4, -1), -1) if fitting[k]), None)
+    if place is None:
+        return [], False
+    titles, upper = fitting[place], fitting[place - 1] if place else []
+    if _are_units(titles, upper):
+        named = upper or [""] * len(titles)
+        titles = [_with_unit(n, u) for n, u in zip(named, titles, strict=False)] + upper[len(titles) :]
+        if not upper:
+            return titles, width == len(titles) + 1 and open_end
     if len(titles) == width and open_end and not titles[-1].strip():
         titles = titles[:-1]
-    if titles == [str(k) for k in range(len(titles))] or (
-        not titles[0] and titles[1:] == [str(k) for k in range(len(titles) - 1)]
-    ):
+    counted = titles[1:] if not titles[0] else titles
+    if counted == [str(k) for k in range(len(counted))]:  # an index, as pandas writes it
         titles = [f"c{k}" for k in range(1, len(titles) + 1)]
-    return [t or f"c{k}" for k, t in enumerate(titles, 1)], [], width == len(titles) + 1 and open_end
-
-
-def _no_header(shown_as: Path, count: int) -> str:
-    return (
-        f"{shown_as.name}: has no header; its columns are called c1 to c{count}: write a header line, as "
-        "t,ax,ay,az,gx,gy,gz, or map them with --map"
-    )
+    return titles, width == len(titles) + 1 and open_end
 
 
 def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -> list[str]:
@@ -241,42 +230,30 @@ def _fitting(line: str, separator: str, width: int, most: int, open_end: bool) -
         cells = _titles(line, other)
         if len(cells) == width + 1 and not cells[-1].strip():
             cells = cells[:-1]
-        fits = (
-            len(cells) == width
-            or (len(cells) == width - 1 and open_end)
-            or (len(cells) >= most > 1 and other == separator)
-        )
-        if fits and len(cells) > 1:
+        short = len(cells) == width - 1 and open_end
+        if len(cells) > 1 and (len(cells) == width or short or (len(cells) >= most and other == separator)):
             return cells
     return []
 
 
 def _titles(line: str, separator: str) -> list[str]:
     """The cells of a header; of "name"|"unit"|... between other separators, the name with its unit."""
-    cells = [c.strip() for c in split(_uncommented(line), separator)]
+    line = line.strip("\r")
+    if line.lstrip(" ")[:1] in (*COMMENTS, "/"):  # a leading tab is a separator
+        line = line.lstrip(" " + COMMENTS + "/")
+    cells = [c.strip() for c in split(line, separator)]
     if separator != "|" and len(cells) > 1 and all("|" in c for c in cells):
         parts = [[p.strip(' "') for p in c.split("|")] for c in cells]
         return [_with_unit(p[0], p[1]) for p in parts]
     return [c.strip('" ') for c in cells]
 
 
-def _uncommented(line: str) -> str:
-    """Remove the comment marker of a line; a leading tab is a separator."""
-    line = line.strip("\r")
-    bare = line.lstrip(" " + COMMENTS + "/")
-    return bare if line.lstrip(" ")[:1] in (*COMMENTS, "/") else line
-
-
 def _are_units(cells: Sequence[str], above: Sequence[str] = ()) -> bool:
     """Return True if a line's cells are units rather than names, and more so than the line above them."""
     units = [parse_unit(c.strip("[]() ")) for c in cells if c.strip()]
-    known = [u for u in units if u is not None and (u.known or u.text.lower() in COUNTS)]
-    return bool(known) and _meanings(cells) <= _meanings(above)
-
-
-def _meanings(cells: Sequence[str]) -> int:
-    """Count the cells that name columns of a drive."""
-    return sum(read_name(c).meaning is not None for c in cells[:100])
+    known = any(u is not None and (u.known or u.text.lower() in COUNTS) for u in units)
+    meanings = [sum(read_name(c).meaning is not None for c in row[:100]) for row in (cells, above)]
+    return known and meanings[0] <= meanings[1]
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -289,10 +266,7 @@ def uneven_row(file: Path, dialect: Dialect) -> tuple[int, int] | None:
     most = len(dialect.names) + dialect.surplus
     with file.open(encoding="utf-8", errors="replace") as lines:
         for number, line in enumerate(lines, 1):
-            if (
-                number > dialect.skip
-                and line[:1] != "#"
-                and len(cells := split(line.rstrip("\n"), dialect.separator)) > most
-            ):
+            cells = split(line.rstrip("\n"), dialect.separator) if line[:1] != "#" else []
+            if number > dialect.skip and len(cells) > most:
                 return number, len(cells)
     return None

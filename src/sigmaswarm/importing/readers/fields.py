@@ -11,9 +11,9 @@ from typing import Any
 
 from sigmaswarm.importing.limits import Limits
 
-_DEEPEST = 6
-_LONGEST = 36
-"""A fixed array up to this length (a 6 x 6 covariance) has a column for each element."""
+DEEPEST = 6
+MOST_ELEMENTS = 36
+"""A fixed array, or a list in JSON, has a column for so many elements: those of a 6 x 6 covariance."""
 
 
 def getter(column: str) -> Callable[[Any], Any]:
@@ -66,16 +66,15 @@ def columns_of(typestore: Any, msgtype: str, limits: Limits, path: Path) -> tupl
     if msgtype not in typestore.fielddefs:
         return ()
     paths = limits.first_columns(_paths(typestore, msgtype, "", 0), path)
-    stamped = "header.stamp.sec" in paths
-    own = [p for p in paths if not p.startswith("header.") and ".header." not in p]
-    return ("received", *(("stamp",) if stamped else ()), *own)
+    stamped = ("stamp",) if "header.stamp.sec" in paths else ()
+    return ("received", *stamped, *(p for p in paths if not re.match(r"(.*\.)?header\.", p)))
 
 
 def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[str]:
     """Depth first; lists of unknown length and texts are no columns, but count as empty names."""
     from rosbags.interfaces import Nodetype
 
-    if depth > _DEEPEST or msgtype not in typestore.fielddefs:
+    if depth > DEEPEST or msgtype not in typestore.fielddefs:
         return
     for name, (node, detail) in typestore.fielddefs[msgtype][1]:
         path = before + name
@@ -84,7 +83,29 @@ def _paths(typestore: Any, msgtype: str, before: str, depth: int) -> Iterator[st
             yield path
         elif node == Nodetype.NAME:
             yield from _paths(typestore, detail, path + ".", depth + 1)
-        elif node == Nodetype.ARRAY and detail[1] <= _LONGEST:
+        elif node == Nodetype.ARRAY and detail[1] <= MOST_ELEMENTS:
             (kind, about), length = detail
             if kind == Nodetype.BASE and about[0] != "string":
                 yield from (f"{path}[{i}]" for i in range(length))
+
+
+def json_columns(messages: Iterator[dict[str, Any]]) -> Iterator[str]:
+    """``received``, ``stamp``, and the paths of the numbers in a topic's first messages, whose lists may be empty."""
+    known: set[str] = set()
+    for content in messages:
+        stamp = ("stamp",) if stamp_of(content) is not None else ()
+        for path in ("received", *stamp, *_json_paths(content, "")):
+            if path and path not in known:
+                known.add(path)
+                yield path
+
+
+def _json_paths(content: dict[str, Any], before: str) -> Iterator[str]:
+    for name, value in content.items():
+        if isinstance(value, dict):
+            yield from _json_paths(value, f"{before}{name}.")  # pyright: ignore[reportUnknownArgumentType]
+        elif isinstance(value, int | float):
+            yield before + name
+        elif isinstance(value, list):
+            first: list[Any] = value[:MOST_ELEMENTS]
+            yield from (f"{before}{name}[{i}]" for i, v in enumerate(first) if isinstance(v, int | float))

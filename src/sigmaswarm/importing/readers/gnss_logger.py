@@ -5,137 +5,87 @@ Accel or UncalAccel with gravity (m/s2), Gyro or UncalGyro (rad/s). ``elapsedRea
 logs have it not in Fix, then the milliseconds of UTC serve.
 """
 
-from collections.abc import Collection, Generator, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
-from typing import ClassVar
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
+from sigmaswarm.importing.readers.columns import collect, of_files, text_lines
 from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68
-from sigmaswarm.importing.source import (
-    CHUNK,
-    Batch,
-    Choice,
-    Guess,
-    Part,
-    Role,
-    Source,
-    Table,
-    first_bytes,
-    require_distinct,
-)
+from sigmaswarm.importing.source import Guess, Log, Role, Wanted, first_bytes, require_distinct, roles_of
 
 _KINDS = ("Fix", "Accel", "UncalAccel", "Gyro", "UncalGyro")
+_MARKS = (b"# Fix,Provider", b"# Raw,utcTimeMillis", b"# Raw,ElapsedRealtimeMillis")
+_CLOCK = "elapsedRealtimeNanos"
+_FIX: dict[str, str | tuple[str, ...]] = {
+    "lat": "LatitudeDegrees",
+    "lon": "LongitudeDegrees",
+    "alt": ("AltitudeMeters",),
+    "speed": ("SpeedMps",),
+    "course": ("radians(90 - BearingDegrees)",),
+    "std_x": (f"AccuracyMeters/{RADIUS_68}",),
+    "std_y": (f"AccuracyMeters/{RADIUS_68}",),
+    "keep": "Provider == 'GPS' or Provider == 'gps'",  # not those that Android fuses or takes from the network
+}
 
 
 def recognizes(path: Path) -> bool:
     """Return True if its comments name the kinds of lines."""
     head = first_bytes(path, 16384)
-    return (
-        b"# Fix,Provider" in head or b"# Raw,utcTimeMillis" in head or b"# Raw,ElapsedRealtimeMillis" in head
-    )
+    return any(mark in head for mark in _MARKS)
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """An open text: each kind of line is a table."""
-
-    path: Path
-    tables: Mapping[str, Table]
-    remarks: tuple[str, ...] = ()
-    interleaved: ClassVar[bool] = True
-
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
-        """Some thousand lines of a kind at a time."""
-        size, read = self.path.stat().st_size, 0
-        rows: dict[str, list[list[str]]] = {table: [] for table in wanted}
-        with self.path.open(encoding="utf-8", errors="replace") as file:
-            for number, line in enumerate(file, 1):
-                read += len(line)
-                kind, _, rest = line.partition(",")
-                if kind not in rows:
-                    continue
-                cells = rest.strip().split(",")
-                if len(cells) < len(self.tables[kind].columns):
-                    raise InputError(
-                        f"{self.path}, row {number}: {line.strip()[:40]!r} is cut short; delete the row"
-                    )
-                rows[kind].append(cells[: len(self.tables[kind].columns)])
-                if sum(map(len, rows.values())) >= CHUNK:
-                    for full in wanted:
-                        if rows[full]:
-                            yield self._batch(full, rows, wanted, min(read / size, 1.0))
-        for kind in wanted:
-            if rows[kind]:
-                yield self._batch(kind, rows, wanted, 1.0)
-
-    def _batch(
-        self, kind: str, rows: dict[str, list[list[str]]], wanted: Mapping[str, Collection[str]], done: float
-    ) -> Batch:
-        taken, rows[kind] = rows[kind], []
-        frame = pl.DataFrame(taken, schema=dict.fromkeys(self.tables[kind].columns, pl.String), orient="row")
-        return Batch(kind, frame.select(list(wanted[kind])), done)
-
-    def guess(self, choice: Choice) -> Guess:
-        """As the app's documents say."""
-        roles: dict[Role, tuple[Part, ...]] = {}
-        acceleration = next((k for k in ("Accel", "UncalAccel") if k in self.tables), None)
-        gyro = next((k for k in ("Gyro", "UncalGyro") if k in self.tables), None)
-        clock = "elapsedRealtimeNanos"
-        shared = all(clock in table.columns for table in self.tables.values())
-        notes = [FLAT] + (
-            [] if shared else ["Fix has no elapsedRealtimeNanos: times are the milliseconds of UTC"]
-        )
-        if acceleration and gyro:
-            t = f"{clock}*1e-9" if shared else "utcTimeMillis*1e-3"
-            x, y, z = (f"{acceleration}{axis}Mps2" for axis in "XYZ")
-            p, q, r = (f"{gyro}{axis}RadPerSec" for axis in "XYZ")
-            roles["imu"] = (
-                Part(acceleration, {"t": t, "ax": y, "ay": f"-{x}", "az": z}),
-                Part(gyro, {"t": t, "gx": q, "gy": f"-{p}", "gz": r}),
-            )
-        if "Fix" in self.tables:
-            roles["gps"] = (Part("Fix", _fix(self.tables["Fix"].columns, shared)),)
-        return Guess(roles, tuple(notes))
-
-
-def _fix(columns: Collection[str], shared: bool) -> dict[str, str]:
-    """The receiver's own fixes, not those that Android fuses or takes from the network."""
-    utc = next((c for c in ("UnixTimeMillis", "(UTC)TimeInMs") if c in columns), "UnixTimeMillis")
-    named = {"alt": "AltitudeMeters", "speed": "SpeedMps"}
-    found = {"t": "elapsedRealtimeNanos*1e-9" if shared else f"`{utc}`*1e-3"}
-    found |= {"lat": "LatitudeDegrees", "lon": "LongitudeDegrees"}
-    found |= {target: column for target, column in named.items() if column in columns}
-    if "BearingDegrees" in columns:
-        found["course"] = "radians(90 - BearingDegrees)"
-    if "AccuracyMeters" in columns:
-        found["std_x"] = found["std_y"] = f"AccuracyMeters/{RADIUS_68}"
-    return {**found, "keep": "Provider == 'GPS' or Provider == 'gps'"}
-
-
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
-    """Read the comments, and lines when they are wanted."""
-    tables: dict[str, Table] = {}
-    present = _kinds_present(path)
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
+    """Read the comments, and find the kinds of lines that are there; comments also name what was not logged."""
+    columns: dict[str, list[str]] = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
             if not line.startswith("#"):
                 break
-            kind, *columns = line.lstrip("# ").strip().split(",")
-            if kind in present:
-                require_distinct(columns, path)
-                tables[kind] = Table(tuple(columns), "lines")
-    if not tables:
+            kind, *names = line.lstrip("# ").strip().split(",")
+            if kind in _KINDS:
+                columns[kind] = names
+    kind = pl.col("line").str.extract(rf"^({'|'.join(_KINDS)}),").alias("kind")
+    lines = (
+        text_lines(path, 0).with_row_index("row", 1).with_columns(kind).filter(pl.col("kind").is_not_null())
+    )
+    present = set(collect(lines.select(pl.col("kind").unique()), path, path.name)["kind"])
+    for kind in present & columns.keys():
+        require_distinct(columns[kind], path)
+    columns = {kind: names for kind, names in columns.items() if kind in present}
+    if not columns:
         raise InputError(f"{path}: holds no lines of {', '.join(_KINDS)}; log fixes and sensors")
-    yield _Lines(path, tables)
+    cells = pl.col("line").str.count_matches(",", literal=True)
+    widths = pl.col("kind").replace_strict({k: len(n) for k, n in columns.items()}, default=0)
+    for row, line, _ in collect(lines.filter(cells < widths).head(1), path, path.name).iter_rows():
+        raise InputError(f"{path}, row {row}: {line.strip()[:40]!r} is cut short; delete the row")
+    scans = {kind: _cells(lines.filter(pl.col("kind") == kind), names) for kind, names in columns.items()}
+    return of_files(path, scans, "lines", _guess(columns))
 
 
-def _kinds_present(path: Path) -> set[str]:
-    """The kinds of lines of which there is at least one: comments name also what was not logged."""
-    with path.open(encoding="utf-8", errors="replace") as file:
-        return {kind for line in file if (kind := line.partition(",")[0]) in _KINDS}
+def _cells(lines: pl.LazyFrame, names: list[str]) -> pl.LazyFrame:
+    """The cells of a kind's lines under their names; surplus cells are left out."""
+    cells = pl.col("line").str.strip_chars().str.splitn(",", len(names) + 2)
+    whole = cells.struct.rename_fields(["kind ", *names, "surplus "])
+    return lines.select(whole.alias("cells")).unnest("cells").select(names)
+
+
+def _guess(columns: Wanted) -> Guess:
+    """As the app's documents say."""
+    shared = all(_CLOCK in names for names in columns.values())
+    utc = "utcTimeMillis*1e-3"
+    t = f"{_CLOCK}*1e-9"
+    fix = ("`UnixTimeMillis`*1e-3", "`(UTC)TimeInMs`*1e-3")
+    parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [
+        ("gps", "Fix", {"t": t if shared else fix, **_FIX})
+    ]
+    acceleration, gyro = ([k for k in kinds if k in columns] for kinds in (_KINDS[1:3], _KINDS[3:]))
+    if acceleration and gyro:
+        x, y, z = (f"{acceleration[0]}{axis}Mps2" for axis in "XYZ")
+        p, q, r = (f"{gyro[0]}{axis}RadPerSec" for axis in "XYZ")
+        parts.append(("imu", acceleration[0], {"t": t if shared else utc, "ax": y, "ay": f"-{x}", "az": z}))
+        parts.append(("imu", gyro[0], {"t": t if shared else utc, "gx": q, "gy": f"-{p}", "gz": r}))
+    late = () if shared else ("Fix has no elapsedRealtimeNanos: times are the milliseconds of UTC",)
+    return Guess(roles_of(parts, columns), (FLAT, *late))

@@ -6,8 +6,7 @@ One text of 30 numbers a sample and a file of times; meaning, units and signs fr
 
 import re
 import warnings
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Frames, Guess, Part, Source
+from sigmaswarm.importing.source import Guess, Log, Part, of_frames
 from sigmaswarm.wording import shown
 
 COLUMNS = (
@@ -24,19 +23,13 @@ COLUMNS = (
     *("pos_accuracy", "vel_accuracy", "navstat", "numsats", "posmode", "velmode", "orimode"),
 )
 TABLE = "oxts"
-_T = "stamp*1e-9"
+_PLACE = {"t": "stamp*1e-9", "lat": "lat", "lon": "lon", "alt": "alt"}
+_IMU = {"t": "stamp*1e-9", "ax": "ax", "ay": "ay", "az": "az", "gx": "wx", "gy": "wy", "gz": "wz"}
 GUESS = Guess(
     {
-        "imu": (
-            Part(TABLE, {"t": _T, "ax": "ax", "ay": "ay", "az": "az", "gx": "wx", "gy": "wy", "gz": "wz"}),
-        ),
-        "gps": (Part(TABLE, {"t": _T, "lat": "lat", "lon": "lon", "alt": "alt"}),),
-        "truth": (
-            Part(
-                TABLE,
-                {"t": _T, "lat": "lat", "lon": "lon", "alt": "alt", "vx": "ve", "vy": "vn", "theta": "yaw"},
-            ),
-        ),
+        "imu": (Part(TABLE, _IMU),),
+        "gps": (Part(TABLE, _PLACE),),
+        "truth": (Part(TABLE, _PLACE | {"vx": "ve", "vy": "vn", "theta": "yaw"}),),
     },
     (
         "KITTI has no receiver of its own: fixes and truth are the same RTK/INS solution; for an honest test make "
@@ -56,8 +49,7 @@ def recognizes(path: Path) -> bool:
     return (_oxts(path) / "timestamps.txt").is_file() and (_oxts(path) / "data").is_dir()
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read all texts of a drive: an hour of 100 Hz is 360 000 files, and 90 MB."""
     folder = _oxts(path)
     if not recognizes(path):
@@ -68,19 +60,18 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     files = sorted((folder / "data").glob("*.txt"))
     if not files:
         raise InputError(f"{folder / 'data'}: holds no texts; unpack the drive again")
-    rows = np.array([_numbers(file) for file in files])
-    number = np.array([_number(file, len(stamps)) for file in files])
-    frame = pl.DataFrame({"stamp": stamps[number], **dict(zip(COLUMNS, rows.T, strict=True))})
+    rows = np.array([_numbers(file, len(stamps)) for file in files])
+    times = stamps[rows[:, 0].astype(np.int64)]
+    frame = pl.DataFrame({"stamp": times, **dict(zip(COLUMNS, rows.T[1:], strict=True))})
     lost = np.iinfo(np.int64).min  # NaT: a sample whose line is empty has no time
     frame = frame.with_columns(pl.col("stamp").replace(lost, None))
-    yield Frames(path, {TABLE: frame}, GUESS, {TABLE: "OXTS RT3003"})
+    return of_frames(path, {TABLE: frame}, "OXTS RT3003", lambda _: GUESS)
 
 
 def _stamps(path: Path) -> np.ndarray:
     """Nanoseconds of each line; a line may be empty where a sample was lost."""
-    lines = path.read_text("utf-8", "replace").splitlines()
+    said = [line.strip() or "NaT" for line in path.read_text("utf-8", "replace").splitlines()]
     try:
-        said = [line.strip() or "NaT" for line in lines]
         with warnings.catch_warnings():
             warnings.simplefilter("error", UserWarning)  # a time zone, which NumPy would drop
             times = np.array(said, dtype="datetime64[ns]")
@@ -94,7 +85,8 @@ def _stamps(path: Path) -> np.ndarray:
     return times.astype(np.int64)
 
 
-def _numbers(path: Path) -> list[float]:
+def _numbers(path: Path, count: int) -> list[float]:
+    """The sample's number, which is the file's name, and its values."""
     cells = path.read_text("utf-8", "replace").split()
     try:
         numbers = [float(cell) for cell in cells]
@@ -104,13 +96,8 @@ def _numbers(path: Path) -> list[float]:
         raise InputError(
             f"{path}: holds {len(cells)} cells, not {len(COLUMNS)} numbers; unpack the drive again"
         )
-    return numbers
-
-
-def _number(path: Path, count: int) -> int:
-    """The sample's number, which is the file's name."""
     if not re.fullmatch(r"[0-9]{1,18}", path.stem) or int(path.stem) >= count:
         raise InputError(
             f"{path}: timestamps.txt has only {count} lines, none for it; unpack the drive again"
         )
-    return int(path.stem)
+    return [int(path.stem), *numbers]

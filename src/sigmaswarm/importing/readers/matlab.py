@@ -1,8 +1,8 @@
 """MATLAB files, ``.mat`` up to version 7, through SciPy: structs and loose vectors of one length are tables."""
 
 import math
-from collections.abc import Generator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,8 +12,7 @@ import polars as pl
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.messages import broken
-from sigmaswarm.importing.source import FILES, Choice, Frames, Guess, Source, first_bytes
+from sigmaswarm.importing.source import FILES, Choice, Guess, Log, first_bytes, of_frames, whole
 from sigmaswarm.wording import shown
 
 LOOSE = "variables"
@@ -23,6 +22,7 @@ MOST_STRUCTS = 100_000
 MOST_PARTS = 9
 """Columns of a matrix that are a column each."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+_OPAQUE = ("MatlabOpaque", "MatlabFunction")
 
 
 def recognizes(path: Path) -> bool:
@@ -30,26 +30,16 @@ def recognizes(path: Path) -> bool:
     return first_bytes(path, 6) == b"MATLAB" or (path.is_file() and path.suffix.lower() == ".mat")
 
 
-class _Mat(Frames):
-    """Tables of a MATLAB file; the user may choose among them."""
-
-    def guess(self, choice: Choice) -> Guess:
-        samples = {name: frame.head(SAMPLE) for name, frame in self.frames.items()}
-        return guess_roles(samples, choice.tables)
-
-
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read all variables; timetables and files of version 7.3 are refused with the line to type in MATLAB."""
     from scipy.io import loadmat, whosmat
 
-    head = first_bytes(path, 1024)
-    if _HDF5 in head:
+    if _HDF5 in first_bytes(path, 1024):
         raise InputError(
             f"{path}: is a MATLAB file of version 7.3, which is not read; in MATLAB type: "
             f"s = load('{path.name}'); save('{path.stem}_v7.mat', '-struct', 's', '-v7')"
         )
-    try:
+    with whole(path):
         for name, shape, kind in whosmat(path):
             if kind in ("struct", "cell") and math.prod(shape) > MOST_STRUCTS:  # SciPy makes them all at once
                 raise InputError(
@@ -57,17 +47,10 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
                 )
             limits.check_unpacked(8 * math.prod(shape), path)
         content = cast("dict[str, Any]", loadmat(path, squeeze_me=True, struct_as_record=False))
-    except InputError:
-        raise
-    except Exception as error:  # the library raises anything on damaged bytes
-        raise broken(path, error) from None
-    variables = {k: v for k, v in content.items() if not k.startswith("__")}
-    opaque = [k for k, v in content.items() if _is_opaque(v)] + [
-        k for k in content if k == "__function_workspace__"
-    ]
-    tables = dict(_tables({k: v for k, v in variables.items() if not _is_opaque(v)}, "", 0))
-    if not tables:
-        if opaque:
+    plain = {k: v for k, v in content.items() if not k.startswith("__") and type(v).__name__ not in _OPAQUE}
+    frames = {name: pl.DataFrame(columns) for name, columns in _tables(plain, "", 0)}
+    if not frames:
+        if any(type(v).__name__ in _OPAQUE or k == "__function_workspace__" for k, v in content.items()):
             raise InputError(
                 f"{path}: holds MATLAB's own tables (timetable, table), which are not read; in MATLAB type for each: "
                 "writetimetable(NAME, 'NAME.csv')  (or writetable), and import the folder of these files"
@@ -75,14 +58,13 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
         raise InputError(
             f"{path}: holds no struct of vectors and no vectors; --show lists tables, and there are none"
         )
-    frames = {name: pl.DataFrame(columns) for name, columns in tables.items()}
     for name, frame in frames.items():
         limits.check_rows(len(frame), path, name)
-    yield _Mat(path, frames, Guess({}), dict.fromkeys(frames, FILES))
 
+    def guess(choice: Choice) -> Guess:
+        return guess_roles({name: frame.head(SAMPLE) for name, frame in frames.items()}, choice.tables)
 
-def _is_opaque(value: Any) -> bool:
-    return type(value).__name__ in ("MatlabOpaque", "MatlabFunction")
+    return of_frames(path, frames, FILES, guess)
 
 
 def _tables(content: Mapping[str, Any], name: str, depth: int) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -112,6 +94,4 @@ def _columns(field: str, value: "np.ndarray[Any, Any]") -> Iterator[tuple[str, A
         matrix = value if value.shape[0] >= value.shape[1] else value.T
         if 1 < matrix.shape[1] <= MOST_PARTS:
             axes = "xyz" if matrix.shape[1] == 3 else [str(k) for k in range(matrix.shape[1])]
-            yield from (
-                (f"{field}_{axis}", np.ascontiguousarray(matrix[:, k])) for k, axis in enumerate(axes)
-            )
+            yield from ((f"{field}_{a}", np.ascontiguousarray(matrix[:, k])) for k, a in enumerate(axes))

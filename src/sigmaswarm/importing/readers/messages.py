@@ -3,95 +3,94 @@
 ``received`` is the time of recording and ``stamp`` that of the header, both in ns.
 """
 
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import polars as pl
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.guess import SAMPLE, guess_roles, time_of
+from sigmaswarm.importing.guess import SAMPLE, guess_roles
 from sigmaswarm.importing.names import read_name
 from sigmaswarm.importing.readers.fields import getter
-from sigmaswarm.importing.readers.topics import guess_topics, standard
-from sigmaswarm.importing.readers.uorb import TURNED, part_of
-from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Part, Role, Table
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.readers.px4 import TURNED, part_of
+from sigmaswarm.importing.readers.topics import STANDARD, Topics, prefix
+from sigmaswarm.importing.source import CHUNK, Batch, Choice, Guess, Log, Part, Role, Table, Wanted, whole
+from sigmaswarm.importing.times import time_of
 
 LATE = 0.1
 """s: header stamps that differ more from the receive times get a remark."""
 
 Message = tuple[str, int, Any]
 """Topic, receive time in ns, and the message with its fields as attributes or keys."""
+Stream = Callable[[Collection[str]], Iterator[Message]]
+"""The messages of some topics, decoded, in the order of the log."""
+
+
+def message_log(path: Path, tables: Mapping[str, Table], stream: Stream, unread: Sequence[str] = ()) -> Log:
+    """Make a log of messages; ``unread`` are topics that can't be decoded."""
+    messages = _Messages(path, tables, stream)
+
+    def guess(choice: Choice) -> Guess:
+        found = messages.guess(choice)
+        left = (f"{topic} can't be decoded and is left out" for topic in unread)
+        return replace(found, notes=tuple(dict.fromkeys((*found.notes, *left))))
+
+    return Log(path, tables, messages.batches, guess, messages.remarks, mixed=True)
 
 
 @dataclass(frozen=True)
-class MessageLog:
-    """An open log of messages.
-
-    Attributes
-    ----------
-    stream : the messages of some topics, decoded, in the order of the log
-    interleaved : tables come mixed, so that a part of the log shows them all
-    """
+class _Messages:
+    """An open log of messages."""
 
     path: Path
     tables: Mapping[str, Table]
-    stream: Callable[[Collection[str]], Iterator[Message]]
-    unread: tuple[str, ...] = ()
+    stream: Stream
     remarks: list[str] = field(default_factory=list[str])
-    interleaved: ClassVar[bool] = True
 
-    def batches(self, wanted: Mapping[str, Collection[str]]) -> Iterator[Batch]:
+    def batches(self, wanted: Wanted) -> Iterator[Batch]:
         """Some thousand messages at a time."""
         total = sum(self.tables[topic].rows or 0 for topic in wanted)
         collectors = {topic: _Collector(topic, list(columns)) for topic, columns in wanted.items()}
-        for seen, (topic, received, message) in enumerate(self.messages(wanted), 1):
+        for seen, (topic, received, message) in enumerate(self._messages(wanted), 1):
             collectors[topic].add(received, message)
             if seen % CHUNK == 0:
                 for name, collector in collectors.items():
                     if collector.rows:
-                        yield Batch(name, collector.take(), min(seen / max(total, 1), 1.0))
+                        yield name, collector.take(), min(seen / max(total, 1), 1.0)
         for topic, collector in collectors.items():
             if collector.rows:
-                yield Batch(topic, collector.take(), 1.0)
+                yield topic, collector.take(), 1.0
             self.remarks.extend(collector.remarks())
 
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """The messages; whatever a decoder stumbles over becomes one line."""
-        try:
+    def _messages(self, topics: Collection[str]) -> Iterator[Message]:
+        with whole(self.path):
             yield from self.stream(topics)
-        except InputError:
-            raise
-        except Exception as error:  # decoders raise anything on damaged bytes
-            raise broken(self.path, error) from None
 
     def guess(self, choice: Choice) -> Guess:
         """By message types, and topics' names; of messages of an author's own, by the names of their numbers."""
-        roles = ("imu", "gps")
-        there = {
-            role: next((t for t in (n, "/" + n.lstrip("/")) if t in self.tables), "")
-            for role, n in choice.tables.items()
-        }
-        own = {
-            role: t for role, t in there.items() if t and role in roles and not standard(self.tables, t, role)
-        }
+        own: dict[str, str] = {}
+        for role, chosen in choice.tables.items():
+            topic = next((t for t in (chosen, "/" + chosen.lstrip("/")) if t in self.tables), "")
+            if topic and all(prefix(self.tables[topic], paths) is None for paths in STANDARD.get(role, ())):
+                own |= {role: topic} if role in STANDARD else {}
         rest = replace(choice, tables={r: t for r, t in choice.tables.items() if r not in own})
-        guess = guess_topics(self.tables, rest, lambda topic: next(self.messages([topic]), None), self.path)
-        found, faults = dict(guess.roles), guess.faults
-        notes = list(guess.notes)
-        for role in roles:
-            if role in own or role not in found:
+        first = Topics(self.path, self.tables, rest, lambda topic: next(self._messages([topic]), None))
+        guess = first.guess()
+        for role in ("imu", "gps"):
+            if role in own or role not in guess.roles:
                 other = self._own_messages(role, own.get(role), choice)
-                found |= {r: parts for r, parts in other.roles.items() if r == role}
-                faults += tuple(f for f in other.faults if f.role == role)
-                notes += other.notes if role in other.roles else ()
-        notes += [f"{u} can't be decoded and is left out" for u in self.unread]
-        return replace(guess, roles=found, notes=tuple(dict.fromkeys(notes)), faults=faults)
+                if role in other.roles:
+                    guess = replace(
+                        guess,
+                        roles={**guess.roles, role: other.roles[role]},
+                        notes=guess.notes + other.notes,
+                        faults=guess.faults + tuple(f for f in other.faults if f.role == role),
+                    )
+        return guess
 
     def _own_messages(self, role: Role, topic: str | None, choice: Choice) -> Guess:
         """A role's part of other messages, by PX4's types or by names; the time alone if the rest is mapped."""
@@ -116,11 +115,11 @@ class MessageLog:
 
     def _sample(self, topic: str) -> pl.DataFrame:
         """The first messages of a topic."""
-        columns = list(self.tables[topic].columns)
-        collector = _Collector(topic, columns)
-        for _, received, message in islice(self.messages([topic]), SAMPLE):
+        collector = _Collector(topic, list(self.tables[topic].columns))
+        for _, received, message in islice(self._messages([topic]), SAMPLE):
             collector.add(received, message)
-        return collector.take() if collector.rows else pl.DataFrame(schema=dict.fromkeys(columns, pl.Float64))
+        empty = pl.DataFrame(schema=dict.fromkeys(collector.columns, pl.Float64))
+        return collector.take() if collector.rows else empty
 
 
 @dataclass
@@ -129,20 +128,19 @@ class _Collector:
 
     topic: str
     columns: list[str]
-    rows: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
+    rows: list[list[Any]] = field(default_factory=list[list[Any]])
     delays: list[float] = field(default_factory=list[float])
 
     def __post_init__(self) -> None:
-        self.getters = [getter(c) for c in self.columns if c != "received"]
+        self.getters = [None if c == "received" else getter(c) for c in self.columns]
+        self.stamp = self.columns.index("stamp") if "stamp" in self.columns else None
 
     def add(self, received: int, message: Any) -> None:
         """Take the wanted numbers out of a message."""
-        values = iter([get(message) for get in self.getters])
-        self.rows.append(tuple(received if c == "received" else next(values) for c in self.columns))
-        if "stamp" in self.columns:
-            stamp = self.rows[-1][self.columns.index("stamp")]
-            if stamp:  # 0 where it is not set
-                self.delays.append((received - stamp) * 1e-9)
+        row = [get(message) if get else received for get in self.getters]
+        self.rows.append(row)
+        if self.stamp is not None and row[self.stamp]:  # 0 where it is not set
+            self.delays.append((received - row[self.stamp]) * 1e-9)
 
     def take(self) -> pl.DataFrame:
         """Return the rows so far and clear them."""
@@ -152,7 +150,7 @@ class _Collector:
         return pl.DataFrame({c: _numbers(v) for c, v in zip(self.columns, values, strict=True)})
 
     def remarks(self) -> Iterator[str]:
-        """Return True if stamps and receive times differ."""
+        """A sentence where stamps and receive times differ."""
         delay = float(np.median(self.delays)) if self.delays else 0.0
         if abs(delay) > LATE:
             when = "before" if delay > 0 else "after"
@@ -177,10 +175,3 @@ def _float(value: Any) -> float | None:
         return None if value is None else float(value)
     except OverflowError:  # a whole number of 400 digits
         return None
-
-
-def broken(path: Path, error: Exception) -> InputError:
-    """Return the error of a library about a damaged file in one line."""
-    said = " ".join(str(error).split()) or type(error).__name__
-    said = shown(re.sub(r"^b'|'$", "", said), 160)
-    return InputError(f"{path}: is cut short or broken ({said}); record or copy it again")

@@ -5,8 +5,7 @@ dataset", IJRR 2016: times in us of UTC, body x forward, y right, z down, truth 
 latitude and longitude in rad.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 
 import polars as pl
@@ -14,33 +13,39 @@ import polars as pl
 from sigmaswarm.drives.table_files import one_file
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.columns import ColumnFiles, collect, tables_of
-from sigmaswarm.importing.source import Guess, Part, Role, Source
+from sigmaswarm.importing.readers.columns import collect, of_files
+from sigmaswarm.importing.source import Guess, Log, Part, Role
 
 ORIGIN = (42.293227, -83.709657, 270.0)
 """Latitude, longitude (deg) and altitude (m) of the truth's frame."""
-
-FILES: dict[Role, tuple[str, tuple[str, ...], dict[str, str]]] = {
+_T = {"t": "utime*1e-6"}
+FILES: dict[Role, tuple[str, str, dict[str, str]]] = {
     "imu": (
         "ms25.csv",
-        ("utime", "mag_x", "mag_y", "mag_z", "accel_x", "accel_y", "accel_z", "rot_r", "rot_p", "rot_h"),
-        {
-            **{"t": "utime*1e-6", "ax": "accel_x", "ay": "-accel_y", "az": "-accel_z"},
-            **{"gx": "rot_r", "gy": "-rot_p", "gz": "-rot_h"},
+        "utime mag_x mag_y mag_z accel_x accel_y accel_z rot_r rot_p rot_h",
+        _T
+        | {
+            "ax": "accel_x",
+            "ay": "-accel_y",
+            "az": "-accel_z",
+            "gx": "rot_r",
+            "gy": "-rot_p",
+            "gz": "-rot_h",
         },
     ),
     "gps": (
         "gps.csv",
-        ("utime", "mode", "num_satellites", "lat", "lon", "alt", "track", "speed"),
-        {"t": "utime*1e-6", "lat": "degrees(lat)", "lon": "degrees(lon)", "alt": "alt", "keep": "mode >= 2"},
+        "utime mode num_satellites lat lon alt track speed",
+        _T | {"lat": "degrees(lat)", "lon": "degrees(lon)", "alt": "alt", "keep": "mode >= 2"},
     ),
     "truth": (
         "groundtruth*.csv",
-        ("utime", "x", "y", "z", "roll", "pitch", "heading"),
-        {"t": "utime*1e-6", "x": "y", "y": "x", "theta": "pi/2 - heading"},
+        "utime x y z roll pitch heading",
+        _T | {"x": "y", "y": "x", "theta": "pi/2 - heading"},
     ),
 }
 """The file of each role, its columns, and their expressions in a drive."""
+_NOTE = "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used"
 
 
 def recognizes(path: Path) -> bool:
@@ -48,26 +53,16 @@ def recognizes(path: Path) -> bool:
     return (path / "ms25.csv").is_file()
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open the files, which have no header lines; the truth may be in the same folder."""
     scans: dict[str, pl.LazyFrame] = {}
     roles: dict[Role, tuple[Part, ...]] = {}
     for role, (pattern, columns, expressions) in FILES.items():
         for file in sorted(path.glob(pattern))[:1]:
-            kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns}
-            scans[file.name] = pl.scan_csv(
-                **one_file(file), has_header=False, schema=kinds, null_values=["nan", "NaN"]
-            )
-            if not len(collect(scans[file.name].head(10), file, file.name)):
+            kinds = {name: pl.Int64 if name == "utime" else pl.Float64 for name in columns.split()}
+            rows = pl.scan_csv(**one_file(file), has_header=False, schema=kinds, null_values=["nan", "NaN"])
+            if not len(collect(rows.head(10), file, file.name)):
                 raise InputError(f"{file} is empty; unpack the session again")
-            roles[role] = (Part(file.name, expressions),)
-    notes = (
-        "the MS25's axes turned from x forward, y right, z down; course and speed of gps.csv are not used",
-    )
-    yield ColumnFiles(
-        path,
-        scans,
-        tables_of(scans, "NCLT"),
-        Guess(roles, notes, ORIGIN, {"dataset": "NCLT", "licence": "ODbL"}),
-    )
+            scans[file.name], roles[role] = rows, (Part(file.name, expressions),)
+    guess = Guess(roles, (_NOTE,), ORIGIN, {"dataset": "NCLT", "licence": "ODbL"})
+    return of_files(path, scans, "NCLT", guess)

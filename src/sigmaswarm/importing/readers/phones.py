@@ -3,17 +3,14 @@
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Collection, Generator, Iterable
-from contextlib import contextmanager
+from collections.abc import Collection
+from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
-
-import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.columns import ColumnFiles, scan, tables_of
-from sigmaswarm.importing.source import Guess
-from sigmaswarm.wording import shown
+from sigmaswarm.importing.readers.columns import of_files, scan
+from sigmaswarm.importing.source import Guess, Log, whole
 
 FLAT = "the phone taken as lying flat, screen up, top edge forward; turn it with --mount"
 """A phone's x points right and y to its top edge (Android's SensorEvent): forward is y, left is -x."""
@@ -34,52 +31,31 @@ def names_in(path: Path) -> set[str]:
     return set()
 
 
-@contextmanager
-def unpacked(path: Path, names: Collection[str], limits: Limits) -> Generator[Path]:
-    """The folder with the files: itself, or a temporary one with those of a zip that are wanted, and no others."""
-    if path.is_dir():
-        yield path
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            with zipfile.ZipFile(path) as archive:
-                for member in _wanted(archive, path, names, limits):
-                    with archive.open(member) as packed, (Path(folder) / _name(member)).open("wb") as file:
-                        shutil.copyfileobj(packed, file)
-        except InputError:
-            raise
-        except Exception as error:  # the library raises anything on damaged bytes
-            said = shown(" ".join(str(error).split()), 160)
-            raise InputError(f"{path}: is cut short or no zip ({said}); export it again") from None
-        yield Path(folder)
+def phone_files(path: Path, names: Collection[str], limits: Limits, stack: ExitStack) -> Log:
+    """The tables of a folder or a zip by their file names; those of a zip are unpacked to a temporary folder."""
+    folder = path if path.is_dir() else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    if not path.is_dir():
+        with whole(path, "is cut short or no zip", "export it again"), zipfile.ZipFile(path) as archive:
+            for name, member in _wanted(archive, path, names, limits).items():
+                with archive.open(member) as packed, (folder / name).open("wb") as file:
+                    shutil.copyfileobj(packed, file)
+    remarks: list[str] = []
+    there = [name for name in names if (folder / name).is_file()]
+    scans = {name: scan(folder / name, path / name, limits, remarks) for name in there}
+    return of_files(path, scans, "CSV", Guess({}), remarks)
 
 
 def _wanted(
     archive: zipfile.ZipFile, path: Path, names: Collection[str], limits: Limits
-) -> list[zipfile.ZipInfo]:
+) -> dict[str, zipfile.ZipInfo]:
     """The files of those names in the outermost folder that has any of them."""
-    found = [m for m in archive.infolist() if not m.is_dir() and _name(m) in names]
-    outermost = min((_folder(m) for m in found), key=lambda f: (len(f.parts), str(f)), default=None)
-    wanted = {_name(m): m for m in found if _folder(m) == outermost}
+    found = [(PurePosixPath(m.filename), m) for m in archive.infolist() if not m.is_dir()]
+    found = [(inside, m) for inside, m in found if inside.name in names]
+    folders = {inside.parent for inside, _ in found}
+    outermost = min(folders, key=lambda f: (len(f.parts), str(f)), default=None)
+    wanted = {inside.name: m for inside, m in found if inside.parent == outermost}
     limits.check_unpacked(sum(m.file_size for m in wanted.values()), path)
     for name, member in wanted.items():
         if member.flag_bits & 1:
             raise InputError(f"{path}: {name} in it is encrypted; unpack it, and name the folder")
-    return list(wanted.values())
-
-
-def _name(member: zipfile.ZipInfo) -> str:
-    return PurePosixPath(member.filename).name
-
-
-def _folder(member: zipfile.ZipInfo) -> PurePosixPath:
-    return PurePosixPath(member.filename).parent
-
-
-def phone_files(path: Path, folder: Path, guess: Guess, names: Iterable[str], limits: Limits) -> ColumnFiles:
-    """The export's tables that are there, by their file names."""
-    remarks: list[str] = []
-    scans: dict[str, pl.LazyFrame] = {
-        n: scan(folder / n, path / n, limits, remarks) for n in names if (folder / n).is_file()
-    }
-    return ColumnFiles(path, scans, tables_of(scans, "CSV"), guess, tuple(remarks))
+    return wanted

@@ -5,67 +5,61 @@ Column names carry their units: "Time (s)" since the start on one clock, "Accele
 """
 
 import re
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files, unpacked
-from sigmaswarm.importing.source import Guess, Part, Role, Source, first_bytes
+from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
+from sigmaswarm.importing.source import Guess, Log, Part, Role, first_bytes
 
 FILES = ("Accelerometer.csv", "Gyroscope.csv", "Location.csv")
-_NAMES = {
-    "Accelerometer.csv": {"t": r"time", **{i: rf"(?:acceleration )?{i}" for i in "xyz"}},
-    "Gyroscope.csv": {"t": r"time", **{i: rf"(?:gyroscope )?{i}" for i in "xyz"}},
-    "Location.csv": {
-        **{"t": r"time", "lat": r"latitude", "lon": r"longitude", "alt": r"height|altitude"},
-        **{"speed": r"velocity|speed", "course": r"direction", "accuracy": r"horizontal accuracy"},
-    },
-}
+_AXES = {"t": "time", "x": "x", "y": "y", "z": "z"}
+_PLAIN = r"\s*\(.*\)\s*$|^(?:acceleration|gyroscope) (?=[xyz])"
+_COLUMNS: tuple[tuple[Role, str, dict[str, str], dict[str, str]], ...] = (
+    ("imu", FILES[0], _AXES, {"t": "{t}", "ax": "{y}", "ay": "-{x}", "az": "{z}"}),
+    ("imu", FILES[1], _AXES, {"t": "{t}", "gx": "{y}", "gy": "-{x}", "gz": "{z}"}),
+    (
+        "gps",
+        FILES[2],
+        {
+            **{"t": "time", "lat": "latitude", "lon": "longitude", "alt": "height|altitude"},
+            **{"speed": "velocity|speed", "course": "direction", "accuracy": "horizontal accuracy"},
+        },
+        {
+            **{name: f"{{{name}}}" for name in ("t", "lat", "lon", "alt", "speed")},
+            **{"course": "radians(90 - {course})"},
+            **dict.fromkeys(("std_x", "std_y"), f"{{accuracy}}/{RADIUS_68}"),
+        },
+    ),
+)
+"""By role and file: the plain names of columns, and the expressions over them."""
+_REQUIRED = {"imu": {"t", "x", "y", "z"}, "gps": {"t", "lat", "lon"}}
 
 
 def recognizes(path: Path) -> bool:
     """Return True if phyphox's files are in it, and begin with its "Time (s)"."""
     begin = first_bytes(path / FILES[0], 100).decode("utf-8-sig", "replace").strip('" ').lower()
-    return {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path) and (
-        path.is_file() or begin.startswith("time (s)")
-    )
+    there = {"Accelerometer.csv", "Gyroscope.csv"} <= names_in(path)
+    return there and (path.is_file() or begin.startswith("time (s)"))
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open an export."""
-    with unpacked(path, FILES, limits) as folder:
-        files = phone_files(path, folder, Guess({}), FILES, limits)
-        roles: dict[Role, tuple[Part, ...]] = {}
-        names = {table: _find(_NAMES[table], files.tables[table].columns) for table in files.tables}
-        accelerometer, gyroscope = names.get(FILES[0], {}), names.get(FILES[1], {})
-        if {"t", "x", "y", "z"} <= accelerometer.keys() & gyroscope.keys():
-            a, w = accelerometer, gyroscope
-            acceleration = Part(FILES[0], {"t": a["t"], "ax": a["y"], "ay": f"-{a['x']}", "az": a["z"]})
-            rates = Part(FILES[1], {"t": w["t"], "gx": w["y"], "gy": f"-{w['x']}", "gz": w["z"]})
-            roles["imu"] = (acceleration, rates)
-        if (place := names.get(FILES[2], {})).keys() >= {"t", "lat", "lon"}:
-            roles["gps"] = (Part(FILES[2], _fix(place)),)
-        yield replace(files, guessed=Guess(roles, (FLAT,)))
-
-
-def _find(wanted: dict[str, str], columns: Sequence[str]) -> dict[str, str]:
-    """Columns by quantity, between backticks; the unit in brackets does not count."""
-    plain = {column: re.sub(r"\s*\(.*\)\s*$", "", column).strip().lower() for column in columns}
-    found: dict[str, str] = {}
-    for what, pattern in wanted.items():
-        for column, name in plain.items():
-            if what not in found and re.fullmatch(pattern, name):
-                found[what] = f"`{column}`"
-    return found
-
-
-def _fix(place: dict[str, str]) -> dict[str, str]:
-    columns = {name: place[name] for name in ("t", "lat", "lon", "alt", "speed") if name in place}
-    if "course" in place:
-        columns["course"] = f"radians(90 - {place['course']})"
-    if "accuracy" in place:
-        columns["std_x"] = columns["std_y"] = f"{place['accuracy']}/{RADIUS_68}"
-    return columns
+    log = phone_files(path, FILES, limits, stack)
+    roles: dict[Role, tuple[Part, ...]] = {}
+    for role, table, wanted, expressions in _COLUMNS:
+        found: dict[str, str] = {}
+        for column in log.tables[table].columns if table in log.tables else ():
+            plain = re.sub(_PLAIN, "", column.strip().lower()).strip()
+            for what, pattern in wanted.items():
+                if re.fullmatch(pattern, plain):
+                    found.setdefault(what, f"`{column}`")
+        if found.keys() >= _REQUIRED[role]:
+            fitting = {
+                n: e for n, e in expressions.items() if set(re.findall(r"\{(\w+)\}", e)) <= found.keys()
+            }
+            part = Part(table, {name: text.format(**found) for name, text in fitting.items()})
+            roles[role] = (*roles.get(role, ()), part)
+    if len(roles.get("imu", ())) < 2:
+        roles.pop("imu", None)
+    return log.guessed(Guess(roles, (FLAT,)))

@@ -1,4 +1,4 @@
-"""PX4's flight logs, ``.ulg``, through pyulog.
+"""PX4's flight logs, ``.ulg``, through pyulog, and PX4's messages in ROS 2 bags.
 
 Messages of PX4-Autopilot, msg/: times in us since start; sensor_combined in the body's forward, right, down
 (m/s2, rad/s); fixes in degrees (or 1e-7 degrees, mm in older logs), velocity north and east; in simulation also
@@ -7,21 +7,57 @@ the true place, north and east of a reference.
 
 import io
 import struct
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.messages import broken
-from sigmaswarm.importing.readers.uorb import IMU, TURNED, T, fix
-from sigmaswarm.importing.source import Frames, Guess, Part, Role, Source, first_bytes, library
+from sigmaswarm.importing.source import (
+    Guess,
+    Log,
+    Part,
+    Role,
+    Table,
+    first_bytes,
+    library,
+    of_frames,
+    roles_of,
+    whole,
+)
 
 MAGIC = b"ULog\x01\x12\x35"
-_TOPICS = ("sensor_combined", "vehicle_gps_position", "sensor_gps", "vehicle_local_position_groundtruth")
+TURNED = "PX4's axes turned from forward, right, down"
+_T = {"t": "timestamp*1e-6"}
+_IMU = _T | {
+    **{"ax": "accelerometer_m_s2[0]", "ay": "-accelerometer_m_s2[1]", "az": "-accelerometer_m_s2[2]"},
+    **{"gx": "gyro_rad[0]", "gy": "-gyro_rad[1]", "gz": "-gyro_rad[2]"},
+}
+_FIX: dict[str, str | tuple[str, ...]] = {
+    **_T,
+    "lat": ("latitude_deg", "lat*1e-7"),  # since PX4 1.14, and before
+    "lon": ("longitude_deg", "lon*1e-7"),
+    "alt": ("altitude_ellipsoid_m", "alt_ellipsoid*1e-3"),
+    "std_x": ("eph/sqrt(2)",),
+    "std_y": ("eph/sqrt(2)",),
+    "vx": ("vel_e_m_s",),
+    "vy": ("vel_n_m_s",),
+    "keep": ("fix_type >= 3",),
+}
+_TRUTH = "vehicle_local_position_groundtruth"
+_TRUE = _T | {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "theta": "pi/2 - heading"}
+_TOPICS = ("sensor_combined", "vehicle_gps_position", "sensor_gps", _TRUTH)
+_KINDS: dict[Role, tuple[str, ...]] = {"imu": ("SensorCombined",), "gps": ("SensorGps", "VehicleGpsPosition")}
+
+
+def part_of(topic: str, table: Table, role: Role) -> Part | None:
+    """The part of a role that a topic of px4_msgs gives; None where it gives none."""
+    package, _, kind = table.kind.rpartition("/")
+    if not package.startswith("px4_msgs") or kind not in _KINDS.get(role, ()):
+        return None
+    (part,) = roles_of([(role, topic, _IMU if role == "imu" else _FIX)], {topic: table.columns})[role]
+    return part if role == "imu" or {"lat", "lon"} <= part.columns.keys() else None
 
 
 def recognizes(path: Path) -> bool:
@@ -29,16 +65,12 @@ def recognizes(path: Path) -> bool:
     return first_bytes(path, 7) == MAGIC or (path.is_file() and path.suffix == ".ulg")
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read the topics that a drive is made of; the others are skipped."""
     core = library("pyulog.core", "logs")
     _require_whole_definitions(path)
-    try:
-        with _Log(io.FileIO(path)) as file:
-            log = core.ULog(file, message_name_filter_list=list(_TOPICS))
-    except Exception as error:  # the library raises anything on damaged bytes
-        raise broken(path, error) from None
+    with whole(path), _Log(io.FileIO(path)) as file:
+        log = core.ULog(file, message_name_filter_list=list(_TOPICS))
     if log.file_corruption or file.stopped < path.stat().st_size:
         raise InputError(f"{path}: is cut short or broken before byte {file.stopped}; copy the log again")
     frames = {
@@ -49,7 +81,8 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
         raise InputError(
             f"{path}: holds none of {', '.join(_TOPICS)}; log them (SDLOG_PROFILE), and fly again"
         )
-    yield Frames(path, frames, _guess(frames), dict.fromkeys(frames, "uORB topic"))
+    guess = _guess(frames)
+    return of_frames(path, frames, "uORB topic", lambda _: guess)
 
 
 class _Log(io.BufferedReader):
@@ -80,22 +113,15 @@ def _require_whole_definitions(path: Path) -> None:
 
 
 def _guess(frames: dict[str, pl.DataFrame]) -> Guess:
-    roles: dict[Role, tuple[Part, ...]] = {}
+    parts: list[tuple[Role, str, dict[str, str | tuple[str, ...]]]] = [("imu", "sensor_combined", {**_IMU})]
     origin = None
     notes = [TURNED]
-    if "sensor_combined" in frames:
-        roles["imu"] = (Part("sensor_combined", {"t": T, **IMU}),)
-    fixes = next((t for t in ("vehicle_gps_position", "sensor_gps") if t in frames), None)
-    if fixes:
-        roles["gps"] = (Part(fixes, {"t": T, **fix(frames[fixes].columns)}),)
+    if fixes := next((t for t in _TOPICS[1:3] if t in frames), None):
+        parts.append(("gps", fixes, _FIX))
         notes.append(f"{fixes}: the stated horizontal accuracy is split evenly between east and north")
-    truth = frames.get("vehicle_local_position_groundtruth")
-    if truth is not None and {"ref_lat", "ref_lon", "ref_alt"} <= set(truth.columns) and len(truth):
-        columns = {"t": T, "x": "y", "y": "x", "vx": "vy", "vy": "vx", "theta": "pi/2 - heading"}
-        roles["truth"] = (Part("vehicle_local_position_groundtruth", columns),)
-        origin = _place(truth.row(len(truth) - 1, named=True))
-    return Guess(roles, tuple(notes), origin)
-
-
-def _place(row: dict[str, Any]) -> tuple[float, float, float]:
-    return float(row["ref_lat"]), float(row["ref_lon"]), float(row["ref_alt"])
+    reference = ("ref_lat", "ref_lon", "ref_alt")
+    if _TRUTH in frames and {*reference} <= {*frames[_TRUTH].columns} and len(frames[_TRUTH]):
+        parts.append(("truth", _TRUTH, {**_TRUE}))
+        lat, lon, alt = (float(frames[_TRUTH][name][-1]) for name in reference)
+        origin = lat, lon, alt
+    return Guess(roles_of(parts, {name: f.columns for name, f in frames.items()}), tuple(notes), origin)

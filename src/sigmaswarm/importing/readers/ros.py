@@ -1,16 +1,16 @@
 """ROS 1 bags and ROS 2 bags (sqlite3 or MCAP), through rosbags: no ROS needed."""
 
 import bz2
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
 from sigmaswarm.importing.readers.fields import columns_of
-from sigmaswarm.importing.readers.messages import Message, MessageLog, broken
-from sigmaswarm.importing.source import Source, Table, first_bytes, library
+from sigmaswarm.importing.readers.messages import Message, message_log
+from sigmaswarm.importing.source import Log, Table, first_bytes, library, whole
 
 _FILES = (".bag", ".db3", ".mcap")
 
@@ -29,8 +29,7 @@ def bag_paths(path: Path) -> list[Path]:
     return sorted(f for f in path.iterdir() if f.suffix in _FILES)
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits, definitions: Sequence[Path] = ()) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack, definitions: Sequence[Path] = ()) -> Log:
     """Open a bag; definitions that a ROS 2 bag does not bring along are given, or those of the latest ROS."""
     anyreader = library("rosbags.highlevel", "ros")
     typesys = library("rosbags.typesys", "ros")
@@ -39,20 +38,14 @@ def open_log(path: Path, limits: Limits, definitions: Sequence[Path] = ()) -> Ge
         raise InputError(
             f"{path}: holds no bag; name the folder with metadata.yaml, or a .bag, .db3 or .mcap file"
         )
-    try:
+    with whole(path):
         store = typesys.get_typestore(typesys.Stores.LATEST)
         reader = anyreader.AnyReader(paths, default_typestore=store)
         reader.open()
+        stack.callback(reader.close)
         _define(reader, definitions, typesys)
         _bound_chunks(reader, limits, path)
-    except InputError:
-        raise
-    except Exception as error:  # the library raises anything on damaged bytes
-        raise broken(path, error) from None
-    try:
-        yield _log(path, reader, limits)
-    finally:
-        reader.close()
+    return _log(path, reader, limits)
 
 
 def _define(reader: Any, definitions: Sequence[Path], typesys: Any) -> None:
@@ -102,13 +95,16 @@ def _bounded(stream: Callable[[], Any], limits: Limits, path: Path) -> Callable[
     return unpack
 
 
-def _log(path: Path, reader: Any, limits: Limits) -> MessageLog:
+def _log(path: Path, reader: Any, limits: Limits) -> Log:
     tables: dict[str, Table] = {}
+    unread: list[str] = []
     for topic, info in reader.topics.items():
         kind = info.msgtype or "several types"
-        columns = columns_of(reader.typestore, kind, limits, path)
-        tables[topic] = Table(columns, kind, info.msgcount)
-        limits = limits.less(len(columns))
+        if columns := columns_of(reader.typestore, kind, limits, path):
+            tables[topic] = Table(columns, kind, info.msgcount)
+            limits = limits.less(len(columns))
+        else:
+            unread.append(f"{topic} ({kind}, whose definition --msg {kind.rpartition('/')[2]}.msg gives)")
 
     def stream(topics: Collection[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
@@ -119,10 +115,4 @@ def _log(path: Path, reader: Any, limits: Limits) -> MessageLog:
                 )
             yield connection.topic, received, reader.deserialize(raw, connection.msgtype)
 
-    known = {topic: table for topic, table in tables.items() if table.columns}
-    unread = tuple(
-        f"{topic} ({tables[topic].kind}, whose definition --msg {tables[topic].kind.rpartition('/')[2]}.msg gives)"
-        for topic in tables
-        if topic not in known
-    )
-    return MessageLog(path, known, stream, unread)
+    return message_log(path, tables, stream, unread)

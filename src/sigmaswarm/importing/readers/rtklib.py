@@ -5,25 +5,18 @@ latitude and longitude in degrees, height above the ellipsoid, deviations north,
 """
 
 import re
-from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
 from sigmaswarm.errors import InputError
-from sigmaswarm.importing.dates import GPS_EPOCH, gps_to_unix
+from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, require_distinct
+from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, of_rows, require_distinct
 from sigmaswarm.wording import names_shown
 
-WEEK = 604_800
-"""s."""
-_NAMES = {
-    **{"latitude(deg)": "latitude", "longitude(deg)": "longitude", "height(m)": "height"},
-    **{"sdn(m)": "sdn", "sde(m)": "sde", "sdu(m)": "sdu", "age(s)": "age"},
-    **{"vn(m/s)": "vn", "ve(m/s)": "ve", "vu(m/s)": "vu"},
-}
 _TARGETS = {
     **{"lat": "latitude", "lon": "longitude", "alt": "height", "std_x": "sde", "std_y": "sdn"},
     **{"vx": "ve", "vy": "vn"},
@@ -36,8 +29,7 @@ def recognizes(path: Path) -> bool:
     return path.suffix == ".pos" or (head.startswith(b"%") and b"latitude(deg)" in head)
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Read the header, and rows when they are wanted."""
     system, columns = _header(path)
     targets = {target: name for target, name in _TARGETS.items() if name in columns}
@@ -48,15 +40,13 @@ def open_log(path: Path, limits: Limits) -> Generator[Source]:
     }
     fixed = "Q == 1" if "Q" in columns else ""
     guess = Guess({"gps": (Part("solution", {"t": "t", **targets}),)}, (notes[system],), fixed=fixed)
-    utc: Callable[[float], float] = (
-        (lambda s: float(gps_to_unix(np.array([s]))[0])) if system == "GPST" else float
+    return of_rows(
+        path, "solution", ("t", *columns), lambda: _rows(path, len(columns), system == "GPST"), guess, []
     )
-    source = Rows(path, "solution", ("t", *columns), lambda: _rows(path, len(columns), utc), guess)
-    yield source
 
 
 def _header(path: Path) -> tuple[str, list[str]]:
-    """The time system, and the columns after the time."""
+    """The time system, and the columns after the time, without their units."""
     said = ""
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
@@ -69,7 +59,7 @@ def _header(path: Path) -> tuple[str, list[str]]:
         raise InputError(
             f"{path}: has no header of RTKLIB's with GPST or UTC; write the solution with its header"
         )
-    columns = [_NAMES.get(word, word) for word in words[1:]]
+    columns = [re.sub(r"\((?:deg|m|s|m/s)\)$", "", word) for word in words[1:]]
     if not {"latitude", "longitude"} <= set(columns):
         raise InputError(
             f"{path}: has {names_shown(words[1:4])}; write the solution as latitude, longitude, height"
@@ -78,8 +68,8 @@ def _header(path: Path) -> tuple[str, list[str]]:
     return words[0], columns
 
 
-def _rows(path: Path, width: int, utc: Callable[[float], float]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """Time and numbers of each line."""
+def _rows(path: Path, width: int, gps: bool) -> Iterator[tuple[tuple[float, ...], float]]:
+    """Time and numbers of each line; times in GPS time become UTC."""
     size, read = path.stat().st_size, 0
     with path.open(encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
@@ -88,7 +78,8 @@ def _rows(path: Path, width: int, utc: Callable[[float], float]) -> Iterator[tup
                 continue
             cells = re.split(r"[\s,;]+", line.strip())
             try:
-                time, values = utc(_seconds(*cells[:2])), [float(cell) for cell in cells[2:]]
+                time, values = _seconds(*cells[:2]), [float(cell) for cell in cells[2:]]
+                time = float(gps_to_unix(np.array([time]))[0]) if gps else time
             except (ValueError, TypeError, OverflowError):
                 time, values = 0.0, []
             if len(values) != width:
@@ -101,10 +92,10 @@ def _rows(path: Path, width: int, utc: Callable[[float], float]) -> Iterator[tup
 
 def _seconds(first: str, second: str) -> float:
     """s since 1970, without leap seconds, of a date and a time of day, or of a GPS week and its seconds."""
-    if "/" in first:
-        day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)
-        hours, minutes, seconds = second.split(":")
-        if not (0 <= int(hours) < 24 and 0 <= int(minutes) < 60 and 0 <= float(seconds) <= 60):
-            raise ValueError("no time of day")
-        return float(day) + int(hours) * 3600 + int(minutes) * 60 + float(seconds)
-    return GPS_EPOCH + int(first) * WEEK + float(second)
+    if "/" not in first:
+        return GPS_EPOCH + int(first) * WEEK + float(second)
+    day = np.datetime64(first.replace("/", "-"), "s").astype(np.int64)
+    hours, minutes, seconds = second.split(":")
+    if not (0 <= int(hours) < 24 and 0 <= int(minutes) < 60 and 0 <= float(seconds) <= 60):
+        raise ValueError("no time of day")
+    return float(day) + int(hours) * 3600 + int(minutes) * 60 + float(seconds)

@@ -5,25 +5,22 @@ ns since 1970; Accelerometer without gravity, and Gravity, both with opposite si
 with gravity on Android; bearing in degrees from north; negative values are invalid.
 """
 
-from collections.abc import Generator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 
 import polars as pl
 
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.readers.columns import ColumnFiles, collect
-from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files, unpacked
-from sigmaswarm.importing.source import Guess, Part, Role, Source
+from sigmaswarm.importing.readers.phones import FLAT, RADIUS_68, names_in, phone_files
+from sigmaswarm.importing.source import Guess, Log, Role, roles_of
 
 FILES = ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv", "Gyroscope.csv", "Location.csv")
-_T = "time*1e-9"
+_TOTAL, _MOVED, _GRAVITY, _RATES, _PLACES = FILES
+_T = {"t": "time*1e-9"}
 _DEVIATION = f"where(horizontalAccuracy > 0, horizontalAccuracy/{RADIUS_68}, 0/0)"
 _FIX = {
-    **{"t": _T, "lat": "latitude", "lon": "longitude", "alt": "altitude"},
-    **{"std_x": _DEVIATION, "std_y": _DEVIATION},
+    **{"lat": "latitude", "lon": "longitude", "alt": "altitude", "std_x": _DEVIATION, "std_y": _DEVIATION},
     "speed": "where(speed >= 0, speed, 0/0)",
     "course": "where(bearing >= 0, radians(90 - bearing), 0/0)",
 }
@@ -32,47 +29,33 @@ _FIX = {
 def recognizes(path: Path) -> bool:
     """Return True if the app's files are in it."""
     names = names_in(path)
-    return {"Gyroscope.csv", "Location.csv"} <= names and bool(
-        names & {"Metadata.csv", "TotalAcceleration.csv", "Gravity.csv"}
-    )
+    return {_RATES, _PLACES} <= names and bool(names & {"Metadata.csv", _TOTAL, _GRAVITY})
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open an export."""
-    with unpacked(path, FILES, limits) as folder:
-        log = phone_files(path, folder, Guess({}), FILES, limits)
-        there = log.tables.keys()
-        roles: dict[Role, tuple[Part, ...]] = {}
-        notes = [FLAT]
-        if "Gyroscope.csv" in there and (parts := _acceleration(log, notes)):
-            rates = Part("Gyroscope.csv", {"t": _T, "gx": "y", "gy": "-x", "gz": "z"})
-            roles["imu"] = (*parts, rates)
-        if "Location.csv" in there:
-            roles["gps"] = (Part("Location.csv", _FIX),)
-        yield replace(log, guessed=Guess(roles, tuple(notes)))
+    log = phone_files(path, FILES, limits, stack)
+    notes = [FLAT]
+    parts: list[tuple[Role, str, dict[str, str]]] = [("gps", _PLACES, _T | _FIX)]
+    if _RATES in log.tables and (acceleration := _acceleration(log, notes)):
+        imu = {**acceleration, _RATES: {"gx": "y", "gy": "-x", "gz": "z"}}
+        parts.extend(("imu", table, _T | columns) for table, columns in imu.items())
+    guess = Guess(roles_of(parts, {name: table.columns for name, table in log.tables.items()}), tuple(notes))
+    return log.guessed(guess)
 
 
-def _acceleration(log: ColumnFiles, notes: list[str]) -> tuple[Part, ...]:
+def _acceleration(log: Log, notes: list[str]) -> dict[str, dict[str, str]]:
     """Specific force: with gravity as logged, or without it and gravity added (iOS has both with its own sign)."""
-    there = log.tables.keys()
-    if "TotalAcceleration.csv" in there:
-        return (Part("TotalAcceleration.csv", {"t": _T, "ax": "y", "ay": "-x", "az": "z"}),)
-    if not {"Accelerometer.csv", "Gravity.csv"} <= there:
+    if _TOTAL in log.tables:
+        return {_TOTAL: {"ax": "y", "ay": "-x", "az": "z"}}
+    if not {_MOVED, _GRAVITY} <= log.tables.keys():
         notes.append("Accelerometer.csv has no gravity in it, and Gravity.csv is missing: az left out")
-        return (
-            (Part("Accelerometer.csv", {"t": _T, "ax": "y", "ay": "-x"}),)
-            if "Accelerometer.csv" in there
-            else ()
-        )
-    z = pl.col("z").cast(pl.Float64, strict=False)
-    down = collect(log.scans["Gravity.csv"].select(z.median()), log.path, "Gravity.csv").item()
-    if down is None:
-        raise InputError(f"{log.path / 'Gravity.csv'}: holds no numbers; export it again")
-    sign = "-" if down < 0 else ""
-    notes.append(
-        f"gravity added to Accelerometer.csv{', both with their signs turned, as iOS has them' if sign else ''}"
-    )
-    gravity = {"t": _T, "+ax": f"{sign}y", "+ay": f"-{sign}x".replace("--", ""), "+az": f"{sign}z"}
-    moved = {"t": _T, "ax": f"{sign}y", "ay": f"-{sign}x".replace("--", ""), "az": f"{sign}z"}
-    return (Part("Accelerometer.csv", moved), Part("Gravity.csv", gravity))
+        return {_MOVED: {"ax": "y", "ay": "-x"}} if _MOVED in log.tables else {}
+    z = [rows["z"].cast(pl.Float64, strict=False) for _, rows, _ in log.batches({_GRAVITY: ["z"]})]
+    down = pl.concat(z).median() if z else None
+    if not isinstance(down, float):
+        raise InputError(f"{log.path / _GRAVITY}: holds no numbers; export it again")
+    turned = ", both with their signs turned, as iOS has them" if down < 0 else ""
+    notes.append(f"gravity added to Accelerometer.csv{turned}")
+    axes = {"ax": "-y", "ay": "x", "az": "-z"} if down < 0 else {"ax": "y", "ay": "-x", "az": "z"}
+    return {_MOVED: axes, _GRAVITY: {f"+{name}": text for name, text in axes.items()}}

@@ -6,8 +6,8 @@ in cm/s, times in GPS week (SOL) and ms of week. Other messages in the stream, N
 """
 
 import calendar
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack
 from datetime import date
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -18,60 +18,45 @@ import numpy as np
 from sigmaswarm.errors import InputError
 from sigmaswarm.importing.dates import GPS_EPOCH, WEEK, gps_to_unix
 from sigmaswarm.importing.limits import Limits
-from sigmaswarm.importing.source import Guess, Part, Rows, Source, first_bytes, library
+from sigmaswarm.importing.source import Guess, Log, Part, first_bytes, library, of_rows
 from sigmaswarm.wording import names_shown
 
 SYNC = b"\xb5\x62"
 NAV_PVT = b"\x01\x07"
 NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED = b"\x01\x02", b"\x01\x06", b"\x01\x03", b"\x01\x12"
 COLUMNS = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gSpeed", "fixType", "gnssFixOk", "carrSoln")
-_HALF = "*1e-3/sqrt(2)"  # hAcc is of the distance, each axis has its share
+COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
+_SPLIT = "the stated horizontal accuracy is split evenly between east and north"
+_FIX = {
+    **{"t": "t", "lat": "lat", "lon": "lon", "alt": "height*1e-3"},
+    **dict.fromkeys(("std_x", "std_y"), "hAcc*1e-3/sqrt(2)"),
+}
 GUESS = Guess(
     {
         "gps": (
             Part(
                 "NAV-PVT",
-                {
-                    **{"t": "t", "lat": "lat", "lon": "lon", "alt": "height*1e-3"},
-                    **{
-                        "std_x": f"hAcc{_HALF}",
-                        "std_y": f"hAcc{_HALF}",
-                        "vx": "velE*1e-3",
-                        "vy": "velN*1e-3",
-                    },
-                    "keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4",
-                },
+                _FIX
+                | {"vx": "velE*1e-3", "vy": "velN*1e-3"}
+                | {"keep": "gnssFixOk == 1 and fixType >= 2 and fixType <= 4"},
             ),
         )
     },
-    ("NAV-PVT: times are UTC; the stated horizontal accuracy is split evenly between east and north",),
+    (f"NAV-PVT: times are UTC; {_SPLIT}",),
     fixed="gnssFixOk == 1 and carrSoln == 2",
 )
-
-
-COLUMNS_6 = ("t", "lat", "lon", "height", "hAcc", "velE", "velN", "gpsFix")
 GUESS_6 = Guess(
     {
         "gps": (
             Part(
                 "NAV-POSLLH",
-                {
-                    **{"t": "t", "lat": "lat", "lon": "lon", "alt": "height*1e-3"},
-                    **{
-                        "std_x": f"hAcc{_HALF}",
-                        "std_y": f"hAcc{_HALF}",
-                        "vx": "velE*1e-2",
-                        "vy": "velN*1e-2",
-                    },
-                    "keep": "gpsFix >= 2 and gpsFix <= 4",
-                },
+                _FIX | {"vx": "velE*1e-2", "vy": "velN*1e-2", "keep": "gpsFix >= 2 and gpsFix <= 4"},
             ),
         )
     },
-    ("NAV-POSLLH: GPS time made UTC; the stated horizontal accuracy is split evenly between east and north",),
+    (f"NAV-POSLLH: GPS time made UTC; {_SPLIT}",),
 )
-NO_FIX = {b"\x02": "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and import its .pos"}
-"""Classes of messages without fixes, and the way to fixes."""
+RAW = "raw measurements: make fixes of them with RTKLIB (convbin, rnx2rtkp) and import its .pos"
 
 
 def recognizes(path: Path) -> bool:
@@ -80,60 +65,82 @@ def recognizes(path: Path) -> bool:
     return path.suffix.lower() == ".ubx" or SYNC + NAV_PVT in head or SYNC + NAV_POSLLH in head
 
 
-@contextmanager
-def open_log(path: Path, limits: Limits) -> Generator[Source]:
+def open_log(path: Path, limits: Limits, stack: ExitStack) -> Log:
     """Open a stream; it is decoded when its rows are wanted."""
     pyubx2 = library("pyubx2", "logs")
     if SYNC not in first_bytes(path, 1 << 20):
         raise InputError(f"{path}: holds no UBX messages; name the format with --format")
     remarks: list[str] = []
-    kinds = _kinds(path)
+    kinds = {raw[2:4] for raw, _ in _messages(path) if raw is not None}
     if NAV_PVT in kinds:
-        yield Rows(path, "NAV-PVT", COLUMNS, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
-    elif NAV_POSLLH in kinds:
-        yield Rows(path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), GUESS_6, remarks)
-    else:
-        there = names_shown(_named(kinds, pyubx2)) or "no whole message"
-        way = next((text for kind, text in NO_FIX.items() if any(k[:1] == kind for k in kinds)), "")
-        what = way or "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
-        raise InputError(f"{path}: holds {there}, and neither NAV-PVT nor NAV-POSLLH; {what}")
+        return of_rows(path, "NAV-PVT", COLUMNS, lambda: _rows(path, pyubx2, remarks), GUESS, remarks)
+    if NAV_POSLLH in kinds:
+        return of_rows(
+            path, "NAV-POSLLH", COLUMNS_6, lambda: _rows_6(path, pyubx2, remarks), GUESS_6, remarks
+        )
+    there = sorted(pyubx2.UBX_MSGIDS.get(kind, kind.hex()) for kind in kinds)
+    raw = any(kind[:1] == b"\x02" for kind in kinds)
+    what = RAW if raw else "have the receiver send NAV-PVT, or NAV-POSLLH and NAV-SOL"
+    raise InputError(
+        f"{path}: holds {names_shown(there) or 'no whole message'}, and neither NAV-PVT nor NAV-POSLLH; {what}"
+    )
 
 
-def _kinds(path: Path) -> set[bytes]:
-    """Class and id of the messages in a stream."""
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
-        return {raw[2:4] for raw, _ in _messages(stream) if raw is not None}
+def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
+    """One row a NAV-PVT message with a valid date and time."""
+    broken = undated = 0
+    for raw, done in _messages(path):
+        if raw is None or raw[2:4] != NAV_PVT:
+            broken += raw is None
+            continue
+        try:
+            message = pyubx2.UBXReader.parse(raw)
+            if message.validDate and message.validTime:
+                row = (_time(message), *(float(getattr(message, name)) for name in COLUMNS[1:]))
+            else:
+                undated += 1
+                continue
+        except Exception:  # of a length or a date that is none
+            broken += 1
+            continue
+        yield row, done
+    if broken:
+        remarks.append(f"{path.name}: {broken} damaged messages passed over")
+    if undated:
+        remarks.append(f"{path.name}: {undated} messages without a valid date passed over")
 
 
-def _named(kinds: set[bytes], pyubx2: Any) -> list[str]:
-    return sorted(pyubx2.UBX_MSGIDS.get(kind, kind.hex()) for kind in kinds)
+def _time(message: Any) -> float:
+    """s since 1970; ValueError where the calendar has no such day or the day no such time."""
+    day = date(message.year, message.month, message.day)
+    if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
+        raise ValueError("no time of day")
+    clock = (message.hour, message.min, message.second)
+    return calendar.timegm((*day.timetuple()[:3], *clock)) + message.nano * 1e-9
 
 
 def _rows_6(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
     """One row a time of week, of the messages that state it; the week is the last one that NAV-SOL stated."""
-    week, broken = 0, 0
+    week = broken = 0
     fix: dict[str, float] = {}
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
-        for raw, done in _messages(stream):
-            if raw is None:
-                broken += 1
-                continue
-            if raw[2:4] not in (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED) or len(raw) < 12:
-                continue
-            try:
-                message = pyubx2.UBXReader.parse(raw)
-            except Exception:  # of a length that is none
-                broken += 1
-                continue
-            tow = int.from_bytes(raw[6:10], "little")
-            if fix and tow != fix["tow"]:
-                if "lat" in fix:
-                    yield _row_6(fix, week), done
-                fix = {}
-            fix["tow"] = tow
-            week = getattr(message, "week", week)
-            names = (*COLUMNS_6[1:5], "velE", "velN", "gpsFix")
-            fix |= {name: float(getattr(message, name)) for name in names if hasattr(message, name)}
+    for raw, done in _messages(path):
+        if raw is None:
+            broken += 1
+            continue
+        if raw[2:4] not in (NAV_POSLLH, NAV_SOL, NAV_STATUS, NAV_VELNED) or len(raw) < 12:
+            continue
+        try:
+            message = pyubx2.UBXReader.parse(raw)
+        except Exception:  # of a length that is none
+            broken += 1
+            continue
+        tow = int.from_bytes(raw[6:10], "little")
+        if fix and tow != fix["tow"]:
+            if "lat" in fix:
+                yield _row_6(fix, week), done
+            fix = {}
+        week = getattr(message, "week", week)
+        fix |= {"tow": tow} | {n: float(getattr(message, n)) for n in COLUMNS_6[1:] if hasattr(message, n)}
     if "lat" in fix:
         yield _row_6(fix, week), 1.0
     if broken:
@@ -151,60 +158,21 @@ def _row_6(fix: dict[str, float], week: int) -> tuple[float, ...]:
     return (seconds, *(fix.get(name, 3.0 if name == "gpsFix" else np.nan) for name in COLUMNS_6[1:]))
 
 
-def _time(message: Any) -> float:
-    """s since 1970; ValueError where the calendar has no such day or the day no such time."""
-    day = date(message.year, message.month, message.day)
-    if not (message.hour < 24 and message.min < 60 and message.second <= 60):  # 60 is a leap second
-        raise ValueError("no time of day")
-    clock = (message.hour, message.min, message.second)
-    return calendar.timegm((*day.timetuple()[:3], *clock)) + message.nano * 1e-9
-
-
-def _rows(path: Path, pyubx2: Any, remarks: list[str]) -> Iterator[tuple[tuple[float, ...], float]]:
-    """One row a NAV-PVT message with a valid date and time."""
-    broken, undated = 0, 0
-    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
-        for raw, done in _messages(stream):
-            if raw is None:
-                broken += 1
-                continue
-            if raw[2:4] != NAV_PVT:
-                continue
-            try:
-                message = pyubx2.UBXReader.parse(raw)
-                dated = message.validDate and message.validTime
-                row = (
-                    (_time(message), *(float(getattr(message, name)) for name in COLUMNS[1:]))
-                    if dated
-                    else None
-                )
-            except Exception:  # of a length or a date that is none
-                broken += 1
-                continue
-            if row is None:
-                undated += 1
-                continue
-            yield row, done
-    if broken:
-        remarks.append(f"{path.name}: {broken} damaged messages passed over")
-    if undated:
-        remarks.append(f"{path.name}: {undated} messages without a valid date passed over")
-
-
-def _messages(stream: mmap) -> Iterator[tuple[bytes | None, float]]:
+def _messages(path: Path) -> Iterator[tuple[bytes | None, float]]:
     """Messages whose checksum is right, and None for damaged bytes between them; each with the share that is done.
 
     The length of a damaged message is unreliable: the next one is searched right after its first bytes.
     """
-    at, damaged = stream.find(SYNC), False
-    while at >= 0:
-        end = at + 8 + int.from_bytes(stream[at + 4 : at + 6], "little")
-        raw = stream[at:end]
-        sound = len(raw) == end - at and raw[-2:] == _checksum(raw[2:-2])
-        if sound or not damaged:
-            yield raw if sound else None, min(end / len(stream), 1.0)
-        damaged = not sound
-        at = stream.find(SYNC, end if sound else at + len(SYNC))
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as stream:
+        at, damaged = stream.find(SYNC), False
+        while at >= 0:
+            end = at + 8 + int.from_bytes(stream[at + 4 : at + 6], "little")
+            raw = stream[at:end]
+            sound = len(raw) == end - at and raw[-2:] == _checksum(raw[2:-2])
+            if sound or not damaged:
+                yield raw if sound else None, min(end / len(stream), 1.0)
+            damaged = not sound
+            at = stream.find(SYNC, end if sound else at + len(SYNC))
 
 
 def _checksum(content: bytes) -> bytes:
