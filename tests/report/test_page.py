@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from matplotlib.axes import Axes
 
 from browsing import Opened
 from sigmaswarm.cli.app import app
@@ -22,14 +23,14 @@ from sigmaswarm.errors import InputError
 from sigmaswarm.filters.parameters import FilterParameters
 from sigmaswarm.filters.run import run_filter, run_innovations
 from sigmaswarm.records import load_record
+from sigmaswarm.reports.commands import DEFAULTS, STATED, tune_command
 from sigmaswarm.reports.evaluation import copy_tuning
+from sigmaswarm.reports.evaluation_page import read_view
+from sigmaswarm.reports.figures import Chart, figure_of, hover_id
+from sigmaswarm.reports.folders import read_report
 from sigmaswarm.reports.page import Report, Section
 from sigmaswarm.reports.page import page as html_page
-from sigmaswarm.reports.pages.commands import DEFAULTS, STATED, tune_command
-from sigmaswarm.reports.pages.evaluation import read_view
-from sigmaswarm.reports.pages.folders import read_report
 from sigmaswarm.reports.tuning import save_tuning_figures
-from sigmaswarm.reports.views.charts import Axis, Look, Points
 from sigmaswarm.scoring.evaluation import Evaluation, evaluate
 from sigmaswarm.scoring.measures import MEASURES, METHODS
 from sigmaswarm.scoring.tracks import MOST_POINTS, compared, load_tracks, picture_of, save_tracks, tracks_of
@@ -196,7 +197,7 @@ def test_the_tuning_s_page_has_every_parameter_and_remark(folders: tuple[Path, P
         assert any(name in remark for remark in report.remarks)
     assert f"{file['result']['validation_cost']:.4g}" in report.lead[1]
     chart = next(s for s in report.sections if s.title == "Convergence").charts[0]
-    assert len(chart.marks) == 4
+    assert len(figure_of(chart, size=(4, 3)).axes[0].get_lines()) == 4
 
 
 def test_the_page_gives_both_axes_the_range_of_a_noise_that_they_share(tmp_path: Path):
@@ -382,11 +383,12 @@ def test_nothing_of_a_drive_s_name_gets_out_of_its_text(folders: tuple[Path, Pat
     text = html_page(read_report(folders[1]))
     assert json.loads(unpacked(text))["drives"][0]["name"] == NASTY
     assert "<img" not in text
-    hostile = replace(read_report(folders[0]).sections[1].charts[0], title=NASTY, x=Axis(NASTY))
-    points = Points([1.0], [1.0], Look("#000000"), NASTY, hovers=(NASTY,))
-    shown = html_page(
-        Report(NASTY, (), sections=(Section(NASTY, charts=(replace(hostile, marks=(points,)),)),))
-    )
+
+    def draw(ax: Axes) -> None:
+        ax.plot(1.0, 1.0, "o", label=NASTY, gid=hover_id(NASTY))
+        ax.set_xlabel(NASTY)
+
+    shown = html_page(Report(NASTY, (), sections=(Section(NASTY, charts=(Chart(NASTY, draw),)),)))
     assert "<img" not in shown and "<script>alert" not in shown
     assert shown.count("&lt;img src=x") == 7, "title twice, section, caption and label, axis, legend, hover"
     assert "<script>alert" not in text
@@ -399,7 +401,7 @@ def test_a_page_of_many_drives_stays_below_2_mb_and_keeps_the_peaks(folders: tup
     (at,) = (i for i, section in enumerate(report.sections) if section.tracks)
     view = report.sections[at].tracks
     assert view is not None
-    many = replace(view, drives=view.drives * 40)
+    many = replace(view, drives=[*view.drives] * 40)
     sections = tuple(replace(s, tracks=many) if i == at else s for i, s in enumerate(report.sections))
     text = html_page(replace(report, sections=sections))
     assert len(text.encode()) < 2e6

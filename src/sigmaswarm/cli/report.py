@@ -33,7 +33,7 @@ def report(
         NAME.html; by default page.html in that folder.
     """
     from sigmaswarm.cli.common import print_json, stdout
-    from sigmaswarm.reports.pages.folders import save_page
+    from sigmaswarm.reports.folders import save_page
 
     file = save_page(folder, out)
     if json:

@@ -97,9 +97,9 @@ def study(
     from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.experiments.study.config import BY_DEFAULT, QUICK, read_config
     from sigmaswarm.experiments.study.study import run_study
-    from sigmaswarm.reports.pages.folders import save_page
+    from sigmaswarm.reports.folders import save_page
     from sigmaswarm.reports.study import save_study, study_tables
-    from sigmaswarm.reports.views.study_tables import objectives_compared, runtime_table
+    from sigmaswarm.reports.study_tables import objectives_compared, runtime_table
 
     named: dict[str, Any] = {
         "drives": None if drives is None else tuple(drives),
