@@ -32,11 +32,11 @@ def report(
     out
         NAME.html; by default page.html in that folder.
     """
-    from sigmaswarm.cli.common import print_json, stdout
+    from sigmaswarm.cli.common import print_json, say
     from sigmaswarm.reports.folders import save_page
 
     file = save_page(folder, out)
     if json:
         print_json({"out": str(file)})
     else:
-        stdout().print(f"wrote {file}")
+        say(f"wrote {file}")

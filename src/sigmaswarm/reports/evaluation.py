@@ -43,8 +43,9 @@ from sigmaswarm.scoring.consistency import GATE_95
 from sigmaswarm.scoring.drifts import FIXES, LEARNED, OWN, UNTUNED
 from sigmaswarm.scoring.evaluation import Evaluated, Evaluation
 from sigmaswarm.scoring.measures import Measure
-from sigmaswarm.scoring.records import ScoresRecord, seal
+from sigmaswarm.scoring.records import seal
 from sigmaswarm.scoring.tracks import CLOSE_UP, MOVED, SHARES, Columns, Picture, Tracks
+from sigmaswarm.scoring.view import EvaluationView
 from sigmaswarm.tuning.record import FILE, HISTORY_FILE
 from sigmaswarm.wording import names_shown
 
@@ -108,7 +109,7 @@ def track_figure(evaluation: Evaluation, drive: str) -> Figure:
 
 def comparison(evaluation: Evaluation) -> Figure:
     """Bars of the mean scores of each method, where there are any."""
-    charts = method_bars(evaluation.record, evaluation.names, evaluation.measures, titled=True)
+    charts = method_bars(evaluation.view, titled=True)
     if not charts:
 
         def draw(ax: Axes) -> None:
@@ -121,13 +122,7 @@ def comparison(evaluation: Evaluation) -> Figure:
     return figure_of(*charts, size=(11 if columns > 1 else 6.4, 3.4 * rows), columns=columns)
 
 
-def method_bars(
-    scores: ScoresRecord,
-    names: Mapping[str, str],
-    measures: Mapping[str, Measure],
-    *,
-    titled: bool = False,
-) -> tuple[Chart, ...]:
+def method_bars(view: EvaluationView, *, titled: bool = False) -> tuple[Chart, ...]:
     """Bars of the means over the drives, a chart for each measure that any method has.
 
     IMU only and fixes alone do not set the scale: their bars end at the longest other bar, with an arrow at the text.
@@ -144,13 +139,15 @@ def method_bars(
                 text = f" {short_number(value)}{' →' * (value > longest)}"
                 ax.annotate(text, (shown[i], i), va="center", fontsize=8)
             ax.set(xlabel="" if titled else measure.heading, xlim=(0.0, 1.3 * longest))
-            name_rows(ax, [names[m] for m in values])
+            name_rows(ax, [view.names[m] for m in values])
 
         title = measure.heading if titled else f"{measure.title}, mean over drives"
         return Chart(title, draw, rows=len(values))
 
-    known = {name: {m: v for m in names if (v := scores.mean_of(m, name))} for name in measures}
-    return tuple(bars(measure, known[name]) for name, measure in measures.items() if known[name])
+    known = {
+        name: {m: v for m in view.names if (v := view.scores.mean_of(m, name))} for name in view.measures
+    }
+    return tuple(bars(view.measures[name], values) for name, values in known.items() if values)
 
 
 def consistency(name: str, evaluated: Evaluated) -> Figure | None:

@@ -112,4 +112,4 @@ def _comparison(view: EvaluationView) -> Section:
     tables += [view.drive_table(), *([view.drift_table()] if view.scores.drifts else [])]
     coverage = () if view.blind else view.coverage()
     text = (*coverage, explained_scores(view), *view.explanations())
-    return Section("Comparison", text, tuple(tables), method_bars(view.scores, view.names, view.measures))
+    return Section("Comparison", text, tuple(tables), method_bars(view))

@@ -5,19 +5,17 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from sigmaswarm.experiments.study.config import MAIN
-from sigmaswarm.experiments.study.record import Results
 from sigmaswarm.experiments.study.study import Study
 from sigmaswarm.files import make_folder, staged_files, write_whole
 from sigmaswarm.reports import study_charts as charts
 from sigmaswarm.reports import study_tables as views
 from sigmaswarm.reports.figures import figure_of, save_both
-from sigmaswarm.tables import Table
 
 
 def save_study(study: Study, folder: Path) -> list[Path]:
     """Write the tables of a study, each as Markdown, LaTeX and CSV, and its figures, each as PNG and SVG."""
     record = study.record
-    found = study_tables(study.results) | {"runtime": views.runtime_table(record.results, record.live)}
+    found = views.study_tables(study.results) | {"runtime": views.runtime_table(record.results, record.live)}
     if record.results.rivals is not None:
         found["runtime-rivals"] = views.rivals_table(record.results, record.rival_times)
     written: list[Path] = []
@@ -31,24 +29,6 @@ def save_study(study: Study, folder: Path) -> list[Path]:
         for name, figure in study_figures(study).items():
             written += save_both(figure, figures / name)
     return [folder / file.relative_to(new) for file in written]
-
-
-def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables of a study but those of run times, which differ between runs.
-
-    Parameters
-    ----------
-    results : Results
-        ``study.results``.
-
-    Returns
-    -------
-    dict of str to Table
-        ``table-1`` to ``table-3`` with the paper's figures, ``comparison-honest`` and ``comparison-paper``, three of
-        the conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
-        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
-    """
-    return views.study_tables(results) | views.rivals_tables(results)
 
 
 def study_figures(study: Study) -> dict[str, Figure]:

@@ -96,7 +96,20 @@ def _table(
 
 
 def study_tables(results: Results) -> dict[str, Table]:
-    """Return all tables but those of run times, which differ between runs, by the names of their files."""
+    """Return all tables of a study but those of run times, which differ between runs.
+
+    Parameters
+    ----------
+    results : Results
+        ``study.results``.
+
+    Returns
+    -------
+    dict of str to Table
+        ``table-1`` to ``table-3`` with the paper's figures, ``comparison-honest`` and ``comparison-paper``, three of
+        the conditions, ``optimum``; with rivals ``rivals``, ``rivals-gains``, ``elsewhere-1`` and so on, and
+        ``learning-curve``. Each has to_markdown(), to_latex() and to_csv(); a notebook shows it as it is.
+    """
     return {
         "table-1": table_1(results),
         "table-2": table_2(results),
@@ -106,6 +119,7 @@ def study_tables(results: Results) -> dict[str, Table]:
         "conditions-heading-rmse": conditions_table(results, HEADING),
         "conditions-outage-drift": conditions_table(results, DRIFT),
         "optimum": optimum_table(results, [MAIN]),
+        **rivals_tables(results),
     }
 
 
