@@ -30,17 +30,9 @@ MOST_PRINTED = 10
 class Column:
     """A column of a table.
 
-    Attributes
-    ----------
-    title : str
-    unit : str
-        Empty where it has none.
-    number : callable, optional
-        Format of a number and of both ends of a range; by default four digits, three for the ends of a range.
-    printed : callable, optional
-        Format in Markdown, LaTeX and CSV, where it differs.
-    joined : bool
-        Printed in the cell of the column before it in those: ``1.28 [1.26, 1.30]``.
+    ``number`` formats a number and both ends of a range; by default with four digits, three for the ends of a range.
+    ``printed`` replaces it in Markdown, LaTeX and CSV. There a ``joined`` column is printed in the cell before it:
+    ``1.28 [1.26, 1.30]``.
     """
 
     title: str
@@ -59,15 +51,7 @@ class Column:
 class Table:
     """A table; a notebook shows it as it is.
 
-    Attributes
-    ----------
-    caption : str
-    columns : tuple of Column, length n
-    rows : tuple of tuple of Cell, each of length n
-    strong : frozenset of int
-        Rows to emphasize.
-    note : str
-        Explanation of the figures.
+    The rows whose indices are in ``strong`` are emphasized; ``note`` explains the figures.
     """
 
     caption: str

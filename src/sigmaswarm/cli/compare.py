@@ -4,7 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import sigmaswarm
+from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, Workers, options_of
+from sigmaswarm.cli.progress import progress_bar
 from sigmaswarm.tuning.config import DECIDED_LATER, TuneConfig
 from sigmaswarm.tuning.options import SEEDS, Scale
 
@@ -62,7 +65,6 @@ def compare(
     resume
         Continue an interrupted comparison; the result is the same, except for the times.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
     from sigmaswarm.reports.compare import comparison_table, save_comparison
 
     asked: dict[str, Any] = {"seeds": seeds, "out": out, "resume": resume, "workers": workers}
@@ -80,8 +82,6 @@ def _compare(
     groups: "Sequence[Dataset]", asked: Mapping[str, Any], options: dict[str, Any]
 ) -> "tuple[Comparison, list[str]]":
     """Compare; return the result and a line about the model, if it was chosen."""
-    import sigmaswarm
-    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.tuning.defaults import with_filter
 

@@ -5,7 +5,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import Json
+from sigmaswarm.errors import InputError
 
 
 def convert(
@@ -31,12 +34,9 @@ def convert(
     to
         parquet or csv.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, say
     from sigmaswarm.drives.reader import all_drive_locations
     from sigmaswarm.drives.table_files import TABLES
     from sigmaswarm.drives.urls import is_url
-    from sigmaswarm.errors import InputError
 
     if len(drives) < 2:
         raise InputError("convert takes drives and, last, a folder for what they are converted to")

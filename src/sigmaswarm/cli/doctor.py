@@ -1,11 +1,16 @@
 """`sigmaswarm doctor`."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, say
+from sigmaswarm.cli.findings import print_diagnosis
 from sigmaswarm.cli.options import Json
+from sigmaswarm.errors import DriveWarning, InputError
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
@@ -37,9 +42,6 @@ def doctor(
     fix
         Folder for a repaired copy of each drive; the drives themselves are not changed.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, say
-    from sigmaswarm.cli.findings import print_diagnosis
 
     read = _read(drives)
     if fix is not None:
@@ -73,10 +75,6 @@ def doctor(
 
 def _read(paths: list[Path]) -> "list[Drive]":
     """Read the drives without the warnings of reading, since the diagnosis checks more."""
-    import warnings
-
-    from sigmaswarm.cli.common import read_drives
-    from sigmaswarm.errors import DriveWarning
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DriveWarning)
@@ -85,7 +83,6 @@ def _read(paths: list[Path]) -> "list[Drive]":
 
 def _check_names(drives: "list[Drive]", out: Path) -> None:
     """Refuse, before anything is written, copies that would take each other's or another folder's place."""
-    from sigmaswarm.errors import InputError
 
     names = [drive.name for drive in drives]
     for name in names:

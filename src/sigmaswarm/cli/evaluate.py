@@ -1,14 +1,26 @@
 """`sigmaswarm evaluate`."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import (
+    cluster_at,
+    print_evaluation,
+    print_json,
+    read_datasets,
+    say,
+    tuned_as_recorded,
+)
 from sigmaswarm.cli.options import FIELDS, Cluster, Json, Places, Seed, TrustLog
+from sigmaswarm.errors import InputError, SigmaswarmWarning
 
 if TYPE_CHECKING:
     from sigmaswarm import Evaluation
@@ -82,7 +94,6 @@ def evaluate(
     options
         The options of the command line.
     """
-    from sigmaswarm.cli.common import print_evaluation, print_json, say
     from sigmaswarm.learned.folder import load_learned
     from sigmaswarm.records import load_record
     from sigmaswarm.reports.evaluation import save_evaluation
@@ -107,11 +118,7 @@ def evaluate(
 def _evaluated(
     tuning: Path, drives: Sequence[str], options: EvaluateOptions, learned: "Learned | None"
 ) -> "Evaluation":
-    from functools import partial
 
-    import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, read_datasets, tuned_as_recorded
-    from sigmaswarm.errors import InputError
     from sigmaswarm.learned.folder import seen_in
     from sigmaswarm.scoring.evaluation import evaluate as evaluate_drives
     from sigmaswarm.tuning.record import FILE, seen_by
@@ -139,9 +146,6 @@ def _evaluated(
 
 def _warn_of_training_drives(evaluation: "Evaluation") -> None:
     """Warn of drives that the tuning has seen: scores on them are too good."""
-    import warnings
-
-    from sigmaswarm.errors import SigmaswarmWarning
 
     for name, found in evaluation.drives.items():
         if found.seen:

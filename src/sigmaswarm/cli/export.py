@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tuned_as_recorded
 from sigmaswarm.cli.options import FIELDS, Json
 
 if TYPE_CHECKING:
@@ -67,8 +69,6 @@ def export(
     options
         The options of the command line.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_drives, read_known, say, tuned_as_recorded
     from sigmaswarm.exports.check import check_export
     from sigmaswarm.exports.targets import export_filter
 

@@ -2,14 +2,18 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.common import numbers_of, print_json, say, stdout
+from sigmaswarm.cli.findings import mending, print_diagnosis
 from sigmaswarm.cli.options import FIELDS, MORE, Hyphened, Json
+from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.errors import InputError
 from sigmaswarm.wording import shown
 
 if TYPE_CHECKING:
@@ -154,7 +158,6 @@ def import_(
     options
         The options of the command line.
     """
-    from sigmaswarm.errors import InputError
 
     request, heading = _request(source, options), options.heading_from_north
     if heading is not None and not abs(heading) <= 360:
@@ -168,10 +171,7 @@ def import_(
 
 
 def _request(source: Path, options: ImportOptions) -> "Request":
-    from dataclasses import replace
 
-    from sigmaswarm.cli.common import numbers_of
-    from sigmaswarm.errors import InputError
     from sigmaswarm.importing.convert import Request
     from sigmaswarm.importing.limits import Limits
     from sigmaswarm.importing.recipe import Recipe
@@ -212,11 +212,7 @@ def _request(source: Path, options: ImportOptions) -> "Request":
 
 def _import(request: "Request", out: Path, options: ImportOptions) -> None:
     """Import and write; print the assumptions."""
-    from dataclasses import replace
 
-    from sigmaswarm.cli.common import print_json, say
-    from sigmaswarm.cli.findings import mending, print_diagnosis
-    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.doctor.diagnose import diagnose
     from sigmaswarm.drives.writer import require_replaceable, write_drive
     from sigmaswarm.importing.convert import import_drive
@@ -279,9 +275,7 @@ def _told(imported: "Imported", out: Path) -> Iterator[str]:
 
 
 def _show(request: "Request", options: ImportOptions) -> None:
-    from dataclasses import asdict
 
-    from sigmaswarm.cli.common import print_json
     from sigmaswarm.importing.look import look
 
     seen = look(request)
@@ -296,7 +290,6 @@ def _show(request: "Request", options: ImportOptions) -> None:
 
 
 def _print_look(seen: "Look") -> None:
-    from sigmaswarm.cli.common import say, stdout
 
     console = stdout()
     for glance in seen.tables:

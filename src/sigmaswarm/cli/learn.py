@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_drives, say
 from sigmaswarm.cli.options import FIELDS, Seed
+from sigmaswarm.cli.progress import progress_bar
 from sigmaswarm.filters.names import NetworkName
 
 if TYPE_CHECKING:
@@ -76,7 +79,6 @@ def learn(
     options
         The options of the command line.
     """
-    from sigmaswarm.cli.common import print_json, say
 
     record = _learn(network, tuning, drives, options)
     if options.json:
@@ -86,9 +88,6 @@ def learn(
 
 
 def _learn(network: NetworkName, tuning: Path, drives: list[str], options: LearnOptions) -> "LearnedRecord":
-    import sigmaswarm
-    from sigmaswarm.cli.common import read_drives
-    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.learned.learn import learn as train
     from sigmaswarm.tuning.record import FILE
 

@@ -72,18 +72,8 @@ def options_of(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command with ``**options`` the fields of a model as options; it gets those that the user gave.
 
-    Parameters
-    ----------
-    model : type
-        States each option's type, default and help.
-    shown : collection of str
-        Fields in the short help.
-    apart : collection of str
-        Fields that are no options of the command.
-    by_data : collection of str
-        Fields whose default is not a constant, and so is not shown.
-    renamed : dict, optional
-        Deprecated names and the current ones.
+    ``shown`` are the fields in the short help, ``apart`` those that are no options of the command, ``by_data`` those
+    whose default is not a constant. ``renamed`` maps deprecated names to the current ones.
     """
     old = {new: name for name, new in (renamed or {}).items()}
     added = {

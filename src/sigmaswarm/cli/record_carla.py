@@ -1,10 +1,13 @@
 """`sigmaswarm record-carla`."""
 
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from sigmaswarm.cli.options import FIELDS
+from sigmaswarm.errors import SigmaswarmError
 from sigmaswarm_carla.options import Options
 
 
@@ -90,10 +93,6 @@ def record_carla(*, options: Annotated[RecordCarlaOptions, FIELDS]) -> None:
     InputError
         An option or a file is unusable.
     """
-    import subprocess
-    import sys
-
-    from sigmaswarm.errors import SigmaswarmError
 
     arguments: list[str] = []
     for name, value in vars(options).items():

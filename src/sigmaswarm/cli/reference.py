@@ -7,7 +7,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
 from sigmaswarm.cli.options import FIELDS, Hyphened, Json
+from sigmaswarm.cli.progress import tuning_progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +72,6 @@ def reference(
     options
         The options of the command line.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import numbers_of, print_json, read_known, say, stdout
-    from sigmaswarm.cli.progress import tuning_progress
     from sigmaswarm.drives.writer import require_replaceable, write_drive
 
     out = options.out

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from sigmaswarm.cli.common import print_json, say
 from sigmaswarm.cli.options import Json
 
 
@@ -32,7 +33,6 @@ def report(
     out
         NAME.html; by default page.html in that folder.
     """
-    from sigmaswarm.cli.common import print_json, say
     from sigmaswarm.reports.folders import save_page
 
     file = save_page(folder, out)

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say, tuned_as_recorded
 from sigmaswarm.cli.options import FIELDS
+from sigmaswarm.errors import InputError
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive
@@ -87,7 +90,6 @@ def run(
     options
         The options of the command line.
     """
-    from sigmaswarm.cli.common import print_json
 
     read, summary, fixes = _run(tuning, drive, options)
     if options.json:
@@ -98,9 +100,6 @@ def run(
 
 def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[str, Any], int]":
     """Run and write; return the drive, a summary and the number of fixes that were written."""
-    import sigmaswarm
-    from sigmaswarm.cli.common import read_known, tuned_as_recorded
-    from sigmaswarm.errors import InputError
     from sigmaswarm.exports.trajectory import (
         check_fixes_target,
         check_target,
@@ -163,7 +162,6 @@ def _run(tuning: Path, drive: Path, options: RunOptions) -> "tuple[Drive, dict[s
 
 
 def _print(summary: Mapping[str, Any], drive: "Drive", options: RunOptions, fixes: int) -> None:
-    from sigmaswarm.cli.common import say
     from sigmaswarm.drives.fingerprint import START_RULE
 
     first, last, out = summary["start_s"], summary["end_s"], options.out
@@ -188,7 +186,6 @@ def _bank_files(out: Path) -> tuple[Path, Path]:
 
 def _check_bank_files(out: Path, others: Sequence[Path | None]) -> None:
     """Refuse, before any work, files that can't be written or would replace another one."""
-    from sigmaswarm.errors import InputError
 
     for file in _bank_files(out):
         if file.is_dir() or file.resolve() in [other.resolve() for other in (out, *others) if other]:
@@ -211,7 +208,6 @@ def _save_bank(run: Any, out: Path) -> dict[str, Any]:
 
 def _place(text: str) -> tuple[float, float, float]:
     """Latitude and longitude (deg), and altitude (m, 0 where it is left out)."""
-    from sigmaswarm.errors import InputError
 
     try:
         latitude, longitude, *altitude = (float(part) for part in text.split(","))

@@ -1,11 +1,17 @@
 """`sigmaswarm simulate`."""
 
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import sigmaswarm
+from sigmaswarm.cli.common import cluster_at, print_json, say
 from sigmaswarm.cli.options import AT_LEAST_1, FIELDS, MORE, Cluster, Json, Seed, Workers
+from sigmaswarm.cli.progress import progress_bar
+from sigmaswarm.errors import InputError
+from sigmaswarm.wording import counted
 
 JITTER = 0.002
 """s, standard deviation of a sample's time with --jitter."""
@@ -99,13 +105,9 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
     InputError
         An option or a file is unusable.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import cluster_at, print_json, say
-    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.simulation import ENVIRONMENTS, PAPER_MANEUVERS
     from sigmaswarm.simulation.conditions import simulated_on
     from sigmaswarm.simulation.scenarios import drive_name
-    from sigmaswarm.wording import counted
 
     out, runs = options.out, options.runs
     maneuvers = list(dict.fromkeys(options.maneuver or PAPER_MANEUVERS))
@@ -140,7 +142,6 @@ def simulate(*, options: Annotated[SimulateOptions, FIELDS]) -> None:
 
 def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str, Any]) -> set[str]:
     """Return the names of existing drives to keep; refuse anything else in the way before any work."""
-    from sigmaswarm.errors import InputError
 
     there = next(path for path in (out, *out.parents) if path.exists())
     if not there.is_dir():
@@ -158,9 +159,7 @@ def _kept(out: Path, names: Iterable[str], resume: bool, made_with: Mapping[str,
 
 def _require_made_with(file: Path, options: Mapping[str, Any]) -> None:
     """Refuse to continue a folder whose drives were made with other options."""
-    import tomllib
 
-    from sigmaswarm.errors import InputError
     from sigmaswarm.simulation.journey import URBAN_DURATION
 
     try:

@@ -5,6 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+import sigmaswarm
+from sigmaswarm.cli.common import print_json, read_known, say
 from sigmaswarm.cli.options import Json
 
 
@@ -36,8 +38,6 @@ def split(
     at
         Time of the split on the drive's clock (`t` in its files), s.
     """
-    import sigmaswarm
-    from sigmaswarm.cli.common import print_json, read_known, say
 
     if at is not None and train_fraction is not None:
         raise sigmaswarm.InputError("give --at or --train-fraction, not both: each says where to split")

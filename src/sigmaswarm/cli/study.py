@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter, validators
 
+from sigmaswarm.cli.common import cluster_at, print_json, say
 from sigmaswarm.cli.options import AT_LEAST_0, FIELDS, Count
+from sigmaswarm.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from sigmaswarm.experiments.study.config import StudyConfig
@@ -116,8 +118,6 @@ def study(*, options: Annotated[StudyOptions, FIELDS]) -> None:
     InputError
         An option or a file is unusable.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json
-    from sigmaswarm.cli.progress import progress_bar
     from sigmaswarm.experiments.study.study import run_study
     from sigmaswarm.reports.folders import save_page
     from sigmaswarm.reports.study import save_study
@@ -156,7 +156,6 @@ def _config(options: StudyOptions) -> "StudyConfig":
 
 
 def _print(done: "Study", out: Path, page: Path) -> None:
-    from sigmaswarm.cli.common import say
     from sigmaswarm.experiments.study.config import BY_DEFAULT
     from sigmaswarm.reports.study_tables import objectives_compared, runtime_table, study_tables
 

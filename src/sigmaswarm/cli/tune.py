@@ -1,14 +1,20 @@
 """`sigmaswarm tune`."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from math import isfinite
 from os.path import relpath
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
+import sigmaswarm
+from sigmaswarm.cli.common import MOST_SENTENCES, cluster_at, print_json, read_datasets, say
 from sigmaswarm.cli.options import MORE, Cluster, Json, Places, TrustLog, Workers, options_of
+from sigmaswarm.cli.progress import tuning_progress
+from sigmaswarm.errors import InputError
 from sigmaswarm.tuning.config import DECIDED_LATER, RENAMED, TuneConfig
+from sigmaswarm.wording import TO_DO, counted
 
 if TYPE_CHECKING:
     from sigmaswarm import Drive, Tuning
@@ -62,7 +68,6 @@ def tune(
     resume
         Continue an interrupted tuning; the result is the same as without the interruption.
     """
-    from sigmaswarm.cli.common import cluster_at, print_json, read_datasets, say
 
     asked = {"out": out, "resume": resume, "paper": paper}
     with cluster_at(cluster) as client:
@@ -87,10 +92,7 @@ def _tune(
 ) -> "tuple[Tuning[Any], FirstLook, list[str], list[str]]":
     """Tune; return the result, its look at the first drive, and lines to print before and after the result."""
     from concurrent.futures import ThreadPoolExecutor
-    from functools import partial
 
-    import sigmaswarm
-    from sigmaswarm.cli.progress import tuning_progress
     from sigmaswarm.drives.sensors import sensors_of
     from sigmaswarm.scoring.jobs import cores
     from sigmaswarm.scoring.tracks import first_look
@@ -114,9 +116,7 @@ def _tune(
 
 
 def _remarks(tuning: "Tuning[Any]", look: "FirstLook") -> Iterable[str]:
-    from sigmaswarm.cli.common import MOST_SENTENCES
     from sigmaswarm.scoring.remarks import said_of_first_look
-    from sigmaswarm.wording import TO_DO
 
     if position := said_of_first_look(look):
         yield f"position: {position}"
@@ -132,7 +132,6 @@ def _is_part(drive: "Drive") -> bool:
 
 
 def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
-    from sigmaswarm.wording import counted
 
     before = tuning.trial_costs[tuning.best_trial]
     inflated = f"; {before:.4f} before process-noise inflation" if tuning.inflation_factor != 1.0 else ""
@@ -150,7 +149,6 @@ def _costs(tuning: "Tuning[Any]") -> Iterable[str]:
 
 def _compare(evaluate: str, out: Path, tuned_on: Sequence[str]) -> list[str]:
     """Suggest a comparison with the newest other tuning of the same drives in the parent folder."""
-    from sigmaswarm.errors import InputError
     from sigmaswarm.records import load_record
     from sigmaswarm.scoring.records import SCORES_FILE
     from sigmaswarm.tuning.record import FILE, TuningRecord

@@ -60,15 +60,7 @@ def save_evaluation(
 ) -> list[Path]:
     """Write the records and pictures of an evaluation; return the paths of all files.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-    folder : Path
-        Created if missing.
-    tuning : Path, optional
-        The tuning.toml that was evaluated, or the folder that holds it; copied.
-    network : Learned, optional
-        The network that was evaluated; copied.
+    ``tuning``, the tuning.toml that was evaluated or its folder, and ``network`` are copied into the folder.
     """
     with staged_files(folder) as new:
         written = [*evaluation.save(new), save(comparison(evaluation), new / "comparison.png")]

@@ -32,17 +32,10 @@ from sigmaswarm.wording import visible
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """A plot.
+    """A plot: ``draw`` draws marks and labels on matplotlib's axes.
 
-    Attributes
-    ----------
-    title : str
-    draw : callable
-        Draws marks and labels on matplotlib's axes.
-    rows : int
-        Number of names along the vertical axis, which decides the height on a page.
-    broad : bool
-        A page shows at most two of these in a row.
+    ``rows`` is the number of names along the vertical axis, which decides the height on a page. A page shows at most
+    two ``broad`` charts in a row.
     """
 
     title: str

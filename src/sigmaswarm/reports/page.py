@@ -62,15 +62,8 @@ MOST_NUMBERS = 250_000
 class TrackView:
     """Tracks to explore.
 
-    Attributes
-    ----------
-    drives : sequence of Tracks
-    labels, looks : mapping of str to str and to Look
-        Of each series, the one drawn on top first.
-    shown : collection of str
-        The series that are visible when the page opens.
-    main : str
-        The series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
+    ``labels`` and ``looks`` are of each series, the one drawn on top first; those in ``shown`` are visible when it
+    opens. ``main`` is the series whose 3 sigma and NIS are shown first, and whose heading error sets the scale.
     """
 
     drives: Sequence[Tracks]
@@ -95,23 +88,8 @@ class Section:
 class Report:
     """The content of a page.
 
-    Attributes
-    ----------
-    title : str
-    lead : tuple of str
-        The result in a few sentences.
-    figures : tuple of (label, value, note)
-        Numbers of the summary with their units, and notes to compare them with.
-    remarks : tuple of str
-        Warnings to read before the result is used.
-    sections : tuple of Section
-        At most one of them has tracks.
-    config, versions : mapping
-        Configuration and software of the result.
-    command : str
-        Command that repeats it; empty where there is none.
-    command_note : str
-        Remark on the command.
+    ``lead`` is the result in a few sentences; ``figures`` are labels, numbers with their units, and notes to compare with;
+    ``remarks`` are warnings. At most one section has tracks. ``command`` repeats the result, if there is one.
     """
 
     title: str
