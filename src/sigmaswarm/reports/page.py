@@ -88,7 +88,7 @@ class Section:
 class Report:
     """The content of a page.
 
-    ``lead`` is the result in a few sentences; ``figures`` are labels, numbers with their units, and notes to compare with;
+    ``lead`` is the result in a few sentences; ``figures`` are labels, numbers with their units, and notes;
     ``remarks`` are warnings. At most one section has tracks. ``command`` repeats the result, if there is one.
     """
 
